@@ -1,0 +1,266 @@
+"""Several arms that hold one object: the loops they close and the cooperative task space.
+
+Letters: n joints (passive ones included), N arms, L = N - 1 loops, W the world, O the object.
+Arm 0 is the reference; loop i says that arm i and arm 0 carry the object in one place.
+
+With J_i the 6 x n Jacobian of the object frame as carried by arm i, (v; omega) in world axes,
+
+    J_tsk = sum_i alpha_i J_i,  J_rel,i = J_i - J_0,  J_ext = [J_tsk; J_rel]    eq. (28)-(31)
+
+and J_c v = 0 with J_c = J_rel is the loop closure, eq. (9), (14). alpha_i = 1/N is the paper's
+eq. (30) for two arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import scipy.linalg
+from numpy.typing import NDArray
+
+from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.grasp import Grasp, pose_matrix
+from coopqp.held_object import HeldObject
+from coopqp.robot import Arm, RobotModel
+
+AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
+
+#: Largest gap of given grasps at the start that still counts as closed.
+CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
+
+#: Singular values below this share of the largest count as zero when ranks are taken.
+RANK_TOLERANCE = 1e-8
+
+#: Reach of a joint without limits when configurations are sampled [rad or m].
+UNLIMITED_SAMPLE = 1.0
+
+
+@dataclass(frozen=True)
+class LoopRows:
+    """Which of the 6 L loop rows are independent.
+
+    Attributes:
+        names: of all rows, such as "loop[left].rot_y".
+        kept: indices of the rows handed to the solvers.
+        rank: rank of J_c at generic configurations.
+    """
+
+    names: tuple[str, ...]
+    kept: tuple[int, ...]
+    rank: int
+
+    @property
+    def dropped(self) -> tuple[str, ...]:
+        """Names of the rows that follow from the kept ones."""
+        return tuple(name for i, name in enumerate(self.names) if i not in self.kept)
+
+    @property
+    def kept_names(self) -> tuple[str, ...]:
+        """Names of the kept rows."""
+        return tuple(self.names[i] for i in self.kept)
+
+    @property
+    def varying(self) -> bool:
+        """Whether the dependence between the kept rows changes with the configuration."""
+        return self.rank < len(self.kept)
+
+
+class ClosedChain:
+    """A robot whose arms hold one object.
+
+    Args:
+        robot: the robot.
+        q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
+        grasps: one for all arms, or one for each by the arm's name.
+        held: the object.
+
+    Attributes:
+        model: pinocchio model with the grasps' passive joints; massless object (its inertia
+            matters to the dynamics alone, which add it).
+        q_start: configuration with the passive joints at zero, shape (n,).
+        frames: the object frame as carried by each arm, ids into model.frames.
+        loops: the independent loop rows.
+        lower, upper: position limits, shape (n,) [rad, m]; infinite where there are none.
+        velocity: velocity limits, shape (n,) [rad/s, m/s].
+        passive: indices of the passive joints in q.
+
+    Raises:
+        GraspError: fewer than two arms, or grasps that do not close at the start.
+        UnknownNameError: a grasp for an arm that the robot does not have.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        q_start: NDArray[np.float64],
+        grasps: Grasp | Mapping[str, Grasp],
+        held: HeldObject,
+    ) -> None:
+        self.robot, self.held = robot, held
+        self.arms: tuple[Arm, ...] = robot.arms
+        self.grasps = _grasp_of_each(robot, grasps)
+        if len(self.arms) < 2:
+            raise GraspError(f"robot {robot.name} has {len(self.arms)} arm; a loop needs two")
+        start = np.asarray(q_start, float)
+        if start.shape != (robot.model.nq,):
+            raise InvalidValueError(f"q_start: found shape {start.shape}, needs ({robot.model.nq},)")
+        self.model = robot.model.copy()
+        ends = {arm.name: self._add_passive_joints(arm) for arm in self.arms}
+        self.n: int = self.model.nv
+        self.q_start = self._extended(start)
+        self.frames = self._add_object_frames(ends)
+        self.passive = np.array(
+            [i for i, name in enumerate(self.joint_names) if name not in robot.joint_names], int
+        )
+        self.lower = np.array(self.model.lowerPositionLimit)
+        self.upper = np.array(self.model.upperPositionLimit)
+        self.velocity = np.array(self.model.velocityLimit)
+        self.alpha = np.full(len(self.arms), 1.0 / len(self.arms))
+        self.mixing = _mixing_matrix(self.alpha)
+        self.loops = self._independent_rows()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n joints in the order of q."""
+        return tuple(self.model.names[1:])
+
+    def loop_jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """J_c of eq. (14) with all its rows, shape (6 L, n), rows in world axes at the object."""
+        data = self.model.createData()
+        pin.computeJointJacobians(self.model, data, q)
+        pin.updateFramePlacements(self.model, data)
+        J = [
+            pin.getFrameJacobian(self.model, data, f, pin.LOCAL_WORLD_ALIGNED) for f in self.frames
+        ]
+        return np.vstack([J_i - J[0] for J_i in J[1:]])
+
+    def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Random configurations inside the limits, loops not closed, shape (count, n)."""
+        lower = np.where(np.isfinite(self.lower), self.lower, self.q_start - UNLIMITED_SAMPLE)
+        upper = np.where(np.isfinite(self.upper), self.upper, self.q_start + UNLIMITED_SAMPLE)
+        return rng.uniform(lower, upper, (count, self.n))
+
+    def _add_passive_joints(self, arm: Arm) -> str:
+        """Insert the grasp's joints after the tip; returns the frame that carries the object."""
+        joints = self.grasps[arm.name].passive_joints()
+        if not joints:
+            return arm.tip
+        tail, parent, one = pin.Model(), 0, np.ones(1)
+        for passive in joints:
+            parent = tail.addJoint(
+                parent, passive.joint, passive.placement, f"{arm.name}.{passive.name}",
+                0.0 * one, np.inf * one, passive.lower * one, passive.upper * one,
+            )  # fmt: skip
+        end = f"{arm.name}.grasp"
+        tail.addFrame(pin.Frame(end, parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        # appendModel keeps the joints depth first, as pinocchio's algorithms need.
+        tip = self.model.getFrameId(arm.tip)
+        self.model = pin.appendModel(self.model, tail, tip, pin.SE3.Identity())
+        return end
+
+    def _extended(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Configuration of the model with its passive joints, these at zero."""
+        extended = np.zeros(self.model.nq)
+        for name, value in zip(self.robot.joint_names, q, strict=True):
+            extended[self.model.idx_qs[self.model.getJointId(name)]] = value
+        return extended
+
+    def _add_object_frames(self, ends: Mapping[str, str]) -> tuple[int, ...]:
+        """Fix the object frame to every arm, where the grasp or the start says, eq. (1)."""
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.q_start)
+        X_WE = {arm: data.oMf[self.model.getFrameId(end)].copy() for arm, end in ends.items()}
+        X_WO = self._start_pose(X_WE)
+        ids = []
+        for arm, end in ends.items():
+            given = self.grasps[arm].object_in_hand
+            X_EO = pose_matrix(given) if given else X_WE[arm].actInv(X_WO)
+            frame = self.model.frames[self.model.getFrameId(end)]
+            placement = frame.placement * X_EO
+            ids.append(
+                self.model.addFrame(
+                    pin.Frame(
+                        f"object[{arm}]", frame.parentJoint, placement, pin.FrameType.OP_FRAME
+                    )
+                )
+            )
+        return tuple(ids)
+
+    def _start_pose(self, X_WE: Mapping[str, pin.SE3]) -> pin.SE3:
+        """Pose of the object at the start, after checking that all that is given agrees.
+
+        Raises:
+            GraspError: the object's pose and the grasps put it in different places.
+        """
+        seen = {
+            f"the grasp of arm '{arm}'": X_WE[arm] * pose_matrix(grasp.object_in_hand)
+            for arm, grasp in self.grasps.items()
+            if grasp.object_in_hand
+        }
+        if self.held.pose:
+            seen["object.pose"] = pose_matrix(self.held.pose)
+        if not seen:
+            middle = np.mean([X.translation for X in X_WE.values()], axis=0)
+            return pin.SE3(np.eye(3), middle)
+        (first, X_WO), *others = seen.items()
+        for name, X in others:
+            gap = np.linalg.norm(X.translation - X_WO.translation)
+            angle = np.linalg.norm(pin.log3(X_WO.rotation.T @ X.rotation))
+            if gap > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
+                raise GraspError(
+                    f"the grasp does not close at the start: {name} puts the object "
+                    f"{1e3 * gap:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
+                    "puts it; change the start or leave object_in_hand out"
+                )
+        return X_WO
+
+    def _independent_rows(self) -> LoopRows:
+        """Find loop rows that follow from others, at seeded random configurations."""
+        names = tuple(f"loop[{arm.name}].{axis}" for arm in self.arms[1:] for axis in AXES)
+        configurations = self.sample(np.random.default_rng(0), 8)
+        jacobians = [self.loop_jacobian(q) for q in configurations]
+        # A row that is a fixed combination of others is so in all configurations side by side.
+        kept = independent_rows(np.hstack(jacobians))
+        rank = max(matrix_rank(J) for J in jacobians)
+        return LoopRows(names=names, kept=tuple(kept), rank=rank)
+
+
+def independent_rows(matrix: NDArray[np.float64]) -> list[int]:
+    """Indices of a largest set of independent rows, in their own order, by pivoted QR."""
+    if not matrix.size:
+        return []
+    _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diag(R))
+    rank = int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], 1e-300)))
+    return sorted(int(i) for i in order[:rank])
+
+
+def matrix_rank(matrix: NDArray[np.float64]) -> int:
+    """Rank with the tolerance used everywhere in coopqp."""
+    return int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
+
+
+def _grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
+    names = [arm.name for arm in robot.arms]
+    if isinstance(grasps, Grasp):
+        return dict.fromkeys(names, grasps)
+    for name in grasps:
+        if name not in names:
+            raise UnknownNameError("arm", name, names, "grasp: ")
+    missing = [name for name in names if name not in grasps]
+    if missing:
+        raise GraspError(f"grasp: no grasp for arm {', '.join(missing)}")
+    return {name: grasps[name] for name in names}
+
+
+def _mixing_matrix(alpha: NDArray[np.float64]) -> NDArray[np.float64]:
+    """M with [J_tsk; J_rel] = M [J_0; J_1; ...], eq. (30)-(31), shape (6 N, 6 N)."""
+    arms = len(alpha)
+    blocks = np.zeros((arms, arms))
+    blocks[0] = alpha
+    for i in range(1, arms):
+        blocks[i, 0], blocks[i, i] = -1.0, 1.0
+    return np.kron(blocks, np.eye(6))

@@ -1,0 +1,109 @@
+"""What a controller is: from a state to a command, once a tick."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
+from coopqp.limit import Limit
+from coopqp.solver import Budget, Solver, Status
+from coopqp.spec import spec
+from coopqp.state import State
+from coopqp.task import Task
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlProblem:
+    """What a controller is built for.
+
+    Attributes:
+        chain: the robot with the object in its hands.
+        tasks: the main tasks.
+        secondary: joint-space objectives for what the tasks leave free.
+        limits: hard bounds; the pseudoinverse laws ignore them.
+        dt: control period [s].
+        kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 0 is the paper's law, 1/dt
+            removes the linearisation error of each step in the next.
+        solver: for the controllers that solve a QP.
+        budget: what a solution may be off by.
+        q_start: where the references set out from, shape (n,).
+    """
+
+    chain: ClosedChain
+    tasks: Sequence[Task]
+    solver: Solver
+    secondary: Sequence[Task] = ()
+    limits: Sequence[Limit] = ()
+    dt: float = 0.01
+    kappa: float = 0.0
+    budget: Budget = field(default_factory=Budget)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.dt < np.inf:
+            raise InvalidValueError(f"dt: found {self.dt} s, needs more than 0")
+        if not 0.0 <= self.kappa * self.dt <= 1.0 + 1e-9:
+            raise InvalidValueError(
+                f"kappa: found {self.kappa} 1/s, needs 0 to 1/dt = {1 / self.dt:g} 1/s; "
+                "more would overshoot"
+            )
+        for task in (*self.tasks, *self.secondary):
+            if task.gain * self.dt > 1.0 + 1e-9:
+                raise InvalidValueError(
+                    f"task {task.name}: gain {task.gain} 1/s needs at most 1/dt = {1 / self.dt:g}"
+                )
+        for task in self.secondary:
+            if not task.joint_space:
+                raise InvalidValueError(
+                    f"secondary: '{task.name}' is not a joint-space objective; put it under tasks"
+                )
+
+
+class Command:
+    """What a controller wants, in preallocated arrays.
+
+    Attributes:
+        v: joint velocity for the next dt, shape (n,) [rad/s, m/s].
+        status: what became of the tick; not usable means v = 0.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.v = np.zeros(n)
+        self.status = Status.OPTIMAL
+
+
+class Law(ABC):
+    """A controller built for one problem."""
+
+    def __init__(self, problem: ControlProblem) -> None:
+        self.problem = problem
+        self.command = Command(problem.chain.n)
+
+    def start(self, q: ArrayLike | None = None) -> State:
+        """The first state, with room for the law's memory; q is the chain's start if omitted."""
+        return State(self.problem.chain, q)
+
+    @abstractmethod
+    def tick(self, state: State) -> Command:
+        """The command for the next dt. Raises nothing, prints nothing, reuses its arrays."""
+
+
+@spec
+class Controller:
+    """A plug-in in ``controllers/``: settings, and how to build the law."""
+
+    @abstractmethod
+    def build(self, problem: ControlProblem) -> Law:
+        """Prepare everything that does not change from tick to tick.
+
+        Raises:
+            CoopqpError: the controller cannot be used for this problem.
+        """
+        raise NotImplementedError

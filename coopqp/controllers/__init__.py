@@ -1,0 +1,8 @@
+"""The controllers: one file each, the YAML name is the file's name."""
+
+from coopqp.controllers.damped_pseudoinverse import DampedPseudoinverse
+from coopqp.controllers.pseudoinverse import Pseudoinverse
+from coopqp.controllers.pseudoinverse_null_space import PseudoinverseNullSpace
+from coopqp.controllers.qp import QPController
+
+__all__ = ["DampedPseudoinverse", "Pseudoinverse", "PseudoinverseNullSpace", "QPController"]

@@ -1,0 +1,32 @@
+"""Damped least squares: the fair baseline near singular poses (Nakamura and Hanafusa 1986).
+
+    (H J_ext)^# = J' (J J' + damping^2 I)^-1
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.resolved_rate import ResolvedRateLaw
+from coopqp.spec import Positive, spec
+
+
+@spec
+class DampedPseudoinverse(Controller):
+    """Damped least squares: bounded near singular poses, pays with errors of task and loop."""
+
+    damping: Positive = 0.02
+    """Singular values well below this are damped out [m/rad]."""
+
+    def build(self, problem: ControlProblem) -> Law:
+        """Damped inverse with the secondary objectives as Z."""
+        squared = self.damping**2
+
+        def invert(J: NDArray[np.float64]) -> NDArray[np.float64]:
+            gram = J @ J.T
+            gram.flat[:: len(gram) + 1] += squared
+            return np.linalg.solve(gram, J).T
+
+        return ResolvedRateLaw(problem, invert, null_space=True)

@@ -1,0 +1,22 @@
+"""The paper's "pseudo": eq. (33) with Z = 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.resolved_rate import ResolvedRateLaw
+from coopqp.spec import Positive, spec
+
+
+@spec
+class Pseudoinverse(Controller):
+    """Classical law, eq. (33) with Z = 0: minimum joint speed; knows no limits."""
+
+    rcond: Positive = 1e-10
+    """Singular values below this share of the largest count as zero."""
+
+    def build(self, problem: ControlProblem) -> Law:
+        """Moore-Penrose inverse by singular values."""
+        rcond = self.rcond
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=False)

@@ -1,0 +1,22 @@
+"""The paper's "joint limit motion": eq. (33)-(34) with Z from the secondary objectives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.resolved_rate import ResolvedRateLaw
+from coopqp.spec import Positive, spec
+
+
+@spec
+class PseudoinverseNullSpace(Controller):
+    """Classical law with null-space term, eq. (33)-(34): leans away from limits, can't stop there."""
+
+    rcond: Positive = 1e-10
+    """Singular values below this share of the largest count as zero."""
+
+    def build(self, problem: ControlProblem) -> Law:
+        """Moore-Penrose inverse by singular values, and P Z."""
+        rcond = self.rcond
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=True)

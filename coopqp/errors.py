@@ -1,0 +1,74 @@
+"""Every error that reading and building can raise.
+
+    CoopqpError                    catch this one to catch them all
+    ├── InvalidValueError          a value has the wrong shape, sign or size (also a ValueError)
+    ├── UnknownNameError           no such task, joint, frame ...; names the nearest ones
+    ├── GraspError                 the arms cannot hold the object as asked
+    ├── ScenarioError              all faults of one scenario file, each with its line
+    └── MissingDependencyError     an optional package is not installed (also an ImportError)
+
+Errors belong to the border, where things are read and built. Inside a tick nothing is raised:
+what goes wrong there is a :class:`coopqp.solver.Status`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+class CoopqpError(Exception):
+    """Base of all errors raised by coopqp."""
+
+
+class InvalidValueError(CoopqpError, ValueError):
+    """A value has the wrong shape, sign or size."""
+
+
+class UnknownNameError(CoopqpError):
+    """A name that nothing answers to."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+        self.kind, self.name = kind, name
+        super().__init__(f"{where}{unknown_name(kind, name, known)}")
+
+
+class GraspError(CoopqpError):
+    """The arms cannot hold the object as asked."""
+
+
+class MissingDependencyError(CoopqpError, ImportError):
+    """An optional package is not installed."""
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(f"{what} needs: pip install 'coopqp[{extra}]'")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing wrong with a file: where it is and what to do about it."""
+
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.message}"
+
+
+class ScenarioError(CoopqpError):
+    """All faults of one scenario file at once."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Sentence for a name that does not exist, with the nearest ones that do."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    if near:
+        return f"unknown {kind} '{name}'; did you mean {' or '.join(repr(n) for n in near)}?"
+    listed = ", ".join(names) if names else "none"
+    return f"unknown {kind} '{name}'; known: {listed}"

@@ -1,0 +1,15 @@
+"""A firm grasp: hand and object move as one body."""
+
+from __future__ import annotations
+
+from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.spec import spec
+
+
+@spec
+class Rigid(Grasp):
+    """Firm grasp: no motion between hand and object (paper, sections 2 to 5.2)."""
+
+    def passive_joints(self) -> tuple[PassiveJoint, ...]:
+        """None."""
+        return ()

@@ -1,0 +1,32 @@
+"""Joints stay within their range: (lower - q)/dt <= v <= (upper - q)/dt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.spec import NonNegative, spec
+from coopqp.state import State
+
+
+@spec
+class JointPosition(Limit):
+    """Joint position limits of the robot and of the grasps' passive joints."""
+
+    margin: NonNegative = 0.0
+    """Kept free at both ends [rad or m]."""
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """Bounds that no step of length dt can overrun."""
+        ends = np.vstack([chain.lower + self.margin, chain.upper - self.margin])
+        room, rate = np.zeros_like(ends), 1.0 / dt
+        below, above = room
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            np.subtract(ends, state.q, room)
+            np.multiply(room, rate, room)
+            np.maximum(rows.lb, below, out=rows.lb)
+            np.minimum(rows.ub, above, out=rows.ub)
+
+        return tighten

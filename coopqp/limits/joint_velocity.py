@@ -1,0 +1,34 @@
+"""Joints stay within their speed: -scale v_max <= v <= scale v_max."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.spec import spec
+from coopqp.state import State
+
+
+@spec
+class JointVelocity(Limit):
+    """Joint velocity limits of the robot, or a share of them."""
+
+    constant: ClassVar[bool] = True
+
+    scale: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    """Share of the robot's own velocity limits that may be used."""
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """Constant bounds."""
+        upper = self.scale * chain.velocity
+        lower = -upper
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            np.maximum(rows.lb, lower, out=rows.lb)
+            np.minimum(rows.ub, upper, out=rows.ub)
+
+        return tighten

@@ -1,0 +1,271 @@
+"""Modified Denavit-Hartenberg tables after Khalil and Kleinfinger (1986).
+
+The transform from the antecedent frame a(j) to frame j is (paper eq. (2))
+
+    T = rot_z(gamma) trans_z(b) rot_x(alpha) trans_x(d) rot_z(theta) trans_z(r)
+
+with gamma = b = 0 when x_a(j) is perpendicular to z_j. Lengths in metres, angles in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.errors import InvalidValueError, UnknownNameError
+
+#: sin(alpha) below which two axes count as parallel; a grasp is never known to a nanoradian.
+PARALLEL_AXES = 1e-9
+
+JointKind = Literal["revolute", "prismatic", "fixed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdhParameters:
+    """The six parameters of one transform, eq. (2)."""
+
+    gamma: float = 0.0
+    b: float = 0.0
+    alpha: float = 0.0
+    d: float = 0.0
+    theta: float = 0.0
+    r: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """Mass properties of the link moved by a joint.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass, shape (3,) [m].
+        inertia: ixx ixy ixz iyy iyz izz about the centre of mass [kg m2].
+        axes: "joint" when com and inertia are written along the axes of MDH frame j; "base" when
+            they are written along the base axes at the zero pose, as robot makers do. The origin
+            is that of frame j in both cases.
+    """
+
+    mass: float
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    axes: Literal["joint", "base"] = "joint"
+
+    def __post_init__(self) -> None:
+        if not self.mass >= 0.0:
+            raise InvalidValueError(f"link mass: found {self.mass} kg, needs 0 or more")
+        check_inertia(self.matrix, "link inertia")
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Inertia about the centre of mass, shape (3, 3) [kg m2]."""
+        return inertia_matrix(self.inertia)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdhRow:
+    """One row of the table: joint j, its antecedent, its transform and its limits.
+
+    Attributes:
+        name: of the joint (or of the frame, for a fixed row).
+        antecedent: name of the antecedent joint; None for the base.
+        kind: sigma of the table: revolute (0), prismatic (1), fixed (2).
+        parameters: the transform at joint value 0. For a revolute joint theta holds the offset
+            between the encoder's zero and the table's, for a prismatic joint r does.
+        lower, upper: position limits [rad or m].
+        velocity: [rad/s or m/s].
+        effort: [N m or N].
+        link: mass properties; None for a massless link.
+    """
+
+    name: str
+    antecedent: str | None
+    kind: JointKind = "revolute"
+    parameters: MdhParameters = field(default_factory=MdhParameters)
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    effort: float = math.inf
+    link: Link | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind != "fixed" and not self.lower < self.upper:
+            raise InvalidValueError(
+                f"joint {self.name}: lower limit {self.lower} is not below upper {self.upper}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tip:
+    """A frame fixed to a row's link, with the base's axes at the zero pose.
+
+    Attributes:
+        parent: name of the row it is fixed to.
+        offset: from that row's origin, along the base axes at the zero pose, shape (3,) [m].
+    """
+
+    parent: str
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def inertia_matrix(six: Sequence[float]) -> NDArray[np.float64]:
+    """Symmetric matrix from ixx ixy ixz iyy iyz izz, shape (3, 3) [kg m2]."""
+    xx, xy, xz, yy, yz, zz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def check_inertia(matrix: NDArray[np.float64], what: str) -> None:
+    """Refuse an inertia no body can have: a negative or too large principal moment.
+
+    Raises:
+        InvalidValueError: a principal moment is negative or exceeds the sum of the other two.
+    """
+    moments = np.linalg.eigvalsh(matrix)
+    slack = 1e-9 * max(float(moments[-1]), 1e-12)
+    if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:
+        raise InvalidValueError(
+            f"{what}: principal moments {moments} kg m2 are impossible; each must be positive "
+            "and at most the sum of the other two"
+        )
+
+
+def transform(p: MdhParameters) -> pin.SE3:
+    """The pose of frame j in frame a(j), eq. (2)."""
+    return fixed_part(p) * pin.SE3(_rot_z(p.theta), np.array([0.0, 0.0, p.r]))
+
+
+def fixed_part(p: MdhParameters) -> pin.SE3:
+    """The part of the transform before the joint axis: rot_z trans_z rot_x trans_x."""
+    first = pin.SE3(_rot_z(p.gamma), np.array([0.0, 0.0, p.b]))
+    c, s = math.cos(p.alpha), math.sin(p.alpha)
+    rot_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return first * pin.SE3(rot_x, rot_x @ np.array([p.d, 0.0, 0.0]))
+
+
+def grasp_parameters(X: pin.SE3) -> MdhParameters:
+    """The six parameters whose transform is X: the inverse of eq. (2).
+
+    When the two z axes are parallel there are infinitely many; the one with r = 0 is returned.
+    """
+    R, p = X.rotation, X.translation
+    sin_alpha = math.hypot(R[0, 2], R[1, 2])
+    alpha = math.atan2(sin_alpha, R[2, 2])
+    if sin_alpha > PARALLEL_AXES:
+        gamma = math.atan2(R[0, 2], -R[1, 2])
+        theta = math.atan2(R[2, 0], R[2, 1])
+        d, minus_r_sin, b_plus_r_cos = _rot_z(-gamma) @ p
+        r = -minus_r_sin / sin_alpha
+        return MdhParameters(
+            gamma=gamma, b=b_plus_r_cos - r * R[2, 2], alpha=alpha, d=d, theta=theta, r=r
+        )
+    # Parallel axes: alpha is 0 or pi and only gamma +- theta is seen; x is put on the offset.
+    alpha = 0.0 if R[2, 2] > 0.0 else math.pi
+    gamma = math.atan2(p[1], p[0])
+    about_z = math.atan2(R[1, 0], R[0, 0])
+    theta = about_z - gamma if alpha == 0.0 else gamma - about_z
+    return MdhParameters(
+        gamma=gamma, b=p[2], alpha=alpha, d=math.hypot(p[0], p[1]), theta=theta, r=0.0
+    )
+
+
+def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> pin.Model:
+    """Turn a table into a pinocchio model whose joint frames are the table's frames.
+
+    The joint variable is the encoder angle (or stroke): frame j of the table at joint value q is
+    ``transform`` with theta + q (or r + q). Rows must be listed arm by arm (depth first).
+
+    Args:
+        name: of the model.
+        rows: the table.
+        tips: frames to add at the end of a row, such as a hand, by name.
+
+    Raises:
+        UnknownNameError: an antecedent or tip parent is not in the table above it.
+        InvalidValueError: two rows share a name, or rows are not depth first.
+    """
+    model = pin.Model()
+    model.name = name
+    joint_of: dict[str | None, int] = {None: 0}
+    frame_in_joint: dict[str | None, pin.SE3] = {None: pin.SE3.Identity()}
+    for row in rows:
+        if row.name in joint_of:
+            raise InvalidValueError(f"MDH table {name}: two rows are called '{row.name}'")
+        if row.antecedent not in joint_of:
+            known = [str(n) for n in joint_of if n is not None]
+            raise UnknownNameError("antecedent", str(row.antecedent), known, f"row {row.name}: ")
+        parent, X = joint_of[row.antecedent], frame_in_joint[row.antecedent]
+        placement = X * transform(row.parameters)
+        if row.kind == "fixed":
+            joint_of[row.name], frame_in_joint[row.name] = parent, placement
+            model.addFrame(pin.Frame(row.name, parent, placement, pin.FrameType.OP_FRAME))
+        else:
+            joint_of[row.name] = _add_joint(model, parent, placement, row)
+            frame_in_joint[row.name] = pin.SE3.Identity()
+    if not model.check(model.createData()):
+        raise InvalidValueError(f"MDH table {name}: list the rows arm by arm (depth first)")
+    _add_links(model, rows, joint_of, frame_in_joint)
+    _add_tips(model, tips, joint_of, frame_in_joint)
+    return model
+
+
+def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -> int:
+    joint = pin.JointModelRZ() if row.kind == "revolute" else pin.JointModelPZ()
+    one = np.ones(1)
+    index = model.addJoint(
+        parent, joint, placement, row.name,
+        row.effort * one, row.velocity * one, row.lower * one, row.upper * one,
+    )  # fmt: skip
+    model.addJointFrame(index)
+    return int(index)
+
+
+def _zero_pose(model: pin.Model) -> pin.Data:
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    return data
+
+
+def _add_links(
+    model: pin.Model,
+    rows: Sequence[MdhRow],
+    joint_of: Mapping[str | None, int],
+    frame_in_joint: Mapping[str | None, pin.SE3],
+) -> None:
+    data = _zero_pose(model)
+    for row in rows:
+        if row.link is None:
+            continue
+        joint, X = joint_of[row.name], frame_in_joint[row.name]
+        R = np.eye(3)
+        if row.link.axes == "base":
+            R = (data.oMi[joint] * X).rotation.T
+        com = R @ np.asarray(row.link.com)
+        body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
+        model.appendBodyToJoint(joint, body, X)
+
+
+def _add_tips(
+    model: pin.Model,
+    tips: Mapping[str, Tip],
+    joint_of: Mapping[str | None, int],
+    frame_in_joint: Mapping[str | None, pin.SE3],
+) -> None:
+    data = _zero_pose(model)
+    for name, tip in tips.items():
+        if tip.parent not in joint_of:
+            known = [str(n) for n in joint_of if n is not None]
+            raise UnknownNameError("row", tip.parent, known, f"tip {name}: ")
+        joint, X = joint_of[tip.parent], frame_in_joint[tip.parent]
+        X_WJ = data.oMi[joint]
+        X_WT = pin.SE3(np.eye(3), (X_WJ * X).translation + np.asarray(tip.offset))
+        model.addFrame(pin.Frame(name, joint, X_WJ.inverse() * X_WT, pin.FrameType.OP_FRAME))
+
+
+def _rot_z(angle: float) -> NDArray[np.float64]:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

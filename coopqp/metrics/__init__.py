@@ -1,0 +1,1 @@
+"""The metrics: one file each, the file's name is the key in ``metrics.json``."""

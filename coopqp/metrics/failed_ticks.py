@@ -1,0 +1,16 @@
+"""Ticks whose answer failed the check, so that the joints held still."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class FailedTicks(Metric):
+    """Ticks whose answer failed the check, so that the joints held still."""
+
+    def measure(self, trace: Trace) -> int:
+        """Over the whole run."""
+        return int((~trace.usable).sum())

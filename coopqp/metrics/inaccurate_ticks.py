@@ -1,0 +1,16 @@
+"""Ticks that were feasible but not optimal to the declared accuracy."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class InaccurateTicks(Metric):
+    """Ticks that were feasible but not optimal to the declared accuracy."""
+
+    def measure(self, trace: Trace) -> int:
+        """Over the whole run."""
+        return int(trace.inaccurate.sum())

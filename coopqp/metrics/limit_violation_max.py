@@ -1,0 +1,23 @@
+"""How far the worst joint went beyond its position limit."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class LimitViolationMax(Metric):
+    """How far the worst joint went beyond its position limit."""
+
+    unit: ClassVar[str] = "rad"
+
+    def measure(self, trace: Trace) -> float:
+        """0 when no limit was left."""
+        beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+        return max(0.0, float(beyond.max()))

@@ -1,0 +1,23 @@
+"""Largest distance and angle between where two arms carry the object."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class LoopErrorMax(Metric):
+    """Largest distance and angle between where two arms carry the object."""
+
+    unit: ClassVar[str] = "m, rad"
+
+    def measure(self, trace: Trace) -> dict[str, float]:
+        """Over the whole run."""
+        return {
+            "position": float(trace.loop_position.max()),
+            "orientation": float(trace.loop_orientation.max()),
+        }

@@ -1,0 +1,17 @@
+"""Whether every task's error ended within its tolerance."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class Reached(Metric):
+    """Whether every task's error ended within its tolerance."""
+
+    def measure(self, trace: Trace) -> bool:
+        """At the last instant."""
+        ends = zip(trace.task_error[-1], trace.tasks, strict=True)
+        return all(bool(error <= task.tolerance) for error, task in ends)

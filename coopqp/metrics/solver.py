@@ -1,0 +1,16 @@
+"""Name of the QP solver; null for laws without one."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class Solver(Metric):
+    """Name of the QP solver; null for laws without one."""
+
+    def measure(self, trace: Trace) -> str | None:
+        """Over the whole run."""
+        return trace.solver

@@ -1,0 +1,21 @@
+"""Each task's error at the end."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class TaskError(Metric):
+    """Each task's error at the end."""
+
+    unit: ClassVar[str] = "the task's own"
+
+    def measure(self, trace: Trace) -> dict[str, float]:
+        """By task name."""
+        ends = zip(trace.tasks, trace.task_error[-1], strict=True)
+        return {task.name: float(error) for task, error in ends}

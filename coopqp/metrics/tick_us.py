@@ -1,0 +1,27 @@
+"""Time from reading the joints to the verified command."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class TickUs(Metric):
+    """Time from reading the joints to the verified command."""
+
+    unit: ClassVar[str] = "us"
+
+    def measure(self, trace: Trace) -> dict[str, float]:
+        """Over the whole run."""
+        us = trace.tick_us
+        return {
+            "median": float(np.median(us)),
+            "p99": float(np.percentile(us, 99)),
+            "max": float(us.max()),
+        }

@@ -1,0 +1,16 @@
+"""Number of control periods."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class Ticks(Metric):
+    """Number of control periods."""
+
+    def measure(self, trace: Trace) -> int:
+        """Over the whole run."""
+        return trace.ticks

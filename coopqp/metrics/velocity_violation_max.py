@@ -1,0 +1,22 @@
+"""How far the worst joint's speed went beyond its limit."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+
+@spec
+class VelocityViolationMax(Metric):
+    """How far the worst joint's speed went beyond its limit."""
+
+    unit: ClassVar[str] = "rad/s"
+
+    def measure(self, trace: Trace) -> float:
+        """0 when no limit was broken."""
+        return max(0.0, float((np.abs(trace.v) - trace.velocity).max(initial=0.0)))

@@ -1,0 +1,73 @@
+"""The classical resolved-rate law of the paper, eq. (33)-(34), shared by three controllers.
+
+    v = (H J_ext)^+ [h_dot; V_rel] + P Z,   P = I_n - (H J_ext)^+ (H J_ext)
+
+H J_ext is the stack of the task rows and the loop rows, V_rel = -kappa e (0 in the paper). The
+identity is n x n, in joint space. It knows no limits; nothing here adds any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.controller import Command, ControlProblem, Law
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.task import TaskStack
+
+Array = NDArray[np.float64]
+
+Invert = Callable[[Array], Array]
+
+
+class ResolvedRateLaw(Law):
+    """Eq. (33) with a chosen inverse.
+
+    Args:
+        problem: tasks and closed chain.
+        invert: (k + m, n) -> (n, k + m), the inverse of H J_ext.
+        null_space: whether the secondary objectives enter as Z.
+    """
+
+    def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:
+        super().__init__(problem)
+        start = State(problem.chain)
+        self._invert = invert
+        self._tasks = TaskStack(problem.tasks, start)
+        self._secondary = TaskStack(problem.secondary if null_space else (), start)
+        n = problem.chain.n
+        self._k = len(self._tasks.e)
+        rows = self._k + len(start.e_loop)
+        self._HJ, self._rhs = np.zeros((rows, n)), np.zeros(rows)
+        self._Z = np.zeros(n)
+
+    def tick(self, state: State) -> Command:
+        """One evaluation of eq. (33)."""
+        tasks, k, command = self._tasks, self._k, self.command
+        tasks.update(state)
+        self._HJ[:k], self._HJ[k:] = tasks.J, state.J_loop
+        self._rhs[:k] = tasks.wanted
+        np.multiply(state.e_loop, -self.problem.kappa, out=self._rhs[k:])
+        try:
+            inverse = self._invert(self._HJ)
+            np.dot(inverse, self._rhs, out=command.v)
+            self._add_null_space(state, inverse)
+            command.status = Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE
+        except np.linalg.LinAlgError:  # the singular value decomposition did not converge
+            command.status = Status.SOLVER_ERROR
+        if not command.status.usable:
+            command.v[:] = 0.0
+        return command
+
+    def _add_null_space(self, state: State, inverse: Array) -> None:
+        if not self._secondary.tasks:
+            return
+        self._secondary.update(state)
+        Z, n = self._Z, self.problem.chain.n
+        Z[:] = 0.0
+        for part in range(0, len(self._secondary.wanted), n):
+            Z += self._secondary.wanted[part : part + n]
+        self.command.v += Z - inverse @ (self._HJ @ Z)

@@ -1,0 +1,108 @@
+"""What a robot is: a pinocchio model and the arms that can hold an object."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.errors import InvalidValueError, UnknownNameError
+
+
+class Robot(ABC):
+    """A plug-in in ``robots/``: fields say which robot, ``build`` makes it."""
+
+    @abstractmethod
+    def build(self) -> RobotModel:
+        """Make the model.
+
+        Raises:
+            CoopqpError: the description cannot be turned into a model.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """A serial chain that ends in a hand.
+
+    Attributes:
+        name: as used in scenarios, such as "right".
+        tip: frame of the hand.
+    """
+
+    name: str
+    tip: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotModel:
+    """A robot ready to take hold of something.
+
+    Attributes:
+        name: of the robot.
+        model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
+            velocity limits [rad/s, m/s] and effort limits [N m, N].
+        arms: in the order of the loops; the first is the reference of the others.
+    """
+
+    name: str
+    model: pin.Model
+    arms: tuple[Arm, ...]
+
+    def __post_init__(self) -> None:
+        if self.model.nq != self.model.nv:
+            raise InvalidValueError(
+                f"robot {self.name}: nq = {self.model.nq} but nv = {self.model.nv}; "
+                "floating and continuous joints must be locked or made revolute"
+            )
+        for arm in self.arms:
+            if not self.model.existFrame(arm.tip):
+                frames = [frame.name for frame in self.model.frames]
+                raise UnknownNameError("frame", arm.tip, frames, f"arm {arm.name}: ")
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in the order of q."""
+        return tuple(self.model.names[1:])
+
+    def arm_joints(self, arm: Arm) -> tuple[str, ...]:
+        """Names of the joints between the base and the arm's tip, base first."""
+        tip = self.model.frames[self.model.getFrameId(arm.tip)]
+        return tuple(self.model.names[j] for j in self.model.supports[tip.parentJoint] if j > 0)
+
+    def configuration(
+        self, values: Mapping[str, float | Sequence[float]]
+    ) -> NDArray[np.float64]:
+        """Configuration from values by arm or joint name; joints not named stay at neutral.
+
+        Args:
+            values: an arm's name with one number per joint, base first, or a joint's name with
+                one number [rad or m].
+
+        Returns:
+            q, shape (nq,).
+
+        Raises:
+            UnknownNameError: a key is neither an arm nor a joint.
+            InvalidValueError: wrong number of values, or a value that is not finite.
+        """
+        q = np.array(pin.neutral(self.model))
+        arms = {arm.name: self.arm_joints(arm) for arm in self.arms}
+        for key, value in values.items():
+            if key not in arms and key not in self.joint_names:
+                raise UnknownNameError("arm or joint", key, [*arms, *self.joint_names])
+            joints = arms.get(key, (key,))
+            numbers = np.atleast_1d(np.asarray(value, float))
+            if numbers.shape != (len(joints),):
+                raise InvalidValueError(
+                    f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
+                )
+            if not np.isfinite(numbers).all():
+                raise InvalidValueError(f"{key}: found {numbers.tolist()}, needs finite numbers")
+            for joint, number in zip(joints, numbers, strict=True):
+                q[self.model.idx_qs[self.model.getJointId(joint)]] = number
+        return q

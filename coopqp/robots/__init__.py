@@ -1,0 +1,5 @@
+"""The robots: one file each, the YAML name is the file's name."""
+
+from coopqp.robots.nao_t14 import NaoT14
+
+__all__ = ["NaoT14"]

@@ -1,0 +1,159 @@
+"""The control loop: state, tick, plant, trace. The only place with a clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Law
+from coopqp.plant import PlantModel
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.task import TaskStack
+from coopqp.trace import Failure, TaskInfo, Trace
+
+Array = NDArray[np.float64]
+
+Progress = Callable[[int], None]
+"""Called now and then with the number of ticks done."""
+
+PROGRESS_EVERY = 50  # ticks
+
+
+def rollout(
+    law: Law,
+    plant: PlantModel,
+    ticks: int,
+    *,
+    controller: str,
+    solver: str | None,
+    progress: Progress | None = None,
+) -> Trace:
+    """Run a law on a plant from the chain's start.
+
+    Args:
+        law: the controller, built.
+        plant: at rest at the start.
+        ticks: how many.
+        controller, solver: their names, for the trace.
+        progress: called every few ticks.
+
+    Returns:
+        All that happened.
+    """
+    state = law.start()
+    recorder = _Recorder(law, state, ticks)
+    for k in range(ticks):
+        before = time.perf_counter_ns()
+        state.update()
+        command = law.tick(state)
+        after = time.perf_counter_ns()
+        recorder.record(k, state)
+        recorder.v[k] = command.v
+        recorder.tick_us[k] = 1e-3 * (after - before)
+        if command.status is not Status.OPTIMAL:
+            recorder.note(k, command.status)
+        plant.step(state, command)
+        if progress and k % PROGRESS_EVERY == 0:
+            progress(k)
+    state.update()
+    recorder.record(ticks, state)
+    if progress:
+        progress(ticks)
+    return recorder.trace(controller, solver)
+
+
+class _Recorder:
+    """Arrays for one run, filled tick by tick."""
+
+    def __init__(self, law: Law, start: State, ticks: int) -> None:
+        problem = law.problem
+        n, rows = problem.chain.n, ticks + 1
+        self._law = law
+        # Its own stack, so that a controller without tasks inside is measured alike.
+        self._tasks = TaskStack(problem.tasks, start)
+        self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
+        self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
+        self.loop = np.zeros((rows, 2))
+        self.task_error = np.zeros((rows, len(problem.tasks)))
+        self.tick_us = np.zeros(ticks)
+        self.usable = np.ones(ticks, bool)
+        self.inaccurate = np.zeros(ticks, bool)
+        self.failures: list[Failure] = []
+
+    def record(self, k: int, state: State) -> None:
+        """Keep the state before tick k."""
+        self.t[k], self.q[k] = state.t, state.q
+        self.position[k], self.rotation[k] = state.p_WO, state.R_WO
+        self.loop[k] = state.loop_position_error, state.loop_orientation_error
+        self._tasks.update(state)
+        for i, part in enumerate(self._tasks.slices):
+            self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
+
+    def note(self, k: int, status: Status) -> None:
+        """Keep why tick k is not optimal."""
+        if status.usable:
+            self.inaccurate[k] = True
+        else:
+            self.usable[k] = False
+            self.failures.append(Failure(k, status.value))
+
+    def trace(self, controller: str, solver: str | None) -> Trace:
+        """Everything recorded, frozen."""
+        problem = self._law.problem
+        chain = problem.chain
+        return Trace(
+            controller=controller,
+            solver=solver,
+            dt=problem.dt,
+            kappa=problem.kappa,
+            joints=chain.joint_names,
+            lower=chain.lower,
+            upper=chain.upper,
+            velocity=chain.velocity,
+            tasks=tuple(TaskInfo(k.name, k.unit, k.tolerance, k.end) for k in problem.tasks),
+            t=self.t,
+            q=self.q,
+            v=self.v,
+            position=self.position,
+            rotation=self.rotation,
+            loop_position=self.loop[:, 0],
+            loop_orientation=self.loop[:, 1],
+            task_error=self.task_error,
+            usable=self.usable,
+            inaccurate=self.inaccurate,
+            tick_us=self.tick_us,
+            points=arm_points(chain, self.q),
+            failures=tuple(self.failures),
+        )
+
+
+def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
+    """Joint origins and hand of each arm at each configuration, for drawing.
+
+    Args:
+        chain: the closed chain.
+        q: shape (T, n).
+
+    Returns:
+        By arm, base first, shape (T, p, 3) [m].
+    """
+    model, data = chain.model, chain.model.createData()
+    joints = {
+        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)]
+        for arm in chain.arms
+    }
+    tips = {arm.name: model.getFrameId(arm.tip) for arm in chain.arms}
+    points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
+    for k, row in enumerate(q):
+        pin.framesForwardKinematics(model, data, row)
+        for name, ids in joints.items():
+            for i, joint in enumerate(ids):
+                points[name][k, i] = data.oMi[joint].translation
+            points[name][k, -1] = data.oMf[tips[name]].translation
+    return points

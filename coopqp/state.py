@@ -1,0 +1,181 @@
+"""What is true at one instant, with the kinematics computed once.
+
+W is the world, O the object, i an arm. Poses of the object as carried by each arm are averaged
+with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log(R_i R_0')) R_0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from coopqp.closed_chain import ClosedChain, independent_rows
+
+Array = NDArray[np.float64]
+
+
+class State:
+    """The state of a closed chain at one instant; its arrays are reused from tick to tick.
+
+    Args:
+        chain: the closed chain.
+        q: configuration, shape (n,) [rad, m]; the chain's start when omitted.
+        t: time [s].
+        memory: shape (k,), whatever the controller must remember between ticks. Together with
+            t, q and v it is all that is needed to replay a tick.
+
+    Attributes:
+        t: [s].
+        q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s].
+        p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
+        J_ext: [J_tsk; J_rel] of eq. (31), shape (6 N, n).
+        J_task: its first six rows, (v; omega) of the object in world axes.
+        J_rel: the other 6 L rows.
+        loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
+            position [m], then rotation vector [rad], per loop.
+        J_loop, e_loop: the independent rows of J_rel and loop_error, for the solvers.
+    """
+
+    def __init__(
+        self,
+        chain: ClosedChain,
+        q: ArrayLike | None = None,
+        t: float = 0.0,
+        memory: Array | None = None,
+    ) -> None:
+        arms, n = len(chain.arms), chain.n
+        self.chain = chain
+        self.t = t
+        self.q = np.array(chain.q_start if q is None else q, float)
+        self.v = np.zeros(n)
+        self.memory = np.zeros(0) if memory is None else memory
+        self.J_ext = np.zeros((6 * arms, n))
+        self.J_task, self.J_rel = self.J_ext[:6], self.J_ext[6:]
+        self.loop_error = np.zeros(6 * (arms - 1))
+        self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
+        self._model, self._data = chain.model, chain.model.createData()
+        self._J_arms = np.zeros((6 * arms, n))
+        self._skew, self._lever_J = np.zeros((3, 3)), np.zeros((3, n))
+        self._mean = np.zeros(6)
+        self._bind_frames()
+        self._prepare_loop_rows()
+        self.update()
+
+    def update(self) -> None:
+        """Compute everything that follows from q; call it after q has changed."""
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, self.q)
+        for frame, J in self._frames:
+            pin.updateFramePlacement(model, data, frame)
+            J[:] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        self._mixing.dot(self._J_arms, self.J_ext)
+        self._update_poses()
+        if self._rows_chosen:
+            self._update_loop_rows()
+
+    def point(self, p_O: Array) -> Array:
+        """Where a point of the object is in the world, shape (3,) [m].
+
+        Args:
+            p_O: the point in the object frame, shape (3,) [m].
+        """
+        return self.p_WO + self.R_WO @ p_O
+
+    def point_jacobian(self, lever: Array, out: Array) -> None:
+        """Jacobian of the velocity of a point of the object: J_v - [lever]x J_omega.
+
+        Args:
+            lever: from the object's origin to the point, in world axes, shape (3,) [m].
+            out: written, shape (3, n).
+        """
+        x, y, z = lever.tolist()
+        S = self._skew
+        S[0, 1], S[0, 2], S[1, 2] = -z, y, -x
+        S[1, 0], S[2, 0], S[2, 1] = z, -y, x
+        S.dot(self.J_task[3:], self._lever_J)
+        np.subtract(self.J_task[:3], self._lever_J, out)
+
+    @property
+    def loop_position_error(self) -> float:
+        """Largest distance between where two arms carry the object [m]."""
+        return max(math.hypot(*self.loop_error[i : i + 3]) for i in range(0, len(self.loop_error), 6))
+
+    @property
+    def loop_orientation_error(self) -> float:
+        """Largest angle between how two arms carry the object [rad]."""
+        return max(
+            math.hypot(*self.loop_error[i : i + 3]) for i in range(3, len(self.loop_error), 6)
+        )
+
+    def _bind_frames(self) -> None:
+        """Keep views into pinocchio's data, which stay valid, instead of asking each tick."""
+        chain, data = self.chain, self._data
+        self._mixing = chain.mixing
+        self._frames = [
+            (frame, self._J_arms[6 * i : 6 * i + 6]) for i, frame in enumerate(chain.frames)
+        ]
+        X_0 = data.oMf[chain.frames[0]]
+        self._p_0, self._R_0, self._R_0T = X_0.translation, X_0.rotation, X_0.rotation.T
+        self._others = []
+        for i, frame in enumerate(chain.frames[1:]):
+            X_i, error = data.oMf[frame], self.loop_error[6 * i : 6 * i + 6]
+            self._others.append((X_i.translation, X_i.rotation, error[:3], error[3:]))
+        self._error_of_loop = self.loop_error.reshape(-1, 6)
+        self._alpha = np.ascontiguousarray(chain.alpha[1:])
+
+    def _update_poses(self) -> None:
+        p_0, R_0T, mean = self._p_0, self._R_0T, self._mean
+        for p_i, R_i, gap, angle in self._others:
+            np.subtract(p_i, p_0, gap)
+            # log(R_i R_0') is the rotation from how arm 0 to how arm i carries it, world axes.
+            angle[:] = pin.log3(R_i.dot(R_0T))
+        self._alpha.dot(self._error_of_loop, mean)
+        np.add(p_0, mean[:3], self.p_WO)
+        pin.exp3(mean[3:]).dot(self._R_0, self.R_WO)
+
+    def _prepare_loop_rows(self) -> None:
+        loops = self.chain.loops
+        rank = min(loops.rank, len(loops.kept))
+        self._kept = np.array(loops.kept, int)
+        self._rows_chosen = loops.varying or len(loops.kept) < len(loops.names)
+        self.J_loop = np.zeros((rank, self.chain.n)) if self._rows_chosen else self.J_rel
+        self.e_loop = np.zeros(rank) if self._rows_chosen else self.loop_error
+
+    def _update_loop_rows(self) -> None:
+        rows = self._kept
+        if self.chain.loops.varying:
+            rows = rows[independent_rows(self.J_rel[rows])][: len(self.e_loop)]
+            # At a singular pose fewer rows are independent; the missing ones ask for nothing.
+            self.J_loop[:], self.e_loop[:] = 0.0, 0.0
+        self.J_loop[: len(rows)] = self.J_rel[rows]
+        self.e_loop[: len(rows)] = self.loop_error[rows]
+
+
+class PointOfObject:
+    """A point of the object: its lever arm, position and Jacobian, for tasks that steer it.
+
+    Args:
+        p_O: the point in the object frame, shape (3,) [m].
+        n: number of joints.
+
+    Attributes:
+        p: where it is in the world, shape (3,) [m].
+        J: its velocity Jacobian, shape (3, n) [m/rad].
+    """
+
+    def __init__(self, p_O: ArrayLike, n: int) -> None:
+        self._p_O, self._lever = np.array(p_O, float), np.zeros(3)
+        self._is_origin = not self._p_O.any()
+        self.p, self.J = np.zeros(3), np.zeros((3, n))
+
+    def update(self, state: State) -> None:
+        """Follow the object."""
+        if self._is_origin:
+            self.p, self.J = state.p_WO, state.J_task[:3]
+            return
+        state.R_WO.dot(self._p_O, self._lever)
+        np.add(state.p_WO, self._lever, self.p)
+        state.point_jacobian(self._lever, self.J)

@@ -1,0 +1,126 @@
+"""What a task is: an error e(q, t) with as many rows as the task has dimensions.
+
+Letters: n joints, k task rows. A task asks that its error decay, e_dot = -gain e. With
+
+    e_dot = J v - rate
+
+(J the task Jacobian, shape (k, n); rate what the reference's own motion adds, shape (k,)) this
+becomes J v = rate - gain e, the rows h_dot of the paper's eq. (32).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.spec import NonNegative, Positive, spec
+from coopqp.state import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TaskRows:
+    """Where a task writes its rows.
+
+    Attributes:
+        e: error, shape (k,) [unit of the task].
+        J: task Jacobian, shape (k, n) [unit per rad or m].
+        rate: J v that keeps the error constant, shape (k,) [unit/s].
+    """
+
+    e: Array
+    J: Array
+    rate: Array
+
+
+Evaluate = Callable[[State, TaskRows], None]
+
+
+@spec
+class Task:
+    """A plug-in in ``tasks/``: what the object, or the joints, shall do."""
+
+    unit: ClassVar[str] = "m"
+    """Unit of the error."""
+    joint_space: ClassVar[bool] = False
+    """Whether J is the identity (rows = joints), so that the task can be a secondary objective."""
+
+    name: str = ""
+    """Your name for it in tables and messages; its type's name if omitted."""
+    gain: Positive = 5.0
+    """How fast the error decays [1/s]; at most 1/dt."""
+    weight: NonNegative = 1.0
+    """Cost of a squared error in J v [s2/unit2]."""
+    tolerance: Positive = 5e-4
+    """Error at the end that still counts as reached [unit]."""
+
+    @abstractmethod
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """A name for each row, such as x, y, z; their number is the task's dimension."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def bind(self, start: State) -> Evaluate:
+        """Fix the reference's start and return the function that fills the rows each tick.
+
+        Args:
+            start: the state from which the reference sets out.
+        """
+        raise NotImplementedError
+
+    @property
+    def end(self) -> float:
+        """When the reference has reached its goal [s]."""
+        return 0.0
+
+
+class TaskStack:
+    """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
+
+    Args:
+        tasks: in the order of their rows.
+        start: the state from which their references set out.
+
+    Attributes:
+        names: of the rows, such as "task[reach].z".
+        slices: of each task's rows.
+        e, J, rate: as in :class:`TaskRows`.
+        wanted: J v that makes the errors decay, rate - gain e.
+        weights: of the rows.
+    """
+
+    def __init__(self, tasks: Sequence[Task], start: State) -> None:
+        n = start.chain.n
+        rows = [task.rows(start.chain) for task in tasks]
+        sizes = [len(r) for r in rows]
+        ends = np.cumsum([0, *sizes]).tolist()
+        k = ends[-1]
+        self.tasks = tuple(tasks)
+        self.names = tuple(
+            f"task[{task.name}].{row}" for task, r in zip(tasks, rows, strict=True) for row in r
+        )
+        self.slices = tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        self.e, self.rate, self.wanted = np.zeros(k), np.zeros(k), np.zeros(k)
+        self.J = np.zeros((k, n))
+        self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
+        self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
+        self._evaluate: list[tuple[Evaluate, TaskRows]] = []
+        for task, part in zip(tasks, self.slices, strict=True):
+            if task.joint_space:
+                self.J[part] = np.eye(n)
+            block = TaskRows(self.e[part], self.J[part], self.rate[part])
+            self._evaluate.append((task.bind(start), block))
+
+    def update(self, state: State) -> None:
+        """Fill all rows for a state."""
+        for evaluate, block in self._evaluate:
+            evaluate(state, block)
+        np.multiply(self._gains, self.e, self.wanted)
+        np.subtract(self.rate, self.wanted, self.wanted)

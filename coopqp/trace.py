@@ -1,0 +1,86 @@
+"""What happened in a run, tick by tick, in arrays.
+
+Letters: T ticks, n joints, L loops, K tasks. Row k is the instant before tick k; row T is the end,
+so positions have T + 1 rows and commands T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TaskInfo:
+    """A task as the trace needs it."""
+
+    name: str
+    unit: str
+    tolerance: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A tick whose answer could not be used."""
+
+    tick: int
+    cause: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """One controller's run.
+
+    Attributes:
+        controller: its name.
+        solver: name of its QP solver; None for laws without one.
+        dt: control period [s]. kappa: gain of the drift correction [1/s].
+        joints: names, shape (n,).
+        lower, upper, velocity: the limits, shape (n,) [rad or m; rad/s or m/s].
+        tasks: in the order of task_error.
+        t: shape (T + 1,) [s].
+        q: shape (T + 1, n) [rad or m].
+        v: commanded velocity, shape (T, n) [rad/s or m/s].
+        position: of the object, shape (T + 1, 3) [m].
+        rotation: of the object, shape (T + 1, 3, 3).
+        loop_position, loop_orientation: largest loop error, shape (T + 1,) [m], [rad].
+        task_error: Euclidean norm of each task's error, shape (T + 1, K) [the task's unit].
+        usable: whether the tick's answer was used, shape (T,).
+        inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
+        tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
+        points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
+        failures: ticks that held still, and why.
+    """
+
+    controller: str
+    solver: str | None
+    dt: float
+    kappa: float
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    tasks: tuple[TaskInfo, ...]
+    t: Array
+    q: Array
+    v: Array
+    position: Array
+    rotation: Array
+    loop_position: Array
+    loop_orientation: Array
+    task_error: Array
+    usable: NDArray[np.bool_]
+    inaccurate: NDArray[np.bool_]
+    tick_us: Array
+    points: dict[str, Array]
+    failures: tuple[Failure, ...]
+
+    @property
+    def ticks(self) -> int:
+        """T."""
+        return len(self.v)

@@ -1,0 +1,46 @@
+"""Joints go to the middle of their range: the criterion Z of the paper's eq. (33).
+
+    phi(q) = sum_j ((q_j - mid_j) / range_j)^2,   e = grad phi = 2 (q - mid) / range^2,   J = I
+
+so that the wished joint velocity is Z = -gain grad phi. Joints without limits have no middle and
+ask for nothing.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.spec import NonNegative, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class JointCentering(Task):
+    """Joints go to mid-range with what the tasks leave free (one row a joint)."""
+
+    unit: ClassVar[str] = "1/rad"
+    joint_space: ClassVar[bool] = True
+
+    weight: NonNegative = 1e-5
+    """Cost of a squared deviation from Z [s2/rad2]; far below the tasks', so that they win."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The joints."""
+        return chain.joint_names
+
+    def bind(self, start: State) -> Evaluate:
+        """No reference: the middles are constant."""
+        chain = start.chain
+        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+        middle = np.where(limited, 0.5 * (chain.lower + chain.upper), 0.0)
+        scale = np.where(limited, 2.0 / (chain.upper - chain.lower) ** 2, 0.0)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            np.subtract(state.q, middle, out=rows.e)
+            np.multiply(rows.e, scale, out=rows.e)
+
+        return evaluate
