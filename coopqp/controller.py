@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -98,6 +99,12 @@ class Law(ABC):
 @spec
 class Controller:
     """A plug-in in ``controllers/``: settings, and how to build the law."""
+
+    uses_solver: ClassVar[bool] = False
+    """Whether it solves a QP, so that the scenario's solver matters."""
+
+    name: str = ""
+    """Your name for it in tables; its type's name if omitted."""
 
     @abstractmethod
     def build(self, problem: ControlProblem) -> Law:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import pinocchio as pin
+from pydantic import BeforeValidator
 
 from coopqp.errors import InvalidValueError
 from coopqp.mdh import check_inertia, inertia_matrix
-from coopqp.spec import Lengths3, NonNegative, Pose, Vector3, spec
+from coopqp.spec import Lengths3, NonNegative, Pose, Vector3, numbers, spec
+
+Six = Annotated[
+    tuple[float, float, float, float, float, float], BeforeValidator(lambda v: numbers(v, 6))
+]
 
 
 @spec
@@ -20,7 +27,7 @@ class HeldObject:
     """[kg]"""
     com: Vector3 = (0.0, 0.0, 0.0)
     """Centre of mass in the object frame [m]."""
-    inertia: tuple[float, float, float, float, float, float] | None = None
+    inertia: Six | None = None
     """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]; that of a solid box if omitted."""
     pose: Pose | None = None
     """Pose in the world at the start; midway between the hands, unturned, if omitted."""

@@ -29,9 +29,21 @@ def spec(cls: type[T]) -> type[T]:
     return dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
 
 
-def _listed(value: Any) -> Any:
-    """Let numpy arrays be given where numbers are listed."""
-    return value.tolist() if isinstance(value, np.ndarray) else value
+def _three(value: Any) -> Any:
+    """Let numpy arrays be given, and say how many numbers are needed."""
+    return numbers(value, 3)
+
+
+def numbers(value: Any, count: int) -> Any:
+    """A list, tuple or array of ``count`` numbers as a list; other values are left to pydantic.
+
+    Raises:
+        ValueError: it has another length.
+    """
+    listed = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(listed, list | tuple) or len(listed) != count:
+        raise ValueError(f"needs {count} numbers")
+    return listed
 
 
 def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -42,8 +54,8 @@ def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed)]
-Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_listed)]
+Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_three)]
+Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 """A vector of any length but zero; only its direction counts."""
 

@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
@@ -118,6 +120,8 @@ class QPLaw(Law):
 @spec
 class QPController(Controller):
     """QP each tick: tasks as objectives, loop closure and limits as hard constraints."""
+
+    uses_solver: ClassVar[bool] = True
 
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""

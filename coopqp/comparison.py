@@ -1,0 +1,170 @@
+"""Run a scenario's controllers side by side and say in words what each of them did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.catalog import Catalog
+from coopqp.errors import UnknownNameError
+from coopqp.rollout import rollout
+from coopqp.scenario import Scenario
+from coopqp.trace import Trace
+
+Progress = Callable[[str, int], None]
+"""Called now and then with the controller's name and the number of ticks it has done."""
+
+#: A limit overrun below this is rounding [rad, rad/s].
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome of one scenario under several controllers.
+
+    Attributes:
+        scenario: what was run.
+        traces: by controller.
+        metrics: by controller, then by metric.
+        verdicts: one sentence each, by controller.
+    """
+
+    scenario: Scenario
+    traces: Mapping[str, Trace]
+    metrics: Mapping[str, Mapping[str, Any]]
+    verdicts: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``metrics.json`` holds."""
+        return {
+            "scenario": self.scenario.name,
+            "kappa": self.scenario.kappa,
+            "dt": self.scenario.dt,
+            "controllers": {name: dict(values) for name, values in self.metrics.items()},
+        }
+
+
+def run(scenario: Scenario, *, controller: str, progress: Progress | None = None) -> Trace:
+    """Run one controller of a scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controller: its name in the scenario, or any controller's type name.
+        progress: called every few ticks.
+
+    Raises:
+        UnknownNameError: no such controller.
+        CoopqpError: the controller or the plant cannot be built for this scenario.
+    """
+    chosen = scenario.controllers.get(controller)
+    if chosen is None:
+        known = {**Catalog().entries("controllers"), **scenario.controllers}
+        if controller not in known:
+            raise UnknownNameError("controller", controller, known)
+        chosen = known[controller].cls()
+    problem = scenario.problem()
+    report = (lambda k: progress(controller, k)) if progress else None
+    return rollout(
+        chosen.build(problem),
+        scenario.plant.build(problem, scenario.seed),
+        scenario.ticks,
+        controller=controller,
+        solver=scenario.solver_name if chosen.uses_solver else None,
+        progress=report,
+    )
+
+
+def compare(
+    scenario: Scenario,
+    *,
+    controllers: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Comparison:
+    """Run several controllers on one scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controllers: their names; the scenario's own when omitted.
+        progress: called every few ticks.
+
+    Raises:
+        CoopqpError: as :func:`run`.
+    """
+    names = list(controllers) or list(scenario.controllers)
+    traces = {name: run(scenario, controller=name, progress=progress) for name in names}
+    return summarize(scenario, traces)
+
+
+def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
+    """Metrics and verdicts of traces."""
+    entries = Catalog().entries("metrics")
+    metrics = {
+        name: {key: entry.cls().measure(trace) for key, entry in entries.items()}
+        for name, trace in traces.items()
+    }
+    verdicts = {name: verdict(trace, metrics[name]) for name, trace in traces.items()}
+    return Comparison(scenario, traces, metrics, verdicts)
+
+
+def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
+    """One sentence: does it get there, does it keep the limits, does the loop stay closed?"""
+    parts = [_arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _ticks(metrics)]
+    text = "; ".join(part for part in parts if part)
+    return text[0].upper() + text[1:] + "."
+
+
+def _arrival(trace: Trace) -> str:
+    missed = [
+        (task, error)
+        for task, error in zip(trace.tasks, trace.task_error[-1], strict=True)
+        if error > task.tolerance
+    ]
+    if not missed:
+        return "reaches the goal"
+    task, error = max(missed, key=lambda pair: pair[1] / pair[0].tolerance)
+    far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
+    at_limit = _joints_at_limit(trace)
+    why = f", held back by {at_limit}" if at_limit else ""
+    return f"ends {far} off the goal of '{task.name}'{why}"
+
+
+def _joints_at_limit(trace: Trace) -> str:
+    """Joints that end at a limit they never left."""
+    end, beyond = trace.q[-1], np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+    near = np.minimum(np.abs(end - trace.lower), np.abs(trace.upper - end)) < 1e-6
+    kept = beyond.max(axis=0) <= ROUNDING
+    return " and ".join(np.array(trace.joints)[near & kept][:3])
+
+
+def _limits(trace: Trace) -> str:
+    beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper).max(axis=0)
+    worst = int(beyond.argmax())
+    if beyond[worst] <= ROUNDING:
+        return "keeps every joint inside its limits"
+    return f"drives {trace.joints[worst]} {beyond[worst]:.2g} rad beyond its limit"
+
+
+def _speed(trace: Trace) -> str:
+    share = np.abs(trace.v).max(axis=0, initial=0.0) / trace.velocity
+    worst = int(share.argmax())
+    if share[worst] <= 1.0 + ROUNDING:
+        return ""
+    return f"asks {share[worst]:.3g} times the speed {trace.joints[worst]} has"
+
+
+def _loop(metrics: Mapping[str, Any]) -> str:
+    error = metrics["loop_error_max"]
+    if error["position"] <= 1e-4 and error["orientation"] <= 1e-3:
+        return ""
+    return (
+        f"lets the loop open by {1e3 * error['position']:.2g} mm and "
+        f"{np.degrees(error['orientation']):.2g} degrees"
+    )
+
+
+def _ticks(metrics: Mapping[str, Any]) -> str:
+    failed = metrics["failed_ticks"]
+    return f"holds still in {failed} of {metrics['ticks']} ticks" if failed else ""

@@ -1,0 +1,268 @@
+"""A scenario: everything about one motion, read from YAML and checked, ready to build."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from coopqp.catalog import Catalog
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Controller, ControlProblem
+from coopqp.errors import CoopqpError, Fault, ScenarioError
+from coopqp.grasp import Grasp
+from coopqp.grasps import Rigid
+from coopqp.held_object import HeldObject
+from coopqp.limit import Limit
+from coopqp.limits import JointPosition, JointVelocity
+from coopqp.plant import Plant
+from coopqp.plants import Kinematic
+from coopqp.robot import Robot, RobotModel
+from coopqp.scenario_file import check, chosen, file_model
+from coopqp.solver import Budget, Solver
+from coopqp.solvers import Daqp
+from coopqp.task import Task
+from coopqp.yaml_file import Location, YamlFile, read_yaml
+
+Start = Mapping[str, float | Sequence[float]]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """One motion to be controlled, and with what.
+
+    Attributes:
+        name: of its file.
+        robot, held, grasps, start: who holds what, how, and where it begins (start by arm or joint
+            [rad, m]).
+        tasks, secondary, limits: what shall happen and what must not.
+        controllers: by name; what is compared.
+        plant, solver, solver_name, budget: what is controlled and how QPs are solved.
+        dt, duration: [s]. kappa: drift correction [1/s]. seed: of everything random.
+    """
+
+    name: str
+    robot: Robot
+    start: Start
+    tasks: tuple[Task, ...]
+    duration: float
+    description: str = ""
+    grasps: Grasp | Mapping[str, Grasp] = field(default_factory=Rigid)
+    held: HeldObject = field(default_factory=HeldObject)
+    secondary: tuple[Task, ...] = ()
+    limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
+    controllers: Mapping[str, Controller] = field(default_factory=dict)
+    plant: Plant = field(default_factory=Kinematic)
+    solver: Solver = field(default_factory=Daqp)
+    solver_name: str = "daqp"
+    budget: Budget = field(default_factory=Budget)
+    dt: float = 0.01
+    kappa: float = 0.0
+    seed: int = 0
+
+    @property
+    def ticks(self) -> int:
+        """Number of control periods."""
+        return max(1, round(self.duration / self.dt))
+
+    @cached_property
+    def robot_model(self) -> RobotModel:
+        """The robot, built once."""
+        return self.robot.build()
+
+    @cached_property
+    def chain(self) -> ClosedChain:
+        """The closed chain, built once."""
+        q = self.robot_model.configuration(self.start)
+        return ClosedChain(self.robot_model, q, self.grasps, self.held)
+
+    def problem(self) -> ControlProblem:
+        """What the controllers are built for."""
+        return ControlProblem(
+            chain=self.chain,
+            tasks=self.tasks,
+            secondary=self.secondary,
+            limits=self.limits,
+            dt=self.dt,
+            kappa=self.kappa,
+            solver=self.solver,
+            budget=self.budget,
+        )
+
+
+def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
+    """Read and check a scenario file.
+
+    Args:
+        path: of a YAML file, or the name of a shipped scenario.
+        catalog: what it can name; the shipped plug-ins when omitted.
+
+    Raises:
+        ScenarioError: with every fault, its line and its likely fix.
+    """
+    file = read_yaml(find(path))
+    read = check(file, file_model(catalog or Catalog()))
+    scenario = _Reader(file, read).scenario()
+    _check_start(file, scenario)
+    return scenario
+
+
+def shipped() -> dict[str, Path]:
+    """The scenarios that come with coopqp, by name."""
+    folder = Path(__file__).parent / "scenarios"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find(path: str | Path) -> Path:
+    """The file behind a path or the name of a shipped scenario."""
+    given = Path(path)
+    return given if given.exists() else shipped().get(str(path), given)
+
+
+class _Reader:
+    """From the checked file to the scenario; collects the faults that only show together."""
+
+    def __init__(self, file: YamlFile, read: BaseModel) -> None:
+        self._file, self._read = file, read
+        self._faults: list[Fault] = []
+
+    def scenario(self) -> Scenario:
+        """The scenario, or all that is wrong with it."""
+        read: Any = self._read
+        solver_name, solver = chosen(read.solver)
+        scenario = Scenario(
+            name=self._file.path.stem,
+            description=read.description,
+            robot=chosen(read.robot)[1],
+            grasps=self._grasps(),
+            held=read.object,
+            start=self._start(),
+            tasks=self._named("tasks"),
+            secondary=self._named("secondary"),
+            limits=tuple(chosen(slot)[1] for slot in read.limits),
+            controllers={c.name: c for c in self._named("controllers")},
+            plant=chosen(read.plant)[1],
+            solver=solver,
+            solver_name=getattr(solver, "backend", solver_name),
+            budget=read.budget,
+            dt=read.dt,
+            duration=read.duration,
+            kappa=read.kappa,
+            seed=read.seed,
+        )
+        self._check_times(scenario)
+        if self._faults:
+            raise ScenarioError(self._faults)
+        return scenario
+
+    def _fault(self, location: Location, message: str) -> None:
+        self._faults.append(Fault(self._file.place(location), message))
+
+    def _grasps(self) -> Grasp | dict[str, Grasp]:
+        read: Any = self._read
+        if read.grasp and read.grasps:
+            self._fault(["grasps"], "give grasp (all arms) or grasps (by arm), not both")
+        if read.grasps:
+            return {arm: chosen(slot)[1] for arm, slot in read.grasps.items()}
+        return chosen(read.grasp)[1] if read.grasp else Rigid()
+
+    def _start(self) -> Start:
+        read: Any = self._read
+        if (read.start is None) == (read.start_deg is None):
+            place = [] if read.start is None else ["start_deg"]
+            self._fault(place, "give one of start (radians) and start_deg (degrees)")
+        if read.start_deg is None:
+            return read.start or {}
+        return {key: np.radians(value).tolist() for key, value in read.start_deg.items()}
+
+    def _named(self, key: str) -> tuple[Any, ...]:
+        """The plug-ins of a list, each with a name of its own."""
+        named: list[Any] = []
+        for i, slot in enumerate(getattr(self._read, key)):
+            name, plugin = chosen(slot)
+            plugin = plugin if plugin.name else replace(plugin, name=name)
+            if plugin.name in (other.name for other in named):
+                self._fault(
+                    [key, i], f"the name '{plugin.name}' is taken; add 'name:' to tell them apart"
+                )
+            named.append(plugin)
+        return tuple(named)
+
+    def _check_times(self, scenario: Scenario) -> None:
+        if scenario.dt > scenario.duration:
+            self._fault(["dt"], f"found {scenario.dt} s; needs at most the duration")
+        top = 1.0 / scenario.dt * (1.0 + 1e-9)
+        if scenario.kappa > top:
+            self._fault(["kappa"], f"found {scenario.kappa}; needs at most 1/dt = {top:g} 1/s")
+        for key in ("tasks", "secondary"):
+            for i, task in enumerate(getattr(scenario, key)):
+                self._check_task([key, i], task, scenario, top)
+
+    def _check_task(self, place: Location, task: Task, scenario: Scenario, top: float) -> None:
+        if task.gain > top:
+            self._fault(place, f"gain {task.gain} 1/s overshoots; needs at most 1/dt = {top:g} 1/s")
+        if task.end > scenario.duration + 1e-9:
+            self._fault(
+                place,
+                f"the reference of '{task.name}' arrives at {task.end:g} s, after the end at "
+                f"{scenario.duration:g} s; make it shorter or the duration longer",
+            )
+        if place[0] == "secondary" and not task.joint_space:
+            self._fault(place, f"'{task.name}' steers the object; put it under tasks")
+
+
+def _check_start(file: YamlFile, scenario: Scenario) -> None:
+    """Build what can fail and refuse a start outside the limits."""
+    key = "start" if "start" in file.data else "start_deg"
+    robot = _built(file, ["robot"], lambda: scenario.robot_model)
+    q = _built(file, [key], lambda: robot.configuration(scenario.start))
+    faults = [
+        Fault(file.place(location), message)
+        for location, message in outside_limits(robot, scenario.start, q, key)
+    ]
+    if faults:
+        raise ScenarioError(faults)
+    _built(file, ["grasps" if "grasps" in file.data else "grasp"], lambda: scenario.chain)
+
+
+def outside_limits(
+    robot: RobotModel, start: Start, q: NDArray[np.float64], key: str
+) -> list[tuple[Location, str]]:
+    """Where a start leaves the position limits, and by how much."""
+    faults: list[tuple[Location, str]] = []
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    for joint, value, low, high in zip(robot.joint_names, q, lower, upper, strict=True):
+        if low <= value <= high:
+            continue
+        location: list[str | int] = [key, joint]
+        for arm, joints in arms.items():
+            if arm in start and joint in joints and joint not in start:
+                location = [key, arm, joints.index(joint)]
+        faults.append((location, _outside(joint, value, low, high, in_degrees=key.endswith("deg"))))
+    return faults
+
+
+def _outside(joint: str, value: float, low: float, high: float, *, in_degrees: bool) -> str:
+    scale, unit = (math.degrees(1.0), "degrees") if in_degrees else (1.0, "rad")
+    return (
+        f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
+        f"{low * scale:.6g} to {high * scale:.6g}"
+    )
+
+
+def _built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
+    try:
+        return build()
+    except ScenarioError:
+        raise
+    except CoopqpError as error:
+        raise ScenarioError([Fault(file.place(location), str(error))]) from None

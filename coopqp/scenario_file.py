@@ -1,0 +1,216 @@
+"""The form of a scenario file: which keys it has, made from the catalogue at run time.
+
+Every plug-in slot is "one name with its fields": ``rigid``, or ``rigid: {}``, or
+``point_on_plane: {normal: [0, 0, 1], ...}``. pydantic checks it and writes its JSON Schema.
+"""
+
+from __future__ import annotations
+
+import json
+import types
+import typing
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
+from pydantic_core import ErrorDetails
+
+from coopqp.catalog import Catalog
+from coopqp.errors import Fault, ScenarioError, unknown_name
+from coopqp.held_object import HeldObject
+from coopqp.solver import Budget
+from coopqp.solvers import qpsolvers as qpsolvers_backends
+from coopqp.spec import NonNegative, Positive
+from coopqp.yaml_file import YamlFile
+
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+class _Spelling:
+    """Reads the spellings of a plug-in slot and shows them in the JSON Schema."""
+
+    def __init__(self, kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> None:
+        self.kind, self.names, self.aliases = kind, sorted(names), sorted(aliases)
+
+    def read(self, value: Any) -> Any:
+        """Any spelling as {name: fields}."""
+        given = {value: {}} if isinstance(value, str) else value
+        if not isinstance(given, dict) or len(given) != 1:
+            raise ValueError(f"needs one {self.kind} by name, such as '{self.names[0]}'")
+        ((name, options),) = given.items()
+        if name in self.aliases and not options:
+            return {"qpsolvers": {"backend": name}}
+        if name not in self.names:
+            raise ValueError(unknown_name(self.kind, str(name), [*self.names, *self.aliases]))
+        return {name: {} if options is None else options}
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
+        """A bare name, or one name with its fields."""
+        return {"anyOf": [{"enum": [*self.names, *self.aliases]}, handler(core)]}
+
+
+def one_of(catalog: Catalog, kind: str) -> Any:
+    """Type of a slot that takes one plug-in of a collection."""
+    entries = catalog.entries(kind)
+    word = kind.removesuffix("s")
+    options: dict[str, Any] = {
+        name: (entry.cls | None, Field(default=None, description=entry.help))
+        for name, entry in entries.items()
+    }
+    extra = {"minProperties": 1, "maxProperties": 1}
+    model = create_model(
+        f"One{word.capitalize()}", __config__=ConfigDict(**STRICT, json_schema_extra=extra), **options
+    )
+    aliases = set(qpsolvers_backends.installed()) - set(entries) if kind == "solvers" else ()
+    spelling = _Spelling(word, entries, aliases)
+    return Annotated[model, BeforeValidator(spelling.read), spelling]
+
+
+def chosen(slot: BaseModel) -> tuple[str, Any]:
+    """Name and instance of the plug-in in a slot."""
+    ((name, instance),) = ((k, v) for k, v in slot if v is not None)
+    return name, instance
+
+
+def file_model(catalog: Catalog) -> type[BaseModel]:
+    """The model of a scenario file."""
+    keys: dict[str, Any] = {
+        "description": (str, Field(default="", description="One sentence for the report.")),
+        "robot": (one_of(catalog, "robots"), Field(description="Which robot.")),
+        "grasp": (
+            one_of(catalog, "grasps") | None,
+            Field(default=None, description="How every arm holds the object; rigid if omitted."),
+        ),
+        "grasps": (
+            dict[str, one_of(catalog, "grasps")] | None,
+            Field(default=None, description="How each arm holds it, by arm; instead of grasp."),
+        ),
+        "object": (HeldObject, Field(default=HeldObject(), description="What is held.")),
+        "start": (
+            dict[str, float | list[float]] | None,
+            Field(default=None, description="Joint values by arm (base first) or joint [rad, m]."),
+        ),
+        "start_deg": (
+            dict[str, float | list[float]] | None,
+            Field(default=None, description="The same in degrees; instead of start."),
+        ),
+        "tasks": (
+            Annotated[list[one_of(catalog, "tasks")], Field(min_length=1)],
+            Field(description="What the object shall do."),
+        ),
+        "secondary": (
+            list[one_of(catalog, "tasks")],
+            Field(default=[], description="Joint-space objectives for what the tasks leave free."),
+        ),
+        "limits": (
+            list[one_of(catalog, "limits")],
+            Field(
+                default=[{"joint_position": {}}, {"joint_velocity": {}}],
+                validate_default=True,
+                description="Hard bounds; joint position and velocity if omitted.",
+            ),
+        ),
+        "controllers": (
+            Annotated[list[one_of(catalog, "controllers")], Field(min_length=1)],
+            Field(
+                default=["qp", "pseudoinverse", "pseudoinverse_null_space"],
+                validate_default=True,
+                description="What is compared.",
+            ),
+        ),
+        "plant": (
+            one_of(catalog, "plants"),
+            Field(default="kinematic", validate_default=True, description="What is controlled."),
+        ),
+        "solver": (
+            one_of(catalog, "solvers"),
+            Field(default="daqp", validate_default=True, description="For the QP controllers."),
+        ),
+        "budget": (Budget, Field(default=Budget(), description="What a solution may be off by.")),
+        "dt": (Positive, Field(default=0.01, description="Control period [s].")),
+        "duration": (Positive, Field(description="Length of the run [s].")),
+        "kappa": (
+            NonNegative,
+            Field(default=0.0, description="Drift correction J_c v = -kappa e [1/s]; at most 1/dt."),
+        ),
+        "seed": (
+            Annotated[int, Field(ge=0)],
+            Field(default=0, description="Of everything random."),
+        ),
+    }  # fmt: skip
+    return create_model("Scenario", __config__=STRICT, **keys)
+
+
+def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
+    """Check a file against the model.
+
+    Raises:
+        ScenarioError: with every fault and its line.
+    """
+    try:
+        # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
+        return model.model_validate_json(json.dumps(file.data))
+    except ValidationError as error:
+        faults = [_fault(file, model, detail) for detail in error.errors(include_url=False)]
+        raise ScenarioError(list(dict.fromkeys(faults))) from None
+
+
+def _fault(file: YamlFile, model: type[BaseModel], detail: ErrorDetails) -> Fault:
+    location = _in_file(file.data, detail["loc"])
+    kind, found = detail["type"], detail["input"]
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        key = str(location[-1])
+        known = _keys(model, location[:-1])
+        return Fault(file.place(location), unknown_name("key", key, known))
+    if kind.startswith("missing"):
+        return Fault(file.place(location), "is missing")
+    needs = detail["msg"].removeprefix("Value error, ")
+    for wordy in ("Input should be ", "Input should "):
+        needs = needs.replace(wordy, "needs ")
+    if needs.startswith("unknown "):
+        return Fault(file.place(location), needs)
+    shown = json.dumps(found, default=str)
+    shown = shown if len(shown) <= 60 else shown[:57] + "..."
+    return Fault(file.place(location), f"found {shown}; {needs[0].lower()}{needs[1:]}")
+
+
+def _in_file(data: Any, location: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """The location without pydantic's own steps, such as which branch of a union failed."""
+    kept: list[str | int] = []
+    for i, part in enumerate(location):
+        last = i == len(location) - 1
+        inside = (isinstance(data, dict) and part in data) or (
+            isinstance(data, list) and isinstance(part, int) and part < len(data)
+        )
+        if inside:
+            data = data[part]
+        elif not (last and isinstance(data, dict)):
+            continue
+        kept.append(part)
+    return tuple(kept)
+
+
+def _keys(model: Any, location: tuple[str | int, ...]) -> list[str]:
+    """Keys allowed at a location of the file."""
+    for part in location:
+        hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
+        model = _bare(hints.get(str(part), model))
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(model.model_fields)
+    return [field.name for field in fields(model)] if is_dataclass(model) else []
+
+
+def _has_keys(model: Any) -> bool:
+    return isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
+
+
+def _bare(hint: Any) -> Any:
+    """The class inside Optional, Annotated, list and dict."""
+    origin = typing.get_origin(hint)
+    if origin is Annotated:
+        return _bare(typing.get_args(hint)[0])
+    if origin in (typing.Union, types.UnionType, list, dict, tuple):
+        inside = [_bare(a) for a in typing.get_args(hint) if a not in (type(None), str)]
+        return inside[0] if inside else hint
+    return hint
