@@ -46,6 +46,7 @@ class Entry:
         name: in YAML, and of its file.
         cls: its class.
         help: one line.
+
     """
 
     name: str
@@ -61,6 +62,7 @@ class Catalog:
 
     Raises:
         CoopqpError: a user's task file cannot be read, or takes a name that exists.
+
     """
 
     def __init__(self, task_folders: tuple[Path, ...] = ()) -> None:
@@ -70,7 +72,9 @@ class Catalog:
         for folder in task_folders:
             for entry in _users_tasks(folder):
                 if entry.name in self._collections["tasks"]:
-                    raise CoopqpError(f"{folder}: a task '{entry.name}' exists already; rename the file")
+                    raise CoopqpError(
+                        f"{folder}: a task '{entry.name}' exists already; rename the file"
+                    )
                 self._collections["tasks"][entry.name] = entry
 
     def entries(self, kind: str) -> dict[str, Entry]:
@@ -78,6 +82,7 @@ class Catalog:
 
         Args:
             kind: a collection, such as "tasks".
+
         """
         return self._collections[kind]
 
@@ -86,6 +91,7 @@ class Catalog:
 
         Raises:
             UnknownNameError: with the nearest names.
+
         """
         known = self.entries(kind)
         if name not in known:
@@ -106,7 +112,8 @@ def _users_tasks(folder: Path) -> Iterator[Entry]:
         raise CoopqpError(f"{folder}: no task files (*.py) here")
     for file in files:
         spec = importlib.util.spec_from_file_location(f"coopqp_user_tasks.{file.stem}", file)
-        assert spec is not None and spec.loader is not None  # it ends in .py
+        assert spec is not None  # it ends in .py
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)

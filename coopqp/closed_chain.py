@@ -46,6 +46,7 @@ class LoopRows:
         names: of all rows, such as "loop[left].rot_y".
         kept: indices of the rows handed to the solvers.
         rank: rank of J_c at generic configurations.
+
     """
 
     names: tuple[str, ...]
@@ -90,6 +91,7 @@ class ClosedChain:
     Raises:
         GraspError: fewer than two arms, or grasps that do not close at the start.
         UnknownNameError: a grasp for an arm that the robot does not have.
+
     """
 
     def __init__(
@@ -106,7 +108,9 @@ class ClosedChain:
             raise GraspError(f"robot {robot.name} has {len(self.arms)} arm; a loop needs two")
         start = np.asarray(q_start, float)
         if start.shape != (robot.model.nq,):
-            raise InvalidValueError(f"q_start: found shape {start.shape}, needs ({robot.model.nq},)")
+            raise InvalidValueError(
+                f"q_start: found shape {start.shape}, needs ({robot.model.nq},)"
+            )
         self.model = robot.model.copy()
         ends = {arm.name: self._add_passive_joints(arm) for arm in self.arms}
         self.n: int = self.model.nv
@@ -194,6 +198,7 @@ class ClosedChain:
 
         Raises:
             GraspError: the object's pose and the grasps put it in different places.
+
         """
         seen = {
             f"the grasp of arm '{arm}'": X_WE[arm] * pose_matrix(grasp.object_in_hand)
@@ -263,4 +268,4 @@ def _mixing_matrix(alpha: NDArray[np.float64]) -> NDArray[np.float64]:
     blocks[0] = alpha
     for i in range(1, arms):
         blocks[i, 0], blocks[i, i] = -1.0, 1.0
-    return np.kron(blocks, np.eye(6))
+    return np.kron(blocks, np.eye(6)).astype(float)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.catalog import Catalog
+from coopqp.controller import Controller
 from coopqp.errors import UnknownNameError
 from coopqp.rollout import rollout
 from coopqp.scenario import Scenario
@@ -30,6 +31,7 @@ class Comparison:
         traces: by controller.
         metrics: by controller, then by metric.
         verdicts: one sentence each, by controller.
+
     """
 
     scenario: Scenario
@@ -58,13 +60,15 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     Raises:
         UnknownNameError: no such controller.
         CoopqpError: the controller or the plant cannot be built for this scenario.
+
     """
     chosen = scenario.controllers.get(controller)
     if chosen is None:
-        known = {**Catalog().entries("controllers"), **scenario.controllers}
+        known = Catalog().entries("controllers")
         if controller not in known:
-            raise UnknownNameError("controller", controller, known)
+            raise UnknownNameError("controller", controller, {*known, *scenario.controllers})
         chosen = known[controller].cls()
+        assert isinstance(chosen, Controller)  # what the catalogue holds there
     problem = scenario.problem()
     report = (lambda k: progress(controller, k)) if progress else None
     return rollout(
@@ -92,6 +96,7 @@ def compare(
 
     Raises:
         CoopqpError: as :func:`run`.
+
     """
     names = list(controllers) or list(scenario.controllers)
     traces = {name: run(scenario, controller=name, progress=progress) for name in names}
@@ -110,7 +115,7 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
-    """One sentence: does it get there, does it keep the limits, does the loop stay closed?"""
+    """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
     parts = [_arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _ticks(metrics)]
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."

@@ -36,6 +36,7 @@ class ControlProblem:
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
         q_start: where the references set out from, shape (n,).
+
     """
 
     chain: ClosedChain
@@ -73,6 +74,7 @@ class Command:
     Attributes:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s].
         status: what became of the tick; not usable means v = 0.
+
     """
 
     def __init__(self, n: int) -> None:
@@ -112,5 +114,6 @@ class Controller:
 
         Raises:
             CoopqpError: the controller cannot be used for this problem.
+
         """
         raise NotImplementedError

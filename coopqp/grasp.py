@@ -26,6 +26,7 @@ class PassiveJoint:
         joint: pinocchio joint model with one coordinate.
         placement: pose of the joint frame in the one before it (the tip frame for the first).
         lower, upper: limits [rad or m].
+
     """
 
     name: str

@@ -27,5 +27,6 @@ class Plant:
 
         Raises:
             CoopqpError: the plant cannot be built for this problem.
+
         """
         raise NotImplementedError

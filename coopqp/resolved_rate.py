@@ -9,6 +9,7 @@ identity is n x n, in joint space. It knows no limits; nothing here adds any.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from coopqp.task import TaskStack
 
 Array = NDArray[np.float64]
 
-Invert = Callable[[Array], Array]
+Invert = Callable[[Array], NDArray[np.floating[Any]]]
 
 
 class ResolvedRateLaw(Law):
@@ -30,6 +31,7 @@ class ResolvedRateLaw(Law):
         problem: tasks and closed chain.
         invert: (k + m, n) -> (n, k + m), the inverse of H J_ext.
         null_space: whether the secondary objectives enter as Z.
+
     """
 
     def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:
@@ -62,7 +64,7 @@ class ResolvedRateLaw(Law):
             command.v[:] = 0.0
         return command
 
-    def _add_null_space(self, state: State, inverse: Array) -> None:
+    def _add_null_space(self, state: State, inverse: NDArray[np.floating[Any]]) -> None:
         if not self._secondary.tasks:
             return
         self._secondary.update(state)

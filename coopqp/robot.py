@@ -22,6 +22,7 @@ class Robot(ABC):
 
         Raises:
             CoopqpError: the description cannot be turned into a model.
+
         """
 
 
@@ -32,6 +33,7 @@ class Arm:
     Attributes:
         name: as used in scenarios, such as "right".
         tip: frame of the hand.
+
     """
 
     name: str
@@ -47,6 +49,7 @@ class RobotModel:
         model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
+
     """
 
     name: str
@@ -74,9 +77,7 @@ class RobotModel:
         tip = self.model.frames[self.model.getFrameId(arm.tip)]
         return tuple(self.model.names[j] for j in self.model.supports[tip.parentJoint] if j > 0)
 
-    def configuration(
-        self, values: Mapping[str, float | Sequence[float]]
-    ) -> NDArray[np.float64]:
+    def configuration(self, values: Mapping[str, float | Sequence[float]]) -> NDArray[np.float64]:
         """Configuration from values by arm or joint name; joints not named stay at neutral.
 
         Args:
@@ -89,6 +90,7 @@ class RobotModel:
         Raises:
             UnknownNameError: a key is neither an arm nor a joint.
             InvalidValueError: wrong number of values, or a value that is not finite.
+
         """
         q = np.array(pin.neutral(self.model))
         arms = {arm.name: self.arm_joints(arm) for arm in self.arms}

@@ -40,11 +40,13 @@ def rollout(
         law: the controller, built.
         plant: at rest at the start.
         ticks: how many.
-        controller, solver: their names, for the trace.
+        controller: its name, for the trace.
+        solver: its name, for the trace.
         progress: called every few ticks.
 
     Returns:
         All that happened.
+
     """
     state = law.start()
     recorder = _Recorder(law, state, ticks)
@@ -142,6 +144,7 @@ def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
 
     Returns:
         By arm, base first, shape (T, p, 3) [m].
+
     """
     model, data = chain.model, chain.model.createData()
     joints = {

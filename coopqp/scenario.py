@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem
-from coopqp.errors import CoopqpError, Fault, ScenarioError
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -27,7 +27,7 @@ from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario_file import check, chosen, file_model
 from coopqp.solver import Budget, Solver
-from coopqp.solvers import Daqp
+from coopqp.solvers import Daqp, qpsolvers
 from coopqp.task import Task
 from coopqp.yaml_file import Location, YamlFile, read_yaml
 
@@ -47,6 +47,7 @@ class Scenario:
         controllers: by name; what is compared.
         plant, solver, solver_name, budget: what is controlled and how QPs are solved.
         dt, duration: [s]. kappa: drift correction [1/s]. seed: of everything random.
+
     """
 
     name: str
@@ -107,6 +108,7 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
+
     """
     file = read_yaml(find(path))
     read = check(file, file_model(catalog or Catalog()))
@@ -266,3 +268,24 @@ def _built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
         raise
     except CoopqpError as error:
         raise ScenarioError([Fault(file.place(location), str(error))]) from None
+
+
+def with_solver(scenario: Scenario, name: str, catalog: Catalog) -> Scenario:
+    """The scenario with another QP solver.
+
+    Args:
+        scenario: as read.
+        name: a solver of the catalogue, or an installed backend of qpsolvers.
+        catalog: what can be named.
+
+    Raises:
+        UnknownNameError: no such solver; names the nearest.
+
+    """
+    entries = catalog.entries("solvers")
+    backends = qpsolvers.installed()
+    if name in entries and name != "qpsolvers":
+        return replace(scenario, solver=entries[name].cls(), solver_name=name)
+    if name in backends:
+        return replace(scenario, solver=qpsolvers.Qpsolvers(backend=name), solver_name=name)
+    raise UnknownNameError("solver", name, {*entries, *backends} - {"qpsolvers"})

@@ -58,13 +58,19 @@ def one_of(catalog: Catalog, kind: str) -> Any:
         name: (entry.cls | None, Field(default=None, description=entry.help))
         for name, entry in entries.items()
     }
-    extra = {"minProperties": 1, "maxProperties": 1}
+    extra: Any = {"minProperties": 1, "maxProperties": 1}
     model = create_model(
-        f"One{word.capitalize()}", __config__=ConfigDict(**STRICT, json_schema_extra=extra), **options
+        f"One{word.capitalize()}",
+        __config__=ConfigDict(**STRICT, json_schema_extra=extra),
+        **options,
     )
     aliases = set(qpsolvers_backends.installed()) - set(entries) if kind == "solvers" else ()
     spelling = _Spelling(word, entries, aliases)
     return Annotated[model, BeforeValidator(spelling.read), spelling]
+
+
+def _list_of(catalog: Catalog, kind: str) -> Any:
+    return types.GenericAlias(list, (one_of(catalog, kind),))
 
 
 def chosen(slot: BaseModel) -> tuple[str, Any]:
@@ -83,7 +89,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default=None, description="How every arm holds the object; rigid if omitted."),
         ),
         "grasps": (
-            dict[str, one_of(catalog, "grasps")] | None,
+            types.GenericAlias(dict, (str, one_of(catalog, "grasps"))) | None,
             Field(default=None, description="How each arm holds it, by arm; instead of grasp."),
         ),
         "object": (HeldObject, Field(default=HeldObject(), description="What is held.")),
@@ -96,15 +102,15 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default=None, description="The same in degrees; instead of start."),
         ),
         "tasks": (
-            Annotated[list[one_of(catalog, "tasks")], Field(min_length=1)],
+            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)],
             Field(description="What the object shall do."),
         ),
         "secondary": (
-            list[one_of(catalog, "tasks")],
+            _list_of(catalog, "tasks"),
             Field(default=[], description="Joint-space objectives for what the tasks leave free."),
         ),
         "limits": (
-            list[one_of(catalog, "limits")],
+            _list_of(catalog, "limits"),
             Field(
                 default=[{"joint_position": {}}, {"joint_velocity": {}}],
                 validate_default=True,
@@ -112,7 +118,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             ),
         ),
         "controllers": (
-            Annotated[list[one_of(catalog, "controllers")], Field(min_length=1)],
+            Annotated[_list_of(catalog, "controllers"), Field(min_length=1)],
             Field(
                 default=["qp", "pseudoinverse", "pseudoinverse_null_space"],
                 validate_default=True,
@@ -132,7 +138,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
         "duration": (Positive, Field(description="Length of the run [s].")),
         "kappa": (
             NonNegative,
-            Field(default=0.0, description="Drift correction J_c v = -kappa e [1/s]; at most 1/dt."),
+            Field(default=0.0, description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt."),
         ),
         "seed": (
             Annotated[int, Field(ge=0)],
@@ -147,6 +153,7 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
 
     Raises:
         ScenarioError: with every fault and its line.
+
     """
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.

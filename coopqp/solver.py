@@ -47,6 +47,7 @@ class Solution:
         primal_residual: violation of rows or bounds (Euclidean norm).
         dual_residual: norm of v - clip(v - g, lb, ub) with g = P v + q + A'y + G'z: zero
             at the optimum, whatever multipliers the solver gives for the bounds.
+
     """
 
     def __init__(self, qp: QP) -> None:
@@ -75,6 +76,7 @@ class Solver:
 
         Raises:
             MissingDependencyError: the solver is not installed.
+
         """
         raise NotImplementedError
 
@@ -102,6 +104,7 @@ class Verifier:
         solution: the answer.
         budget: what it may be off by.
         curvature: smallest eigenvalue that P can have, mu.
+
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:

@@ -8,11 +8,12 @@ Python API, with one set of checks and one JSON Schema.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
+from typing_extensions import dataclass_transform
 
 T = TypeVar("T")
 
@@ -26,7 +27,8 @@ def spec(cls: type[T]) -> type[T]:
     Building one with a wrong value raises ``pydantic.ValidationError``, a ``ValueError`` that
     names the field, what was found and what is allowed.
     """
-    return dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
+    checked: Any = dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
+    return cast(type[T], checked)
 
 
 def _three(value: Any) -> Any:
@@ -39,6 +41,7 @@ def numbers(value: Any, count: int) -> Any:
 
     Raises:
         ValueError: it has another length.
+
     """
     listed = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(listed, list | tuple) or len(listed) != count:
@@ -87,6 +90,7 @@ def one_angle(name: str, radians: object, degrees: object, *, needed: bool = Fal
 
     Raises:
         ValueError: both or, if needed, neither of the two keys was given.
+
     """
     if radians is not None and degrees is not None:
         raise ValueError(f"give {name} (radians) or {name}_deg (degrees), not both")
@@ -97,4 +101,5 @@ def one_angle(name: str, radians: object, degrees: object, *, needed: bool = Fal
 def unit(direction: tuple[float, float, float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The direction as a unit vector, shape (3,)."""
     vector = np.array(direction, float)
-    return vector / np.linalg.norm(vector)
+    vector /= np.linalg.norm(vector)
+    return vector

@@ -37,6 +37,7 @@ class State:
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop.
         J_loop, e_loop: the independent rows of J_rel and loop_error, for the solvers.
+
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class State:
 
         Args:
             p_O: the point in the object frame, shape (3,) [m].
+
         """
         return self.p_WO + self.R_WO @ p_O
 
@@ -90,6 +92,7 @@ class State:
         Args:
             lever: from the object's origin to the point, in world axes, shape (3,) [m].
             out: written, shape (3, n).
+
         """
         x, y, z = lever.tolist()
         S = self._skew
@@ -101,7 +104,9 @@ class State:
     @property
     def loop_position_error(self) -> float:
         """Largest distance between where two arms carry the object [m]."""
-        return max(math.hypot(*self.loop_error[i : i + 3]) for i in range(0, len(self.loop_error), 6))
+        return max(
+            math.hypot(*self.loop_error[i : i + 3]) for i in range(0, len(self.loop_error), 6)
+        )
 
     @property
     def loop_orientation_error(self) -> float:
@@ -164,6 +169,7 @@ class PointOfObject:
     Attributes:
         p: where it is in the world, shape (3,) [m].
         J: its velocity Jacobian, shape (3, n) [m/rad].
+
     """
 
     def __init__(self, p_O: ArrayLike, n: int) -> None:

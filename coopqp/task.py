@@ -10,6 +10,7 @@ becomes J v = rate - gain e, the rows h_dot of the paper's eq. (32).
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ class TaskRows:
         e: error, shape (k,) [unit of the task].
         J: task Jacobian, shape (k, n) [unit per rad or m].
         rate: J v that keeps the error constant, shape (k,) [unit/s].
+
     """
 
     e: Array
@@ -72,6 +74,7 @@ class Task:
 
         Args:
             start: the state from which the reference sets out.
+
         """
         raise NotImplementedError
 
@@ -94,6 +97,7 @@ class TaskStack:
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
         weights: of the rows.
+
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
@@ -106,7 +110,7 @@ class TaskStack:
         self.names = tuple(
             f"task[{task.name}].{row}" for task, r in zip(tasks, rows, strict=True) for row in r
         )
-        self.slices = tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
         self.e, self.rate, self.wanted = np.zeros(k), np.zeros(k), np.zeros(k)
         self.J = np.zeros((k, n))
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)

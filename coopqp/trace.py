@@ -55,6 +55,7 @@ class Trace:
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         failures: ticks that held still, and why.
+
     """
 
     controller: str

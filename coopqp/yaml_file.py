@@ -23,6 +23,7 @@ class YamlFile:
     Attributes:
         path: of the file, as given.
         data: plain dicts, lists, strings, numbers, booleans and None.
+
     """
 
     path: Path
@@ -31,10 +32,12 @@ class YamlFile:
 
     def place(self, location: Location) -> str:
         """``file:line: key.path`` of a value, or of the nearest mapping that holds it."""
-        node, line = self._marked, 1
+        node: Any = self._marked
+        line = 1
         for key in location:
             try:
-                position = node.lc.item(key) if isinstance(node, list) else node.lc.key(key)
+                lines: Any = node.lc
+                position = lines.item(key) if isinstance(node, list) else lines.key(key)
                 node = node[key]
             except (KeyError, IndexError, TypeError, AttributeError):
                 break
@@ -56,6 +59,7 @@ def read_yaml(path: Path) -> YamlFile:
 
     Raises:
         ScenarioError: no such file, not text, not YAML, a key given twice, empty, not a mapping.
+
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -76,7 +80,9 @@ def read_yaml(path: Path) -> YamlFile:
     if marked is None:
         raise _refused(path, "the file is empty")
     if not isinstance(marked, dict):
-        raise _refused(f"{path}:1", "needs a mapping of keys such as 'robot:', found something else")
+        raise _refused(
+            f"{path}:1", "needs a mapping of keys such as 'robot:', found something else"
+        )
     return YamlFile(path, _plain(marked), marked)
 
 

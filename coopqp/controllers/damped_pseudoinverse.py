@@ -1,9 +1,11 @@
 """Damped least squares: the fair baseline near singular poses (Nakamura and Hanafusa 1986).
 
-    (H J_ext)^# = J' (J J' + damping^2 I)^-1
+(H J_ext)^# = J' (J J' + damping^2 I)^-1
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ class DampedPseudoinverse(Controller):
         """Damped inverse with the secondary objectives as Z."""
         squared = self.damping**2
 
-        def invert(J: NDArray[np.float64]) -> NDArray[np.float64]:
+        def invert(J: NDArray[np.float64]) -> NDArray[np.floating[Any]]:
             gram = J @ J.T
             gram.flat[:: len(gram) + 1] += squared
             return np.linalg.solve(gram, J).T

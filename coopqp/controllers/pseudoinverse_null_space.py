@@ -11,7 +11,7 @@ from coopqp.spec import Positive, spec
 
 @spec
 class PseudoinverseNullSpace(Controller):
-    """Classical law with null-space term, eq. (33)-(34): leans away from limits, can't stop there."""
+    """Classical law with null-space term, eq. (33)-(34): leans off limits, can't stop there."""
 
     rcond: Positive = 1e-10
     """Singular values below this share of the largest count as zero."""

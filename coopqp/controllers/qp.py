@@ -1,8 +1,8 @@
 """The QP law: tasks as objectives, loop closure and limits as hard constraints.
 
-    minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2
-              + sum_s w_s |v - Z_s|^2 + damping |v|^2
-    subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
+minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2
+          + sum_s w_s |v - Z_s|^2 + damping |v|^2
+subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ class QPLaw(Law):
     Attributes:
         qp: the last tick's program.
         solution: its answer.
+
     """
 
     def __init__(self, problem: ControlProblem, damping: float) -> None:

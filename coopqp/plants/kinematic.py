@@ -16,6 +16,7 @@ class KinematicModel(PlantModel):
     Args:
         dt: control period [s].
         n: number of joints.
+
     """
 
     def __init__(self, dt: float, n: int) -> None:

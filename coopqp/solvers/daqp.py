@@ -41,15 +41,15 @@ class Daqp(Solver):
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY
         sense = clean.copy()
-        options = dict(
-            primal_tol=self.primal_tol, dual_tol=self.dual_tol, iter_limit=self.iter_limit
-        )
+        options = {
+            "primal_tol": self.primal_tol,
+            "dual_tol": self.dual_tol,
+            "iter_limit": self.iter_limit,
+        }
 
         def solve() -> None:
             sense[:] = clean
-            v, _, flag, info = daqp.solve(
-                qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **options
-            )
+            v, _, flag, info = daqp.solve(qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **options)
             solution.v[:] = v
             solution.multipliers[:] = info["lam"]
             solution.status = STATUS.get(flag, Status.SOLVER_ERROR)

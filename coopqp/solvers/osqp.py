@@ -53,9 +53,7 @@ class Osqp(Solver):
 
         def solve() -> None:
             values[:, 1:] = qp.C.T
-            backend.update(
-                q=qp.q, l=qp.lower, u=qp.upper, Px=qp.P[row, column], Ax=values.ravel()
-            )
+            backend.update(q=qp.q, l=qp.lower, u=qp.upper, Px=qp.P[row, column], Ax=values.ravel())
             backend.warm_start(x=solution.v, y=solution.multipliers)
             results = backend.solve(raise_error=False)
             solution.status = STATUS.get(results.info.status_val, Status.SOLVER_ERROR)

@@ -1,4 +1,4 @@
-"""ProxQP of proxsuite: proximal augmented Lagrangian, dense, warm-started through its own interface."""
+"""ProxQP of proxsuite: proximal augmented Lagrangian, dense, through its own warm interface."""
 
 from __future__ import annotations
 

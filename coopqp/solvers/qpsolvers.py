@@ -1,4 +1,4 @@
-"""Any dense backend of qpsolvers by its name, one cold call a tick: for breadth and cross-checks."""
+"""Any backend of qpsolvers by its name, one cold call a tick: for breadth and cross-checks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import qpsolvers
 
-from coopqp.errors import MissingDependencyError, UnknownNameError
+from coopqp.errors import UnknownNameError
 from coopqp.qp import QP
 from coopqp.solver import Solution, Solve, Solver, Status
 from coopqp.spec import spec

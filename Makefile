@@ -1,0 +1,40 @@
+# make demo   set up .venv, run the demo, say where the page is
+# make test   the same with the test tools, and run the suite
+# make lint   style, types, direction of imports
+# make bench  one tick side by side with Pink
+
+PYTHON ?= python3
+BIN := .venv/bin
+SCENARIO ?= scenarios/point_on_point.yaml
+OUT ?= out/point_on_point
+
+.PHONY: demo test lint bench clean
+
+demo: .venv/installed
+	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
+
+test: .venv/installed-test
+	$(BIN)/python -m pytest -n 2
+
+lint: .venv/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/installed-test
+	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+.venv/installed-test: pyproject.toml | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@ .venv/installed
+
+clean:
+	rm -rf .venv out

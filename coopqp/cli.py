@@ -1,0 +1,219 @@
+"""The command line. Heavy imports wait until a command needs them, so that --help is quick."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coopqp import __version__
+from coopqp.errors import CoopqpError
+
+COLLECTIONS = (
+    "robots", "grasps", "tasks", "limits", "controllers", "solvers", "plants", "metrics",
+    "scenarios",
+)  # fmt: skip
+
+BAD_INPUT = 2  # exit code, the same that click uses for wrong options
+
+
+class _Group(click.Group):
+    """Commands whose bad input ends in one clear message per fault, and exit code 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except CoopqpError as error:
+            for line in str(error).splitlines():
+                click.echo(f"error: {line}", err=True)
+            ctx.exit(BAD_INPUT)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="coopqp")
+def main() -> None:
+    """Compare QP control of arms that hold one object with the pseudoinverse laws.
+
+    Begin with: coopqp compare point_on_point --out out/point_on_point
+    """
+
+
+SCENARIO = click.argument("scenario")
+TASKS = click.option(
+    "--tasks",
+    "task_folders",
+    multiple=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder with task files of your own; may be given more than once.",
+)
+SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
+
+
+@main.command()
+@SCENARIO
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@click.option("--controllers", default="", help="Comma-separated, instead of the scenario's.")
+@SOLVER
+@TASKS
+@JSON
+def compare(
+    scenario: str,
+    out: Path | None,
+    controllers: str,
+    solver: str | None,
+    task_folders: tuple[Path, ...],
+    as_json: bool,
+) -> None:
+    """Run a scenario under several controllers and report what each of them did.
+
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    """
+    loaded = _load(scenario, task_folders, solver)
+    names = [name.strip() for name in controllers.split(",") if name.strip()]
+    _show(loaded, names or list(loaded.controllers), out, as_json=as_json)
+
+
+@main.command()
+@SCENARIO
+@click.option("--controller", required=True, help="Which one.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@SOLVER
+@TASKS
+@JSON
+def run(
+    scenario: str,
+    controller: str,
+    out: Path | None,
+    solver: str | None,
+    task_folders: tuple[Path, ...],
+    as_json: bool,
+) -> None:
+    """Run one controller on a scenario."""
+    _show(_load(scenario, task_folders, solver), [controller], out, as_json=as_json)
+
+
+@main.command()
+@click.argument("scenarios", nargs=-1, required=True)
+@TASKS
+def validate(scenarios: tuple[str, ...], task_folders: tuple[Path, ...]) -> None:
+    """Check scenario files; every fault is listed with its line."""
+    from coopqp.errors import Fault, ScenarioError
+
+    faults: list[Fault] = []
+    for name in scenarios:
+        try:
+            _load(name, task_folders, None)
+        except ScenarioError as error:
+            faults.extend(error.faults)
+        else:
+            click.echo(f"{name}: ok")
+    if faults:
+        raise ScenarioError(faults)
+
+
+@main.command(name="list")
+@click.argument("kind", required=False, type=click.Choice(COLLECTIONS))
+@TASKS
+@JSON
+def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> None:
+    """List what scenarios can name, with a line of help each."""
+    rows = {k: _help_lines(k, task_folders) for k in ([kind] if kind else COLLECTIONS)}
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+        return
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for k, lines in rows.items():
+        table.add_row(f"{k}:", "")
+        for name, text in lines.items():
+            table.add_row(f"  {name}", text)
+    _console().print(table)
+
+
+@main.command()
+@TASKS
+def schema(task_folders: tuple[Path, ...]) -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    from coopqp.catalog import Catalog
+    from coopqp.scenario_file import file_model
+
+    click.echo(json.dumps(file_model(Catalog(task_folders)).model_json_schema(), indent=2))
+
+
+def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
+    from coopqp.catalog import Catalog
+    from coopqp.scenario import load, with_solver
+
+    catalog = Catalog(task_folders)
+    loaded = load(name, catalog)
+    return with_solver(loaded, solver, catalog) if solver else loaded
+
+
+def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
+    """Run, print the table or JSON, and write the report."""
+    from coopqp.comparison import compare as run_all
+    from coopqp.report import files, table
+
+    if out:
+        files.check_folder(out)
+    with _progress(controllers, scenario.ticks) as progress:
+        comparison = run_all(scenario, controllers=controllers, progress=progress)
+    written = files.write(comparison, out) if out else []
+    if as_json:
+        click.echo(json.dumps(comparison.as_json(), indent=2))
+        return
+    _console().print(table.summary(comparison))
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+def _help_lines(kind: str, task_folders: tuple[Path, ...]) -> dict[str, str]:
+    """A line of help for each name of a collection."""
+    if kind == "scenarios":
+        from coopqp.scenario import shipped
+        from coopqp.yaml_file import read_yaml
+
+        return {
+            name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
+        }
+    from coopqp.catalog import Catalog
+
+    lines = {name: e.help for name, e in Catalog(task_folders).entries(kind).items()}
+    if kind == "solvers":
+        from coopqp.solvers.qpsolvers import installed
+
+        others = (name for name in installed() if name not in lines)
+        lines.update(dict.fromkeys(others, "Backend of qpsolvers, one cold call a tick."))
+    return lines
+
+
+def _console() -> Any:
+    """A rich console; without a terminal it keeps a width that tables fit in."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=120)
+
+
+@contextmanager
+def _progress(names: list[str], ticks: int) -> Iterator[Callable[[str, int], None] | None]:
+    """A progress bar per controller on a terminal, nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        bars = {name: progress.add_task(name, total=ticks) for name in names}
+        yield lambda name, done: progress.update(bars[name], completed=done)
