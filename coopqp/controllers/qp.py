@@ -54,7 +54,7 @@ class QPLaw(Law):
         diagonal = damping + secondary.sum(axis=0)
         self._diagonal = np.diag(diagonal)
         self._pull = np.zeros_like(self._secondary.e)
-        self._minus_kappa = -problem.kappa
+        self._minus_kappa = np.full_like(start.e_loop, -problem.kappa)
         self._verifier = Verifier(self.qp, self.solution, problem.budget, float(diagonal.min()))
         self._solve = problem.solver.open(self.qp, self.solution)
 

@@ -1,0 +1,135 @@
+"""The numbers of the summary: what is shown for each controller, and which of it is bad."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.comparison import ROUNDING, Comparison
+from coopqp.trace import Trace
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the summary.
+
+    Attributes:
+        heading, unit: at its top.
+        help: one sentence.
+    """
+
+    heading: str
+    unit: str
+    help: str
+
+
+COLUMNS = {
+    "reached": Column("Goal reached", "", "Every task's error ends within its tolerance."),
+    "task_error": Column("Task error", "at the end", "What is left of each task's error."),
+    "limit": Column("Limit overrun", "rad", "How far the worst joint went beyond its limit."),
+    "speed": Column("Speed overrun", "rad/s", "How far the worst joint's speed went beyond its limit."),
+    "margin": Column("Least margin", "rad", "Least distance of a joint to its limit; negative beyond."),
+    "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
+    "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
+    "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
+    "solver": Column("Solver", "", "The QP solver; none for closed formulas."),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry.
+
+    Attributes:
+        lines: of text.
+        bad: whether it speaks against the controller; None where neither good nor bad is meant.
+    """
+
+    lines: tuple[str, ...]
+    bad: bool | None = None
+
+    @property
+    def symbol(self) -> str:
+        """Says bad or good without colour."""
+        return "" if self.bad is None else ("✗" if self.bad else "✓")
+
+
+def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
+    """The entries of one controller, by the keys of COLUMNS."""
+    reached, loop = bool(metrics["reached"]), metrics["loop_error_max"]
+    limit, speed = metrics["limit_violation_max"], metrics["velocity_violation_max"]
+    opened = loop["position"] > CLOSED_POSITION or loop["orientation"] > CLOSED_ORIENTATION
+    gap = (f"{1e3 * loop['position']:.2g} mm", f"{1e3 * loop['orientation']:.2g} mrad")
+    return {
+        "reached": Cell(("yes" if reached else "no",), not reached),
+        "task_error": _task_error(trace),
+        "limit": Cell((number(limit),), limit > ROUNDING),
+        "speed": Cell((number(speed),), speed > ROUNDING),
+        "margin": Cell((number(metrics["limit_margin_min"]),)),
+        "loop": Cell(gap, opened),
+        "failed": _failed(metrics),
+        "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
+        "solver": Cell((metrics["solver"] or "none",)),
+    }
+
+
+def facts(comparison: Comparison) -> list[tuple[str, str]]:
+    """What the runs have in common, as name and value."""
+    scenario = comparison.scenario
+    dropped = scenario.chain.loops.dropped
+    limits = ", ".join(plugin_name(limit) for limit in scenario.limits) or "none"
+    listed = [
+        ("robot", scenario.robot_model.name),
+        ("control period", f"{1e3 * scenario.dt:g} ms"),
+        ("duration", f"{scenario.duration:g} s"),
+        ("drift correction κ", f"{scenario.kappa:g} 1/s ({_worst_gap(comparison)})"),
+        ("QP solver", scenario.solver_name),
+        ("limits of the QP", limits),
+        ("plant", plugin_name(scenario.plant)),
+    ]
+    if dropped:
+        listed.append(("redundant loop rows left out", ", ".join(dropped)))
+    return listed
+
+
+def plugin_name(plugin: object) -> str:
+    """The name in YAML, which is the name of the file."""
+    return type(plugin).__module__.rpartition(".")[2]
+
+
+def length(value: float, unit: str) -> tuple[float, str]:
+    """A value and its unit for people: metres become millimetres."""
+    return (1e3 * value, "mm") if unit == "m" else (value, unit)
+
+
+def number(value: float) -> str:
+    """Three digits; rounding errors are shown as what they are."""
+    if 0.0 < abs(value) <= ROUNDING:
+        return "< 1e-9"
+    return f"{value:.3g}"
+
+
+def _task_error(trace: Trace) -> Cell:
+    lines, missed = [], False
+    for task, error in zip(trace.tasks, trace.task_error[-1], strict=True):
+        value, unit = length(float(error), task.unit)
+        lines.append(f"{task.name}: {value:.2g} {unit}")
+        missed = missed or not error <= task.tolerance
+    return Cell(tuple(lines) or ("no task",), missed if lines else None)
+
+
+def _failed(metrics: Mapping[str, Any]) -> Cell:
+    failed, ticks, inaccurate = metrics["failed_ticks"], metrics["ticks"], metrics["inaccurate_ticks"]
+    lines = [f"{failed} of {ticks}"]
+    if inaccurate:
+        lines.append(f"{inaccurate} inaccurate")
+    return Cell(tuple(lines), failed > 0 or inaccurate > 0)
+
+
+def _worst_gap(comparison: Comparison) -> str:
+    errors = [metrics["loop_error_max"] for metrics in comparison.metrics.values()]
+    position = 1e3 * max(error["position"] for error in errors)
+    orientation = 1e3 * max(error["orientation"] for error in errors)
+    return f"worst loop error {position:.2g} mm, {orientation:.2g} mrad"

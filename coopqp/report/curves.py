@@ -1,0 +1,207 @@
+"""Parts that all figures are made of: thinned lines, hatched regions, ranges and layouts.
+
+A figure is the plain data that ``Plotly.newPlot`` takes; nothing here knows what is plotted.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.report.style import Style
+
+Array = NDArray[np.float64]
+Json = dict[str, Any]
+
+MOST_POINTS = 1000  # a line, more cannot be seen
+MARGIN = 0.06  # of the range, left free above and below
+FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12}
+INK, GRID, FORBIDDEN = "#333333", "#e6e6e6", "#f1f1f1"
+HEIGHT = 215  # px
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """One figure of the page.
+
+    Attributes:
+        title: above it. unit: of the vertical axis.
+        data, layout: for Plotly.
+        notes: below the title, such as what lies off the chart.
+    """
+
+    title: str
+    unit: str
+    data: list[Json]
+    layout: Json
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of the vertical axis that is shown."""
+
+    bottom: float
+    top: float
+
+
+def thinned(t: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
+    """Keep the least and the largest value of each stretch, so that no peak is lost."""
+    if len(y) <= most:
+        return t, y
+    edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
+    kept = {0, len(y) - 1}
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        kept |= {a + int(y[a:b].argmin()), a + int(y[a:b].argmax())}
+    order = sorted(kept)[:]
+    return t[order], y[order]
+
+
+def listed(values: Array, digits: int = 7) -> list[float | None]:
+    """Numbers for JSON, short; what is not finite becomes null."""
+    return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values.tolist()]
+
+
+def curve(name: str, style: Style, t: Array, y: Array, *, steps: bool = False) -> Json:
+    """A controller's line."""
+    t, y = thinned(t, y)
+    line = style.line() | ({"shape": "hv"} if steps else {})
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": html.escape(name),
+        "legendgroup": name,
+        "x": listed(t),
+        "y": listed(y),
+        "line": line,
+        "hovertemplate": "%{y:.4g} at %{x:.3f} s<extra>%{fullData.name}</extra>",
+    }
+
+
+def markers(name: str, style: Style, points: Sequence[tuple[float, float]], symbol: str) -> Json:
+    """Marks on a controller's line."""
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "legendgroup": name,
+        "x": [x for x, _ in points],
+        "y": [y for _, y in points],
+        "marker": {
+            "symbol": symbol,
+            "size": 10,
+            "color": style.color,
+            "line": {"width": 1, "color": "white"},
+        },
+        "hoverinfo": "skip",
+        "cliponaxis": False,
+    }
+
+
+def forbidden(span: tuple[float, float], low: float, high: float) -> Json:
+    """Hatch the region between two heights."""
+    (a, b), pattern = span, {"shape": "/", "size": 7, "solidity": 0.12, "fgcolor": "#8a8a8a"}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [a, b, b, a, a],
+        "y": [low, low, high, high, low],
+        "fill": "toself",
+        "fillcolor": FORBIDDEN,
+        "fillpattern": pattern | {"bgcolor": FORBIDDEN},
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
+
+
+def level(y: float, text: str = "", *, above: bool = True, log: bool = False) -> Json:
+    """A horizontal line across the figure, with its name at the right."""
+    shape = {
+        "type": "line",
+        "xref": "paper",
+        "x0": 0,
+        "x1": 1,
+        "y0": y,
+        "y1": y,
+        "line": {"color": INK, "width": 1.2},
+    }
+    label = {
+        "xref": "paper",
+        "x": 1,
+        "xanchor": "right",
+        "y": math.log10(y) if log else y,
+        "yanchor": "bottom" if above else "top",
+        "text": text,
+        "showarrow": False,
+        "font": {"size": 10.5, "color": INK},
+        "bgcolor": "rgba(255,255,255,0.8)",
+        "borderpad": 1,
+    }
+    return {"shapes": [shape], "annotations": [label] if text else []}
+
+
+def layout(end: float, y: Json, *levels: Json, height: int = HEIGHT) -> Json:
+    """Of a figure over time."""
+    axis = {"gridcolor": GRID, "zeroline": False, "linecolor": "#999", "ticks": "outside"}
+    return {
+        "height": height,
+        "margin": {"l": 56, "r": 12, "t": 8, "b": 38},
+        "font": FONT | {"color": INK},
+        "showlegend": False,
+        "hovermode": "closest",
+        "plot_bgcolor": "white",
+        "paper_bgcolor": "white",
+        "xaxis": axis | {"range": [0, end], "title": {"text": "time [s]", "standoff": 4}},
+        "yaxis": axis | y,
+        "shapes": [shape for item in levels for shape in item["shapes"]],
+        "annotations": [label for item in levels for label in item["annotations"]],
+    }
+
+
+def linear(window: Window) -> Json:
+    """A vertical axis."""
+    return {"range": [window.bottom, window.top], "nticks": 6}
+
+
+def logarithmic(window: Window) -> Json:
+    """A vertical axis with few, whole powers of ten."""
+    bottom, top = math.log10(window.bottom), math.log10(window.top)
+    return {
+        "type": "log",
+        "range": [bottom, top],
+        "dtick": max(1, math.ceil((top - bottom) / 6)),
+        "exponentformat": "power",
+        "showexponent": "all",
+    }
+
+
+def window(low: float, high: float, lines: Sequence[Array], reach: float) -> Window:
+    """Show from low to high, and of lines that leave this no more than reach beyond."""
+    finite = np.concatenate([y[np.isfinite(y)] for y in lines] or [np.zeros(0)])
+    bottom = max(min(low, float(finite.min(initial=low))), low - reach)
+    top = min(max(high, float(finite.max(initial=high))), high + reach)
+    pad = MARGIN * (top - bottom)
+    return Window(bottom - pad, top + pad)
+
+
+def log_window(lines: Sequence[Array], floor: float, *levels: float) -> Window:
+    """Show all but the rare dips towards zero; at least two decades."""
+    values = np.maximum(np.concatenate([y[np.isfinite(y)] for y in lines]), floor)
+    bottom = min(float(np.percentile(values, 3)), *levels) if levels else np.percentile(values, 3)
+    top = max(float(values.max()), *levels, 0.0)
+    return Window(float(bottom) / 3.0, max(3.0 * top, 100.0 * float(bottom)))
+
+
+def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str, ...]:
+    """Say who leaves the chart, and how far it gets."""
+    notes = []
+    for name, y in lines.items():
+        worst = float(y[np.abs(y).argmax()]) if len(y) else 0.0
+        if y.max(initial=shown.bottom) > shown.top or y.min(initial=shown.top) < shown.bottom:
+            notes.append(f"{name} goes off the chart, to {worst:.3g} {unit}")
+    return tuple(notes)

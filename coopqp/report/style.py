@@ -1,0 +1,65 @@
+"""How each controller is drawn: safe for the colour-blind, and distinct in black and white.
+
+Colours are those of Okabe and Ito, Color Universal Design (2008).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from coopqp.trace import Trace
+
+BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+BLACK, SKY, ORANGE = "#000000", "#56B4E9", "#E69F00"
+
+QP_COLORS = (BLUE, SKY, BLACK, PURPLE, GREEN, ORANGE)
+OTHER_COLORS = (VERMILION, GREEN, PURPLE, BLACK, ORANGE, SKY)
+
+#: Lengths of dash, gap, dash, gap ... [px]; the empty one is a full line.
+QP_DASHES = ("", "16,4", "8,4", "3,4", "16,4,3,4", "8,3,2,3,2,3")
+OTHER_DASHES = ("8,4", "2,3", "9,3,2,3", "16,4", "5,2", "12,3,2,3,2,3")
+
+QP_WIDTH, OTHER_WIDTH = 4.0, 1.8  # px; the QP lies under the others, so all show where they agree
+
+
+@dataclass(frozen=True)
+class Style:
+    """A line of one controller.
+
+    Attributes:
+        color: such as "#0072B2".
+        dash: lengths of dash and gap [px], empty for a full line.
+        width: [px]
+    """
+
+    color: str
+    dash: str
+    width: float
+
+    def line(self) -> dict[str, object]:
+        """As Plotly takes it."""
+        lengths = ",".join(f"{length}px" for length in self.dash.split(",")) if self.dash else ""
+        return {"color": self.color, "dash": lengths or "solid", "width": self.width}
+
+    def swatch(self) -> str:
+        """A sample of the line, as SVG."""
+        return (
+            '<svg class="swatch" width="46" height="12" aria-hidden="true">'
+            f'<line x1="1" y1="6" x2="45" y2="6" stroke="{self.color}" '
+            f'stroke-width="{self.width}" stroke-dasharray="{self.dash or "none"}"/></svg>'
+        )
+
+
+def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
+    """A style for each controller; those that solve QPs are thick, the first of them full blue."""
+    counts = {True: 0, False: 0}
+    chosen: dict[str, Style] = {}
+    for name, trace in traces.items():
+        is_qp = trace.solver is not None
+        colors, dashes = (QP_COLORS, QP_DASHES) if is_qp else (OTHER_COLORS, OTHER_DASHES)
+        i = counts[is_qp]
+        counts[is_qp] += 1
+        width = QP_WIDTH if is_qp else OTHER_WIDTH
+        chosen[name] = Style(colors[i % len(colors)], dashes[i % len(dashes)], width)
+    return chosen

@@ -1,0 +1,79 @@
+"""What many tests need: seeded chance, NAO, NAO with a box in its hands, closed-loop states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.grasps import Rigid
+from coopqp.held_object import HeldObject
+from coopqp.robot import RobotModel
+from coopqp.robots import NaoT14
+from coopqp.state import State
+
+Array = NDArray[np.float64]
+Walk = Callable[[ClosedChain, int], list[Array]]
+
+STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
+CLOSED = 1e-13  # largest loop error after the projection [m, rad]
+SINGULAR = 1e-8  # share of the largest singular value
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same chance in every run."""
+    return np.random.default_rng(2014)
+
+
+@pytest.fixture(scope="session")
+def nao() -> RobotModel:
+    return NaoT14().build()
+
+
+@pytest.fixture(scope="session")
+def chain(nao: RobotModel) -> ClosedChain:
+    """NAO holds a box firmly, hands at x = 0.186, y = -/+0.104, z = 0.047 m."""
+    q = nao.configuration(
+        {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
+    )
+    return ClosedChain(nao, q, Rigid(), HeldObject())
+
+
+@pytest.fixture
+def closed_loop_walk(rng: np.random.Generator) -> Walk:
+    """A function that gives random configurations with all loops closed, inside the limits."""
+
+    def walk(chain: ClosedChain, count: int) -> list[Array]:
+        state, found = State(chain), []
+        for _ in range(count):
+            for _ in range(STEPS):
+                _random_self_motion(state, rng)
+            found.append(state.q.copy())
+        return found
+
+    return walk
+
+
+def _random_self_motion(state: State, rng: np.random.Generator) -> None:
+    """Move along the null space of J_c and back onto the loop; stay if that leaves the limits."""
+    chain, before = state.chain, state.q.copy()
+    _, sizes, rows = np.linalg.svd(state.J_rel)
+    free = rows[np.sum(sizes > SINGULAR * sizes[0]) :]
+    state.q += STEP * rng.normal(size=len(free)) @ free
+    if not (_close(state) and np.all((chain.lower < state.q) & (state.q < chain.upper))):
+        state.q[:] = before
+        state.update()
+
+
+def _close(state: State) -> bool:
+    """Newton's method on the loop error."""
+    for _ in range(10):
+        state.update()
+        if np.abs(state.loop_error).max() < CLOSED:
+            return True
+        state.q -= np.linalg.pinv(state.J_rel, rcond=SINGULAR) @ state.loop_error
+    return False

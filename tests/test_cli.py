@@ -1,0 +1,105 @@
+"""The command line: what a person types, what comes back, and exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from coopqp.cli import main
+from coopqp.scenario import shipped
+
+
+def coopqp(*words: str | Path) -> Result:
+    """The outcome of a command; an exception that is not an exit is raised."""
+    return CliRunner().invoke(main, [str(w) for w in words], catch_exceptions=False)
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """A scenario of a tenth of a second."""
+    text = shipped()["point_on_point"].read_text(encoding="utf-8")
+    path = tmp_path / "short.yaml"
+    text = text.replace("duration: 3.0", "duration: 0.1").replace("duration: 2.0", "duration: 0.1")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_compare_prints_a_table_and_writes_the_report(short: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = coopqp("compare", short, "--out", out)
+    assert result.exit_code == 0
+    assert "pseudoinverse" in result.output
+    for name in ("report.html", "metrics.json", "trace.csv"):
+        assert (out / name).stat().st_size > 0
+        assert name in result.output
+
+
+def test_compare_in_json_is_json_alone(short: Path) -> None:
+    result = coopqp("compare", short, "--json", "--controllers", "qp, damped_pseudoinverse")
+    assert set(json.loads(result.stdout)["controllers"]) == {"qp", "damped_pseudoinverse"}
+
+
+def test_run_takes_one_controller_and_a_solver(short: Path) -> None:
+    result = coopqp("run", short, "--controller", "qp", "--solver", "proxqp", "--json")
+    assert json.loads(result.stdout)["controllers"]["qp"]["solver"] == "proxqp"
+
+
+def test_validate_reports_every_file(short: Path, tmp_path: Path) -> None:
+    assert coopqp("validate", *shipped()).exit_code == 0
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("robot: nao\n", encoding="utf-8")
+    result = coopqp("validate", short, bad)
+    assert result.exit_code == 2
+    assert f"{short}: ok" in result.stdout
+    assert f"error: {bad}:1: robot: unknown robot 'nao'" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["compare", "no_such"], "no_such: cannot be read"),
+        (["compare", "SHORT", "--controllers", "qpp"], "unknown controller 'qpp'; did you mean"),
+        (["compare", "SHORT", "--solver", "dapq"], "unknown solver 'dapq'; did you mean 'daqp'?"),
+        (["run", "SHORT"], "Missing option '--controller'"),
+        (["compare", "SHORT", "--tasks", "/no/such"], "does not exist"),
+        (["list", "taks"], "'taks' is not one of"),
+        (["compare", "SHORT", "--out", "SHORT"], "not a folder"),
+    ],
+)
+def test_bad_input_ends_with_exit_code_2_and_no_traceback(
+    short: Path, words: list[str], message: str
+) -> None:
+    result = coopqp(*[short if word == "SHORT" else word for word in words])
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+    assert "Traceback" not in result.output
+
+
+def test_nothing_is_written_when_the_scenario_is_refused(tmp_path: Path) -> None:
+    bad, out = tmp_path / "bad.yaml", tmp_path / "out"
+    bad.write_text("robot: nao_t14\n", encoding="utf-8")
+    assert coopqp("compare", bad, "--out", out).exit_code == 2
+    assert not out.exists()
+
+
+def test_list_names_everything_with_help() -> None:
+    listed = json.loads(coopqp("list", "--json").stdout)
+    assert "point_on_plane" in listed["tasks"]
+    assert all(text for lines in listed.values() for text in lines.values())
+    assert "joint_velocity" in coopqp("list", "limits").output
+
+
+def test_schema_is_a_json_schema() -> None:
+    schema = json.loads(coopqp("schema").stdout)
+    assert schema["required"] == ["robot", "tasks", "duration"]
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys, coopqp.cli; print('pinocchio' in sys.modules or 'numpy' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "False"
