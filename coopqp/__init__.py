@@ -21,6 +21,7 @@ _HOME = {
     "run": "comparison",
     "compare": "comparison",
     "Comparison": "comparison",
+    "mobility": "mobility_analysis",
     "ClosedChain": "closed_chain",
     "HeldObject": "held_object",
     "State": "state",

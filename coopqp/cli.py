@@ -98,6 +98,39 @@ def run(
 
 
 @main.command()
+@SCENARIO
+@click.option(
+    "--actuated", help="Comma-separated joints, or q1,q2,... by their order, to ask about."
+)
+@click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
+@TASKS
+@JSON
+def mobility(
+    scenario: str,
+    actuated: str | None,
+    page: Path | None,
+    task_folders: tuple[Path, ...],
+    as_json: bool,
+) -> None:
+    """Tell what a scenario's grasp allows, before anything moves."""
+    from coopqp.report import files
+    from coopqp.report import mobility as report
+
+    asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
+    study = report.study(_load(scenario, task_folders, None), asked)
+    if page:
+        files.write_one(page, report.page(study))
+    if as_json:
+        click.echo(json.dumps(report.as_json(study), indent=2))
+        return
+    for table in report.tables(study):
+        _console().print(table)
+    _console().print(study.mobility.verdict(), markup=False, highlight=False)
+    if page:
+        click.echo(f"wrote {page}")
+
+
+@main.command()
 @click.argument("scenarios", nargs=-1, required=True)
 @TASKS
 def validate(scenarios: tuple[str, ...], task_folders: tuple[Path, ...]) -> None:

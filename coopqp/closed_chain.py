@@ -82,6 +82,7 @@ class ClosedChain:
         model: pinocchio model with the grasps' passive joints; massless object (its inertia
             matters to the dynamics alone, which add it).
         q_start: configuration with the passive joints at zero, shape (n,).
+        start_position: of the object at the start, shape (3,) [m].
         frames: the object frame as carried by each arm, ids into model.frames.
         loops: the independent loop rows.
         lower, upper: position limits, shape (n,) [rad, m]; infinite where there are none.
@@ -131,14 +132,27 @@ class ClosedChain:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
 
+    def object_jacobians(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
+
+        Where q does not close the loops the object counts as grasped anew, midway between where
+        the arms carry it, so that all Jacobians belong to one point.
+        """
+        model, data = self.model, self.model.createData()
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        places = [data.oMf[frame].translation.copy() for frame in self.frames]
+        middle = np.mean(places, axis=0)
+        jacobians = []
+        for frame, place in zip(self.frames, places, strict=True):
+            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
+            J[:3] -= pin.skew(middle - place) @ J[3:]
+            jacobians.append(J)
+        return np.array(jacobians)
+
     def loop_jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """J_c of eq. (14) with all its rows, shape (6 L, n), rows in world axes at the object."""
-        data = self.model.createData()
-        pin.computeJointJacobians(self.model, data, q)
-        pin.updateFramePlacements(self.model, data)
-        J = [
-            pin.getFrameJacobian(self.model, data, f, pin.LOCAL_WORLD_ALIGNED) for f in self.frames
-        ]
+        """J_c of eq. (14) with all its rows, shape (6 L, n), world axes."""
+        J = self.object_jacobians(q)
         return np.vstack([J_i - J[0] for J_i in J[1:]])
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
@@ -178,6 +192,7 @@ class ClosedChain:
         pin.framesForwardKinematics(self.model, data, self.q_start)
         X_WE = {arm: data.oMf[self.model.getFrameId(end)].copy() for arm, end in ends.items()}
         X_WO = self._start_pose(X_WE)
+        self.start_position = X_WO.translation.copy()
         ids = []
         for arm, end in ends.items():
             given = self.grasps[arm].object_in_hand

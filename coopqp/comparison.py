@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.catalog import Catalog
+from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.controller import Controller
 from coopqp.errors import UnknownNameError
 from coopqp.rollout import rollout
@@ -149,7 +150,7 @@ def _limits(trace: Trace) -> str:
     worst = int(beyond.argmax())
     if beyond[worst] <= ROUNDING:
         return "keeps every joint inside its limits"
-    return f"drives {trace.joints[worst]} {beyond[worst]:.2g} rad beyond its limit"
+    return f"drives {trace.joints[worst]} {_round(beyond[worst])} rad beyond its limit"
 
 
 def _speed(trace: Trace) -> str:
@@ -157,17 +158,22 @@ def _speed(trace: Trace) -> str:
     worst = int(share.argmax())
     if share[worst] <= 1.0 + ROUNDING:
         return ""
-    return f"asks {share[worst]:.3g} times the speed {trace.joints[worst]} has"
+    return f"asks {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 
 def _loop(metrics: Mapping[str, Any]) -> str:
     error = metrics["loop_error_max"]
-    if error["position"] <= 1e-4 and error["orientation"] <= 1e-3:
+    if error["position"] <= CLOSED_POSITION and error["orientation"] <= CLOSED_ORIENTATION:
         return ""
     return (
-        f"lets the loop open by {1e3 * error['position']:.2g} mm and "
-        f"{np.degrees(error['orientation']):.2g} degrees"
+        f"lets the loop open by {_round(1e3 * error['position'])} mm and "
+        f"{_round(np.degrees(error['orientation']))} degrees"
     )
+
+
+def _round(value: float) -> str:
+    """Two digits, and never an exponent for large numbers."""
+    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
 
 
 def _ticks(metrics: Mapping[str, Any]) -> str:

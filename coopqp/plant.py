@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.spec import spec
@@ -10,7 +15,15 @@ from coopqp.state import State
 
 
 class PlantModel(ABC):
-    """A plant built for one problem."""
+    """A plant built for one problem.
+
+    Attributes:
+        signals: what the plant tells beside the state, by name, written by each step; the trace
+            keeps it.
+
+    """
+
+    signals: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:

@@ -49,7 +49,7 @@ def rollout(
 
     """
     state = law.start()
-    recorder = _Recorder(law, state, ticks)
+    recorder = _Recorder(law, plant, state, ticks)
     for k in range(ticks):
         before = time.perf_counter_ns()
         state.update()
@@ -61,6 +61,7 @@ def rollout(
         if command.status is not Status.OPTIMAL:
             recorder.note(k, command.status)
         plant.step(state, command)
+        recorder.record_signals(k, plant)
         if progress and k % PROGRESS_EVERY == 0:
             progress(k)
     state.update()
@@ -73,7 +74,7 @@ def rollout(
 class _Recorder:
     """Arrays for one run, filled tick by tick."""
 
-    def __init__(self, law: Law, start: State, ticks: int) -> None:
+    def __init__(self, law: Law, plant: PlantModel, start: State, ticks: int) -> None:
         problem = law.problem
         n, rows = problem.chain.n, ticks + 1
         self._law = law
@@ -87,6 +88,9 @@ class _Recorder:
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
         self.failures: list[Failure] = []
+        self.signals = {
+            name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
+        }
 
     def record(self, k: int, state: State) -> None:
         """Keep the state before tick k."""
@@ -96,6 +100,11 @@ class _Recorder:
         self._tasks.update(state)
         for i, part in enumerate(self._tasks.slices):
             self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
+
+    def record_signals(self, k: int, plant: PlantModel) -> None:
+        """Keep what the plant tells after tick k."""
+        for name, signal in plant.signals.items():
+            self.signals[name][k] = signal
 
     def note(self, k: int, status: Status) -> None:
         """Keep why tick k is not optimal."""
@@ -132,6 +141,7 @@ class _Recorder:
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             failures=tuple(self.failures),
+            signals=self.signals,
         )
 
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
 
 from coopqp.closed_chain import ClosedChain, independent_rows
 
@@ -76,6 +77,28 @@ class State:
         self._update_poses()
         if self._rows_chosen:
             self._update_loop_rows()
+
+    def close_loops(self, iterations: int = 1) -> None:
+        """Move q to the nearest configuration with the loops closed, and v along the loops.
+
+        Newton steps of least norm: q -= J' (J J')^-1 e; then v loses what would open the loops.
+
+        Args:
+            iterations: Newton steps; one does for the drift of an integration step.
+
+        """
+        for _ in range(iterations):
+            self.q -= self._through_loops(self.e_loop)
+            self.update()
+        self.v -= self._through_loops(self.J_loop.dot(self.v))
+
+    def _through_loops(self, rows: Array) -> Array:
+        """Joint motion of least norm that moves the loop rows by this much."""
+        J = self.J_loop
+        _, x, info = lapack.dposv(J.dot(J.T), rows)
+        if info:  # not positive definite: the loops are singular here
+            return np.linalg.lstsq(J, rows, rcond=1e-10)[0]
+        return J.T.dot(x)
 
     def point(self, p_O: Array) -> Array:
         """Where a point of the object is in the world, shape (3,) [m].

@@ -6,7 +6,7 @@ so positions have T + 1 rows and commands T.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,7 @@ class Trace:
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         failures: ticks that held still, and why.
+        signals: what the plant told after each tick, by name, shape (T, .): see the plant.
 
     """
 
@@ -80,6 +81,7 @@ class Trace:
     tick_us: Array
     points: dict[str, Array]
     failures: tuple[Failure, ...]
+    signals: dict[str, Array] = field(default_factory=dict)
 
     @property
     def ticks(self) -> int:

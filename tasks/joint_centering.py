@@ -36,8 +36,10 @@ class JointCentering(Task):
         """No reference: the middles are constant."""
         chain = start.chain
         limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle = np.where(limited, 0.5 * (chain.lower + chain.upper), 0.0)
-        scale = np.where(limited, 2.0 / (chain.upper - chain.lower) ** 2, 0.0)
+        middle, scale = np.zeros(chain.n), np.zeros(chain.n)
+        lower, upper = chain.lower[limited], chain.upper[limited]
+        middle[limited] = 0.5 * (lower + upper)
+        scale[limited] = 2.0 / (upper - lower) ** 2
 
         def evaluate(state: State, rows: TaskRows) -> None:
             np.subtract(state.q, middle, out=rows.e)

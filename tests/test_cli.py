@@ -101,5 +101,7 @@ def test_schema_is_a_json_schema() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = "import sys, coopqp.cli; print('pinocchio' in sys.modules or 'numpy' in sys.modules)"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert answer.stdout.strip() == "False"

@@ -68,7 +68,9 @@ def test_a_fault_is_answered_with_its_place_and_its_fix(
 
 
 def test_all_faults_come_at_once(tmp_path: Path) -> None:
-    text = GOOD.replace("dt: 0.01", "dt: -1").replace("nao_t14", "nao").replace("gain: 5", "gian: 5")
+    text = (
+        GOOD.replace("dt: 0.01", "dt: -1").replace("nao_t14", "nao").replace("gain: 5", "gian: 5")
+    )
     with pytest.raises(ScenarioError) as caught:
         load(write(tmp_path, text))
     assert len(caught.value.faults) == 3

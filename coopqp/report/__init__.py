@@ -1,1 +1,1 @@
-"""What a comparison looks like: a page for the browser, a table for the terminal, files for more."""
+"""What a comparison looks like: a page to read, a table for the terminal, files for the rest."""

@@ -18,6 +18,7 @@ class Column:
     Attributes:
         heading, unit: at its top.
         help: one sentence.
+
     """
 
     heading: str
@@ -29,8 +30,8 @@ COLUMNS = {
     "reached": Column("Goal reached", "", "Every task's error ends within its tolerance."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
     "limit": Column("Limit overrun", "rad", "How far the worst joint went beyond its limit."),
-    "speed": Column("Speed overrun", "rad/s", "How far the worst joint's speed went beyond its limit."),
-    "margin": Column("Least margin", "rad", "Least distance of a joint to its limit; negative beyond."),
+    "speed": Column("Speed overrun", "rad/s", "How far the worst speed went beyond its limit."),
+    "margin": Column("Least margin", "rad", "Least distance of a joint to its limit; < 0 beyond."),
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
@@ -45,6 +46,7 @@ class Cell:
     Attributes:
         lines: of text.
         bad: whether it speaks against the controller; None where neither good nor bad is meant.
+
     """
 
     lines: tuple[str, ...]
@@ -61,7 +63,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
     reached, loop = bool(metrics["reached"]), metrics["loop_error_max"]
     limit, speed = metrics["limit_violation_max"], metrics["velocity_violation_max"]
     opened = loop["position"] > CLOSED_POSITION or loop["orientation"] > CLOSED_ORIENTATION
-    gap = (f"{1e3 * loop['position']:.2g} mm", f"{1e3 * loop['orientation']:.2g} mrad")
+    gap = (f"{number(1e3 * loop['position'])} mm", f"{number(1e3 * loop['orientation'])} mrad")
     return {
         "reached": Cell(("yes" if reached else "no",), not reached),
         "task_error": _task_error(trace),
@@ -108,20 +110,25 @@ def number(value: float) -> str:
     """Three digits; rounding errors are shown as what they are."""
     if 0.0 < abs(value) <= ROUNDING:
         return "< 1e-9"
-    return f"{value:.3g}"
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def _task_error(trace: Trace) -> Cell:
     lines, missed = [], False
     for task, error in zip(trace.tasks, trace.task_error[-1], strict=True):
         value, unit = length(float(error), task.unit)
-        lines.append(f"{task.name}: {value:.2g} {unit}")
+        name = f"{task.name}: " if len(trace.tasks) > 1 else ""
+        lines.append(f"{name}{number(value)}\N{NO-BREAK SPACE}{unit}")
         missed = missed or not error <= task.tolerance
     return Cell(tuple(lines) or ("no task",), missed if lines else None)
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:
-    failed, ticks, inaccurate = metrics["failed_ticks"], metrics["ticks"], metrics["inaccurate_ticks"]
+    failed, ticks, inaccurate = (
+        metrics["failed_ticks"],
+        metrics["ticks"],
+        metrics["inaccurate_ticks"],
+    )
     lines = [f"{failed} of {ticks}"]
     if inaccurate:
         lines.append(f"{inaccurate} inaccurate")
@@ -129,7 +136,7 @@ def _failed(metrics: Mapping[str, Any]) -> Cell:
 
 
 def _worst_gap(comparison: Comparison) -> str:
-    errors = [metrics["loop_error_max"] for metrics in comparison.metrics.values()]
-    position = 1e3 * max(error["position"] for error in errors)
-    orientation = 1e3 * max(error["orientation"] for error in errors)
-    return f"worst loop error {position:.2g} mm, {orientation:.2g} mrad"
+    errors = {name: metrics["loop_error_max"] for name, metrics in comparison.metrics.items()}
+    worst = max(errors, key=lambda name: float(errors[name]["position"]))
+    position, orientation = (1e3 * errors[worst][key] for key in ("position", "orientation"))
+    return f"worst loop error {number(position)} mm, {number(orientation)} mrad with {worst}"

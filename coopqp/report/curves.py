@@ -6,6 +6,7 @@ A figure is the plain data that ``Plotly.newPlot`` takes; nothing here knows wha
 from __future__ import annotations
 
 import html
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 MOST_POINTS = 1000  # a line, more cannot be seen
-MARGIN = 0.06  # of the range, left free above and below
+MARGIN = 0.1  # of the range, left free above and below; a label fits in
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12}
 INK, GRID, FORBIDDEN = "#333333", "#e6e6e6", "#f1f1f1"
 HEIGHT = 215  # px
@@ -34,6 +35,7 @@ class Figure:
         title: above it. unit: of the vertical axis.
         data, layout: for Plotly.
         notes: below the title, such as what lies off the chart.
+
     """
 
     title: str
@@ -57,9 +59,9 @@ def thinned(t: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
         return t, y
     edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
     kept = {0, len(y) - 1}
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges.tolist()):
         kept |= {a + int(y[a:b].argmin()), a + int(y[a:b].argmax())}
-    order = sorted(kept)[:]
+    order = sorted(kept)
     return t[order], y[order]
 
 
@@ -139,10 +141,27 @@ def level(y: float, text: str = "", *, above: bool = True, log: bool = False) ->
         "text": text,
         "showarrow": False,
         "font": {"size": 10.5, "color": INK},
-        "bgcolor": "rgba(255,255,255,0.8)",
+        "bgcolor": "rgba(255,255,255,0.6)",
         "borderpad": 1,
     }
     return {"shapes": [shape], "annotations": [label] if text else []}
+
+
+def upright(t: float, text: str) -> Json:
+    """A dotted line at an instant, with its name at the bottom."""
+    line = {"color": "#777", "width": 1, "dash": "dot"}
+    shape = {"type": "line", "yref": "paper", "x0": t, "x1": t, "y0": 0, "y1": 1, "line": line}
+    label = {
+        "x": t,
+        "xanchor": "right",
+        "yref": "paper",
+        "y": 0,
+        "yanchor": "bottom",
+        "text": text,
+        "showarrow": False,
+        "font": {"size": 10.5, "color": "#555"},
+    }
+    return {"shapes": [shape], "annotations": [label]}
 
 
 def layout(end: float, y: Json, *levels: Json, height: int = HEIGHT) -> Json:
@@ -175,6 +194,7 @@ def logarithmic(window: Window) -> Json:
         "type": "log",
         "range": [bottom, top],
         "dtick": max(1, math.ceil((top - bottom) / 6)),
+        "tickfont": {"size": 11},
         "exponentformat": "power",
         "showexponent": "all",
     }
@@ -200,8 +220,9 @@ def log_window(lines: Sequence[Array], floor: float, *levels: float) -> Window:
 def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str, ...]:
     """Say who leaves the chart, and how far it gets."""
     notes = []
-    for name, y in lines.items():
-        worst = float(y[np.abs(y).argmax()]) if len(y) else 0.0
+    for name, line in lines.items():
+        y = line[np.isfinite(line)]
         if y.max(initial=shown.bottom) > shown.top or y.min(initial=shown.top) < shown.bottom:
-            notes.append(f"{name} goes off the chart, to {worst:.3g} {unit}")
+            worst = y[np.abs(y).argmax()]
+            notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}")
     return tuple(notes)

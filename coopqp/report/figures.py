@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad]
 MOST_SPEED = 3.0  # times the limit, beyond which speeds need a log scale
+ONE_TWO_FIVE = [m * 10.0**e for e in range(-1, 7) for m in (1, 2, 5)]  # ticks of log scales
 SMALL = 1e-3  # smallest share of the speed limit on a log scale
 
 
@@ -30,6 +31,7 @@ class Figures:
 
     Args:
         comparison: from :func:`coopqp.compare`.
+
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -75,13 +77,12 @@ class Figures:
             levels.append(curves.level(lower, f"lower limit {lower:.3g}", above=False))
         if np.isfinite(upper):
             levels.append(curves.level(upper, f"upper limit {upper:.3g}"))
-        free = () if levels else ("no limits",)
         return Figure(
             title=self._any.joints[i],
-            unit=unit,
+            unit=unit if levels else f"{unit}, no limits",
             data=data,
             layout=curves.layout(self._end, curves.linear(shown), *levels),
-            notes=free + curves.off_chart(shown, lines, unit),
+            notes=curves.off_chart(shown, lines, unit),
         )
 
     def _beyond_limits(self, shown: Window, lower: float, upper: float) -> list[Json]:
@@ -93,9 +94,7 @@ class Figures:
             regions.append(curves.forbidden(span, upper, shown.top))
         return regions
 
-    def _marks(
-        self, name: str, y: Array, lower: float, upper: float, shown: Window
-    ) -> list[Json]:
+    def _marks(self, name: str, y: Array, lower: float, upper: float, shown: Window) -> list[Json]:
         """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
         t, style, marks = self._any.t, self._styles[name], []
         beyond = np.flatnonzero((y < lower - ROUNDING) | (y > upper + ROUNDING))
@@ -128,7 +127,7 @@ class Figures:
 
     def _loop_position(self) -> Figure:
         return self._log(
-            f"Loop error, position (drift correction κ = {self._any.kappa:g} 1/s)",
+            f"Loop error, position, κ = {self._any.kappa:g} 1/s",
             "mm",
             self._lines(lambda trace: 1e3 * trace.loop_position),
             (1e3 * CLOSED_POSITION, "counts as closed"),
@@ -137,7 +136,7 @@ class Figures:
 
     def _loop_orientation(self) -> Figure:
         return self._log(
-            f"Loop error, orientation (drift correction κ = {self._any.kappa:g} 1/s)",
+            f"Loop error, orientation, κ = {self._any.kappa:g} 1/s",
             "mrad",
             self._lines(lambda trace: 1e3 * trace.loop_orientation),
             (1e3 * CLOSED_ORIENTATION, "counts as closed"),
@@ -171,8 +170,8 @@ class Figures:
         shown = curves.window(0.0, best, list(lines.values()), best)
         shown = Window(min(shown.bottom, -0.15 * best), shown.top)
         return Figure(
-            title="Margin of the joint nearest to its limit (negative: beyond the limit)",
-            unit="rad",
+            title="Margin of the joint nearest to its limit",
+            unit="rad, negative beyond the limit",
             data=self._beyond_limits(shown, 0.0, np.inf) + self._curves(lines),
             layout=curves.layout(
                 self._end, curves.linear(shown), curves.level(0.0, "limit", above=False)
@@ -190,8 +189,8 @@ class Figures:
             lines = {name: np.maximum(y, SMALL) for name, y in lines.items()}
         axis = curves.logarithmic(shown) if log else curves.linear(shown)
         return Figure(
-            title="Speed of the fastest joint, as a share of what it can do",
-            unit=f"1 = speed limit{', log scale' if log else ''}",
+            title="Speed of the fastest joint",
+            unit=f"share of its limit{', log scale' if log else ''}",
             data=self._beyond_limits(shown, -np.inf, 1.0) + self._curves(lines, steps=True),
             layout=curves.layout(self._end, axis, curves.level(1.0, "speed limit", log=log)),
         )
@@ -202,12 +201,13 @@ class Figures:
         layout = curves.layout(self._end, {"type": "category", "automargin": True})
         times = np.concatenate([self._traces[name].tick_us for name in self._names])
         low, high = np.log10(times.min() / 1.3), np.log10(times.max() * 1.3)
-        layout["xaxis"] |= {"type": "log", "range": [float(low), float(high)], "dtick": "D2"}
+        layout["xaxis"] |= {"type": "log", "range": [float(low), float(high)]}
+        layout["xaxis"] |= {"tickvals": ONE_TWO_FIVE, "ticktext": [f"{v:g}" for v in ONE_TWO_FIVE]}
         layout["xaxis"] |= {"title": {"text": "time [µs]", "standoff": 4}}
         layout["height"] = max(curves.HEIGHT, 70 + 36 * len(boxes))
         return Figure(
-            title="Time of a tick: half in the box, 98 percent in the whiskers, × the slowest",
-            unit="µs, log scale",
+            title="Time of a tick",
+            unit="µs, log scale; box: half of all ticks, whiskers: 98 percent, cross: the slowest",
             data=list(joined(*boxes)),
             layout=layout,
         )

@@ -20,7 +20,8 @@ OTHER_COLORS = (VERMILION, GREEN, PURPLE, BLACK, ORANGE, SKY)
 QP_DASHES = ("", "16,4", "8,4", "3,4", "16,4,3,4", "8,3,2,3,2,3")
 OTHER_DASHES = ("8,4", "2,3", "9,3,2,3", "16,4", "5,2", "12,3,2,3,2,3")
 
-QP_WIDTH, OTHER_WIDTH = 4.0, 1.8  # px; the QP lies under the others, so all show where they agree
+# The QP lies under the others and each of these under the next, so that all show where they agree.
+QP_WIDTH, OTHER_WIDTHS = 4.5, (2.4, 1.9, 1.5)  # px
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Style:
         color: such as "#0072B2".
         dash: lengths of dash and gap [px], empty for a full line.
         width: [px]
+
     """
 
     color: str
@@ -40,7 +42,12 @@ class Style:
     def line(self) -> dict[str, object]:
         """As Plotly takes it."""
         lengths = ",".join(f"{length}px" for length in self.dash.split(",")) if self.dash else ""
-        return {"color": self.color, "dash": lengths or "solid", "width": self.width}
+        return {
+            "color": self.color,
+            "dash": lengths or "solid",
+            "width": self.width,
+            "simplify": False,
+        }
 
     def swatch(self) -> str:
         """A sample of the line, as SVG."""
@@ -60,6 +67,6 @@ def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
         colors, dashes = (QP_COLORS, QP_DASHES) if is_qp else (OTHER_COLORS, OTHER_DASHES)
         i = counts[is_qp]
         counts[is_qp] += 1
-        width = QP_WIDTH if is_qp else OTHER_WIDTH
+        width = QP_WIDTH if is_qp else OTHER_WIDTHS[min(i, len(OTHER_WIDTHS) - 1)]
         chosen[name] = Style(colors[i % len(colors)], dashes[i % len(dashes)], width)
     return chosen

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
+from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from coopqp.comparison import Comparison
-from coopqp.report.cells import COLUMNS, Cell, cells
+from coopqp.report.cells import Cell, cells
 
-SHOWN = ("reached", "limit", "loop", "failed", "tick")
+#: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
+SHOWN = {
+    "reached": "goal\nreached",
+    "limit": "beyond\nlimit [rad]",
+    "loop": "loop\nerror",
+    "failed": "failed\nticks",
+    "tick": "tick\n[µs]",
+}
+COLORS = {None: "", True: "red", False: "green"}
 
 
 def summary(comparison: Comparison) -> Table:
     """One row a controller; fits 100 columns."""
     # A Text shows what it is given; a plain string would read [brackets] in names as markup.
-    table = Table(title=Text(comparison.scenario.name), title_justify="left", show_lines=True)
-    table.add_column("controller", max_width=16, overflow="fold")
-    table.add_column("verdict", ratio=1, min_width=24)
-    for key in SHOWN:
-        column = COLUMNS[key]
-        heading = f"{column.heading.lower()} [{column.unit}]" if column.unit else column.heading.lower()
-        table.add_column(Text(heading), justify="right", max_width=12)
+    table = Table(
+        title=Text(comparison.scenario.name, style="bold"),
+        title_justify="left",
+        box=box.HORIZONTALS,
+        show_lines=True,
+    )
+    table.add_column("controller and verdict", ratio=1, overflow="fold")
+    for heading in SHOWN.values():
+        table.add_column(Text(heading), justify="right", no_wrap=True)
     for name, trace in comparison.traces.items():
         row = cells(trace, comparison.metrics[name])
-        table.add_row(
-            Text(name, style="bold" if trace.solver else ""),
-            Text(comparison.verdicts[name]),
-            *(_entry(row[key]) for key in SHOWN),
-        )
+        said = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
+        table.add_row(said, *(_entry(row[key]) for key in SHOWN))
     return table
 
 
 def _entry(cell: Cell) -> Text:
-    color = {None: "", True: "red", False: "green"}[cell.bad]
-    entry = Text("\n".join(cell.lines))
-    if cell.symbol:
-        entry = Text.assemble((f"{cell.symbol} ", color), entry)
-    return entry
+    first, *more = cell.lines
+    return Text("\n".join([f"{cell.symbol} {first}".strip(), *more]), COLORS[cell.bad])

@@ -1,0 +1,201 @@
+"""Kinematic constraint equations: section 3.1 and 3.3 of the paper, for any choice of joints.
+
+The joints are split into actuated (a), passive (p) and, one a loop, cut (c) ones. Written in the
+cut joint's own frame, its column is a unit vector: one row holds it and the others do not, eq. (8),
+
+    [G_a  G_p  0 ] [v_a]                  G   = -G_p^-1 G_a                          eq. (10)-(11)
+    [G_ac G_pc G_c] [v_p] = 0,            v_c = -G_c^-1 (G_ac + G_pc G) v_a          eq. (12)
+                    [v_c]
+    J_a = J_i [I; G; ...]                 the object's Jacobian from either arm      eq. (17)-(19)
+    a_p = G a_a - G_p^-1 (Jdot_c v)       and likewise for a_c                       eq. (13)
+
+"Passive" here means not chosen as independent; a motor may still sit there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain, independent_rows
+from coopqp.errors import InvalidValueError, UnknownNameError
+
+Array = NDArray[np.float64]
+
+#: Condition number of G_p beyond which a scheme counts as singular.
+SINGULAR_CONDITION = 1e8
+
+
+@dataclass(frozen=True)
+class ConstraintEquations:
+    """The constraint equations of one choice of joints at one state.
+
+    Attributes:
+        actuated, passive, cut: indices of the joints.
+        G: v_p = G v_a, shape (p, f); NaN when the scheme is singular.
+        G_cut: v_c = G_cut v_a, shape (L, f).
+        motion: all joint velocities from the actuated ones, v = motion v_a, shape (n, f).
+        J_a: object twist from v_a by each arm, shape (N, 6, f) [m/rad, 1]; all N agree.
+        drift: what Jdot_c v adds to the accelerations, a = motion a_a + drift, shape (n,).
+        condition: of the block that is inverted; beyond 1e8 the scheme is singular here.
+
+    """
+
+    actuated: tuple[int, ...]
+    passive: tuple[int, ...]
+    cut: tuple[int, ...]
+    G: Array
+    G_cut: Array
+    motion: Array
+    J_a: Array
+    drift: Array
+    condition: float
+
+    @property
+    def singular(self) -> bool:
+        """Whether the actuated joints cannot be chosen freely here."""
+        return not self.condition < SINGULAR_CONDITION
+
+
+def constraint_equations(
+    chain: ClosedChain,
+    q: Array,
+    v: Array,
+    *,
+    actuated: Sequence[str],
+    cut: Sequence[str] = (),
+) -> ConstraintEquations:
+    """Equations (8)-(13) and (17)-(19) at a state.
+
+    Args:
+        chain: the closed chain.
+        q: configuration with the loops closed, shape (n,).
+        v: velocity with J_c v = 0, shape (n,); zero will do when ``drift`` is not needed.
+        actuated: names of the independent joints, as many as there are degrees of freedom.
+        cut: the joint at which each loop is cut; the last of each arm but the first if omitted.
+
+    Raises:
+        UnknownNameError, InvalidValueError: the choice is no scheme of this chain.
+
+    """
+    a, c = scheme(chain, actuated), _cut_joints(chain, cut, actuated)
+    p = tuple(i for i in range(chain.n) if i not in a and i not in c)
+    J, Jdot_v, J_arms = _rows_in_cut_frames(chain, q, v, c)
+    with_cut = [_unit_row(J[6 * i : 6 * i + 6, j]) + 6 * i for i, j in enumerate(c)]
+    free = [row for row in range(len(J)) if row not in with_cut]
+    free = [free[i] for i in independent_rows(J[free])]
+    G_a, G_p = J[np.ix_(free, a)], J[np.ix_(free, p)]
+    condition = float(np.linalg.cond(G_p)) if G_p.shape[0] == G_p.shape[1] else np.inf
+    f, n = len(a), chain.n
+    G, drift = np.full((len(p), f), np.nan), np.zeros(n)
+    motion = np.zeros((n, f))
+    motion[list(a)] = np.eye(f)
+    if condition < SINGULAR_CONDITION:
+        G = -np.linalg.solve(G_p, G_a)
+        drift[list(p)] = -np.linalg.solve(G_p, Jdot_v[free])
+    motion[list(p)] = G
+    G_c = J[np.ix_(with_cut, c)]
+    rest = [*a, *p]
+    motion[list(c)] = -np.linalg.solve(G_c, J[np.ix_(with_cut, rest)] @ motion[rest])
+    drift[list(c)] = -np.linalg.solve(
+        G_c, J[np.ix_(with_cut, rest)] @ drift[rest] + Jdot_v[with_cut]
+    )
+    return ConstraintEquations(
+        a, p, c, G, motion[list(c)], motion, np.stack([J_i @ motion for J_i in J_arms]), drift,
+        condition,
+    )  # fmt: skip
+
+
+def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
+    """Indices of the independent joints.
+
+    Raises:
+        UnknownNameError: an unknown joint.
+        InvalidValueError: a joint given twice, or more or fewer than the degrees of freedom.
+
+    """
+    freedom = chain.n - chain.loops.rank
+    joints = chain.joint_names
+    for name in actuated:
+        if name not in joints:
+            raise UnknownNameError("joint", name, joints, "actuated: ")
+    repeated = sorted({name for name in actuated if list(actuated).count(name) > 1})
+    if repeated:
+        raise InvalidValueError(f"actuated: {', '.join(repeated)} given more than once")
+    if len(actuated) != freedom:
+        raise InvalidValueError(
+            f"actuated: found {len(actuated)} joints, needs {freedom}, the degrees of freedom"
+        )
+    return tuple(joints.index(name) for name in actuated)
+
+
+def _cut_joints(chain: ClosedChain, cut: Sequence[str], actuated: Sequence[str]) -> tuple[int, ...]:
+    joints, names = chain.joint_names, list(cut)
+    if not names:
+        names = [_last_free_joint(chain, frame, actuated) for frame in chain.frames[1:]]
+    if len(names) != len(chain.arms) - 1:
+        raise InvalidValueError(
+            f"cut: found {len(names)} joints, needs {len(chain.arms) - 1}, one for each loop"
+        )
+    for name in names:
+        if name not in joints:
+            raise UnknownNameError("joint", name, joints, "cut: ")
+        if name in actuated:
+            raise InvalidValueError(f"cut: '{name}' is actuated; cut the loop elsewhere")
+    for name, frame in zip(names, chain.frames[1:], strict=True):
+        if name not in _carriers(chain, frame):
+            raise InvalidValueError(f"cut: '{name}' is not on the arm of its loop")
+    return tuple(joints.index(name) for name in names)
+
+
+def _carriers(chain: ClosedChain, frame: int) -> list[str]:
+    """Names of the joints that carry a frame, base first."""
+    model = chain.model
+    return [model.names[j] for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+
+
+def _last_free_joint(chain: ClosedChain, frame: int, actuated: Sequence[str]) -> str:
+    free = [name for name in _carriers(chain, frame) if name not in actuated]
+    if not free:
+        raise InvalidValueError("actuated: leaves no joint of an arm at which to cut its loop")
+    return free[-1]
+
+
+def _rows_in_cut_frames(
+    chain: ClosedChain, q: Array, v: Array, cut: Sequence[int]
+) -> tuple[Array, Array, list[Array]]:
+    """J_c and Jdot_c v with each loop's rows in its cut joint's frame, and J of each arm."""
+    model, data = chain.model, chain.model.createData()
+    pin.forwardKinematics(model, data, q, v, np.zeros(chain.n))
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    world = pin.LOCAL_WORLD_ALIGNED
+    J_arms = [pin.getFrameJacobian(model, data, f, world) for f in chain.frames]
+    drift = [
+        pin.getFrameClassicalAcceleration(model, data, f, world).vector.copy() for f in chain.frames
+    ]
+    rows, terms = [], []
+    for i, joint in enumerate(cut, start=1):
+        X_WC = data.oMi[model.getJointId(chain.joint_names[joint])]
+        lever = X_WC.translation - data.oMf[chain.frames[i]].translation
+        to_cut = _shift(X_WC.rotation, lever)
+        rows.append(to_cut @ (J_arms[i] - J_arms[0]))
+        terms.append(to_cut @ (drift[i] - drift[0]))
+    return np.vstack(rows), np.concatenate(terms), J_arms
+
+
+def _shift(R: Array, lever: Array) -> Array:
+    """Map (v; omega) at a point in world axes to another point in the axes of R, shape (6, 6)."""
+    shift = np.zeros((6, 6))
+    shift[:3, :3] = shift[3:, 3:] = R.T
+    shift[:3, 3:] = -R.T @ pin.skew(lever)
+    return shift
+
+
+def _unit_row(column: Array) -> int:
+    """The row in which the cut joint's column has its one."""
+    return int(np.abs(column).argmax())

@@ -1,0 +1,373 @@
+"""Closed-loop inverse and direct dynamics: section 4 of the paper, for N arms.
+
+Letters: n joints, m independent loop rows, f = n - m degrees of freedom, k actuated joints.
+
+    A a + H = S' tau + J_c' lambda,   J_c a + Jdot_c v = 0          tree plus loops, eq. (13), (22)
+
+A (n, n) is the tree's inertia matrix with the object on the arms, H (n,) Coriolis, centrifugal,
+gravity and friction forces, S the rows of the actuated joints, lambda (m,) the wrench at the cut.
+With N (n, f) a basis of the null space of J_c the loops drop out, N' A a + N' H = N' S' tau; that
+is eq. (24), whose [I; G] is one such basis.
+
+Both models are solved as one saddle-point system, so that no independent coordinates have to be
+chosen, no inertia matrix has to be inverted (with a massless link behind a passive joint A is
+singular, only N' A N is not), and a singular actuation scheme is noticed by its condition.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.spec import NonNegative, Positive, spec
+
+Array = NDArray[np.float64]
+
+#: Reciprocal condition number below which a system counts as singular.
+SINGULAR = 1e-12
+
+_NOTHING = np.zeros(0)
+
+
+@spec
+class Friction:
+    """Joint friction: viscous v + coulomb tanh(v / smoothing)."""
+
+    viscous: NonNegative = 0.0
+    """[N m s/rad]"""
+    coulomb: NonNegative = 0.0
+    """[N m]"""
+    smoothing: Positive = 0.01
+    """Speed at which Coulomb friction is three quarters of its full value [rad/s]."""
+
+
+@dataclass(frozen=True)
+class DirectResult:
+    """Answer of the direct model; arrays are reused by the next call.
+
+    Attributes:
+        a: joint accelerations, shape (n,) [rad/s2].
+        wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
+            of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
+        singular: whether the loops were singular, so that a least-squares answer was given.
+
+    """
+
+    a: Array
+    wrench: Array
+    singular: bool
+
+
+@dataclass(frozen=True)
+class InverseResult:
+    """Answer of the inverse model; arrays are reused by the next call.
+
+    Attributes:
+        tau: torques of all joints, zero where a joint is not actuated, shape (n,) [N m].
+        wrench: as in :class:`DirectResult`.
+        singular: whether the actuation scheme cannot produce every motion here. tau is then the
+            least-squares answer and ``residual`` tells what it leaves undone.
+        residual: largest generalised force that tau does not produce [N m].
+
+    """
+
+    tau: Array
+    wrench: Array
+    singular: bool
+    residual: float
+
+
+class ClosedLoopDynamics:
+    """Inverse and direct dynamic model of a closed chain.
+
+    Args:
+        chain: arms and object.
+        shares: which share of the object's mass each arm's last body carries, by arm; all on the
+            first arm when omitted. It changes the wrench at the cut, nothing else.
+        friction: of every joint.
+        actuated: names of the actuated joints; all but the passive ones when omitted.
+
+    Attributes:
+        model: the tree with the object's mass.
+        A, H, J, drift: the terms above as of the last :meth:`update`; drift is Jdot_c v, (m,).
+        actuated: indices of the actuated joints, shape (k,).
+
+    Raises:
+        InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
+            a passive joint among them.
+        UnknownNameError: an unknown joint or arm.
+
+    """
+
+    def __init__(
+        self,
+        chain: ClosedChain,
+        *,
+        shares: Mapping[str, float] | None = None,
+        friction: Friction | None = None,
+        actuated: Sequence[str] | None = None,
+    ) -> None:
+        self.chain = chain
+        self.shares = _shares(chain, shares)
+        self.model = chain.model.copy()
+        for frame, share in zip(chain.frames, self.shares, strict=True):
+            if share > 0.0:
+                body = chain.held.body()
+                part = pin.Inertia(share * body.mass, body.lever, share * body.inertia)
+                self.model.appendBodyToJoint(
+                    chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
+                )
+        self.actuated = actuated_joints(chain, actuated)
+        self._data = self.model.createData()
+        self._friction = friction if friction and (friction.viscous or friction.coulomb) else None
+        self._allocate()
+
+    def _allocate(self) -> None:
+        chain, n = self.chain, self.chain.n
+        rows = len(chain.loops.names)
+        self._kept = np.array(chain.loops.kept, int)
+        m, k = len(self._kept), len(self.actuated)
+        self.A, self.H = np.zeros((n, n)), np.zeros(n)
+        self._J_arms, self._drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
+        self._J_rel, self._drift_rel = np.zeros((rows, n)), np.zeros(rows)
+        whole = m == rows
+        self.J = self._J_rel if whole else np.zeros((m, n))
+        self.drift = self._drift_rel if whole else np.zeros(m)
+        self._zero = np.zeros(n)
+        # The relative rows follow from those of the arms as in eq. (30).
+        self._relative = np.ascontiguousarray(chain.mixing[6:])
+        self._direct, self._direct_rhs = Saddle(n, m), np.zeros(n + m)
+        self.passive = np.setdiff1d(np.arange(n), self.actuated)
+        self._scheme, self._scheme_rhs = Saddle(m, n - k), np.zeros(m + n - k)
+        self._J_a, self._J_p = np.zeros((m, k)), np.zeros((m, n - k))
+        self._Gamma = np.zeros(n)
+        self._tau, self._a = np.zeros(n), np.zeros(n)
+        self._wrench = np.zeros(rows)
+
+    def update(self, q: Array, v: Array) -> None:
+        """Compute every term for a state with the loops closed.
+
+        Args:
+            q: configuration, shape (n,) [rad].
+            v: velocity with J_c v = 0, shape (n,) [rad/s].
+
+        """
+        model, data = self.model, self._data
+        self.A[:] = pin.crba(model, data, q)
+        self.H[:] = pin.nonLinearEffects(model, data, q, v)
+        self._add_friction(v)
+        pin.forwardKinematics(model, data, q, v, self._zero)
+        pin.computeJointJacobians(model, data)
+        self._update_loops()
+
+    def _update_loops(self) -> None:
+        model, data, world = self.model, self._data, pin.LOCAL_WORLD_ALIGNED
+        at = 0
+        for frame in self.chain.frames:
+            pin.updateFramePlacement(model, data, frame)
+            acceleration = pin.getFrameClassicalAcceleration(model, data, frame, world)
+            self._J_arms[at : at + 6] = pin.getFrameJacobian(model, data, frame, world)
+            self._drift_arms[at : at + 6] = acceleration.vector
+            at += 6
+        self._relative.dot(self._J_arms, self._J_rel)
+        self._relative.dot(self._drift_arms, self._drift_rel)
+        if self.J is not self._J_rel:
+            np.take(self._J_rel, self._kept, axis=0, out=self.J)
+            np.take(self._drift_rel, self._kept, out=self.drift)
+
+    def _add_friction(self, v: Array) -> None:
+        if self._friction:
+            f = self._friction
+            self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
+
+    def direct(self, tau: Array) -> DirectResult:
+        """Accelerations from torques: the DDM of section 4.3, after :meth:`update`.
+
+        Solves [A J'; J 0] [a; -lambda] = [tau - H; -Jdot v].
+
+        Args:
+            tau: torques of all joints, shape (n,); entries of passive joints should be 0 [N m].
+
+        """
+        n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
+        saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
+        np.subtract(tau, self.H, rhs[:n])
+        np.negative(self.drift, rhs[n:])
+        x, singular = saddle.solve(rhs)
+        self._a[:] = x[:n]
+        self._wrench[self._kept] = -x[n:]
+        return DirectResult(self._a, self._wrench, singular)
+
+    def inverse(self, a: Array) -> InverseResult:
+        """Torques for accelerations: the CLIDM of eq. (21)-(24), after :meth:`update`.
+
+        With more actuators than degrees of freedom the torques of least norm, eq. (25)-(27). The
+        Gamma of the tree is A a + H; the cut wrench lambda makes the passive rows free of torque,
+        J_p' lambda = Gamma_p, and what it leaves, tau = Gamma_a - J_a' lambda, as small as it can.
+
+        Args:
+            a: joint accelerations with J_c a = -Jdot_c v, shape (n,) [rad/s2].
+
+        """
+        m, act, pas = len(self.drift), self.actuated, self.passive
+        Gamma, J_a, J_p = self._Gamma, self._J_a, self._J_p
+        self.A.dot(a, Gamma)
+        np.add(Gamma, self.H, Gamma)
+        Gamma_a, Gamma_p = Gamma[act], Gamma[pas]
+        np.take(self.J, act, axis=1, out=J_a)
+        np.take(self.J, pas, axis=1, out=J_p)
+        saddle, rhs = self._scheme, self._scheme_rhs
+        saddle.top[:], saddle.right[:], saddle.left[:] = J_a.dot(J_a.T), J_p, J_p.T
+        rhs[:m], rhs[m:] = J_a.dot(Gamma_a), Gamma_p
+        x, singular = saddle.solve(rhs)
+        wrench = x[:m]
+        self._wrench[self._kept] = wrench
+        self._tau[act] = Gamma_a - wrench.dot(J_a)
+        undone = Gamma_p - wrench.dot(J_p) if singular else _NOTHING
+        return InverseResult(
+            self._tau, self._wrench, singular, float(np.abs(undone).max(initial=0.0))
+        )
+
+    def null_space(self) -> Array:
+        """Orthonormal basis N of the null space of J_c as of the last update, shape (n, f)."""
+        return null_space(self.J)
+
+    def object_wrenches(self, a: Array, wrench: Array) -> ObjectWrenches:
+        """Split what the hands do to the object into what moves it and what only squeezes it.
+
+        Args:
+            a: joint accelerations, shape (n,).
+            wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
+
+        """
+        needed, R = self._object_wrench(a)
+        loops = wrench.reshape(-1, 6)
+        by_arm = np.outer(self.shares, needed)
+        by_arm[0] += loops.sum(axis=0)
+        by_arm[1:] -= loops
+        internal = by_arm - np.outer(self.chain.alpha, needed)
+        return ObjectWrenches(needed, by_arm, internal, R)
+
+    def _object_wrench(self, a: Array) -> tuple[Array, Array]:
+        """The wrench at the object's origin that its own motion needs, world axes."""
+        model, data, frame = self.model, self._data, self.chain.frames[0]
+        drift = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        acceleration = drift.vector + self._J_arms[:6] @ a
+        omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
+        R = data.oMf[frame].rotation.copy()
+        body = self.chain.held.body()
+        r, I = R @ body.lever, R @ body.inertia @ R.T  # noqa: E741
+        alpha = acceleration[3:]
+        a_com = acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r))
+        force = body.mass * (a_com - self.model.gravity.linear)
+        torque = I @ alpha + np.cross(omega, I @ omega) + np.cross(r, force)
+        return np.concatenate([force, torque]), R
+
+    def kinetic_energy(self, q: Array, v: Array) -> float:
+        """[J]"""
+        return float(pin.computeKineticEnergy(self.model, self._data, q, v))
+
+    def potential_energy(self, q: Array) -> float:
+        """[J]"""
+        return float(pin.computePotentialEnergy(self.model, self._data, q))
+
+
+@dataclass(frozen=True)
+class ObjectWrenches:
+    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes.
+
+    Attributes:
+        needed: what its motion and weight need, shape (6,).
+        by_arm: what each hand does to it, shape (N, 6); they sum to ``needed``.
+        internal: the part that cancels between the hands, shape (N, 6); sums to zero.
+        rotation: of the object, shape (3, 3).
+
+    """
+
+    needed: Array
+    by_arm: Array
+    internal: Array
+    rotation: Array
+
+
+class Saddle:
+    """A matrix [top right; left 0], factored by LAPACK without leaving preallocated arrays.
+
+    Args:
+        n: rows of top. m: rows of left.
+
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        self._K = np.zeros((n + m, n + m), order="F")
+        self._flat = self._K.reshape(-1, order="F")
+        self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
+
+    def solve(self, rhs: Array) -> tuple[Array, bool]:
+        """Solution, and whether the matrix is singular, so that it is one of least squares."""
+        lu, pivots, info = lapack.dgetrf(self._K)
+        if info == 0:
+            # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
+            rcond, _ = lapack.dgecon(lu, math.sqrt(self._flat.dot(self._flat)))
+            if rcond > SINGULAR:
+                return lapack.dgetrs(lu, pivots, rhs)[0], False
+        return np.linalg.lstsq(self._K, rhs, rcond=1e-10)[0], True
+
+
+def null_space(J: Array, tolerance: float = 1e-9) -> Array:
+    """Orthonormal basis of the null space of J (m, n), shape (n, n - rank)."""
+    if not len(J):
+        return np.eye(J.shape[1])
+    _, values, Vt = np.linalg.svd(J)
+    rank = int(np.sum(values > tolerance * max(values[0], 1e-300)))
+    return np.ascontiguousarray(Vt[rank:].T)
+
+
+def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
+    """Indices of actuated joints by name; all but the passive ones when omitted.
+
+    Raises:
+        UnknownNameError: an unknown joint.
+        InvalidValueError: a passive or repeated joint, or fewer than the degrees of freedom.
+
+    """
+    joints = chain.joint_names
+    passive = {joints[i] for i in chain.passive}
+    if names is None:
+        return np.array([i for i, name in enumerate(joints) if name not in passive], np.intp)
+    for name in names:
+        if name not in joints:
+            raise UnknownNameError("joint", name, joints, "actuated: ")
+        if name in passive:
+            raise InvalidValueError(f"actuated: '{name}' is a passive joint and has no motor")
+    repeated = sorted({name for name in names if list(names).count(name) > 1})
+    if repeated:
+        raise InvalidValueError(f"actuated: {', '.join(repeated)} given more than once")
+    freedom = chain.n - chain.loops.rank
+    if len(names) < freedom:
+        raise InvalidValueError(
+            f"actuated: {len(names)} joints cannot drive {freedom} degrees of freedom; "
+            f"name at least {freedom}"
+        )
+    return np.array([joints.index(name) for name in names], np.intp)
+
+
+def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
+    names = [arm.name for arm in chain.arms]
+    if shares is None:
+        return np.eye(len(names))[0]
+    for name in shares:
+        if name not in names:
+            raise UnknownNameError("arm", name, names, "shares: ")
+    values = np.array([shares.get(name, 0.0) for name in names])
+    if values.min() < 0.0 or abs(values.sum() - 1.0) > 1e-9:
+        raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
+    return values

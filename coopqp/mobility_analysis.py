@@ -1,0 +1,423 @@
+"""What a grasp allows, before anything moves: section 3.2 of the paper and what follows from it.
+
+Letters: l joints before the loops close (n in the rest of the code), m rows of J_c, f = l - rank
+degrees of freedom, N (l, f) a basis of the null space of J_c, J_o (6, l) the object's twist.
+
+Generic poses are random configurations inside the limits at which the object is grasped anew, so
+that the loops are closed in each; the start can be less or more mobile than they are.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain, matrix_rank
+from coopqp.constraint_equations import SINGULAR_CONDITION, scheme
+from coopqp.dynamics import null_space
+
+Array = NDArray[np.float64]
+
+#: All schemes are tried up to this many; beyond it only the asked-for and the best.
+MOST_SCHEMES = 5000
+
+#: A rotation of 1 rad counts as much as a translation of this many metres.
+LENGTH = 0.1
+
+#: Singular values of an object motion below this share of the largest count as none.
+MOTION_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class Screw:
+    """A twist of the object up to its size.
+
+    Attributes:
+        twist: (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s].
+        axis: unit direction of the screw's axis.
+        point: of the axis nearest to the object's origin, in the world [m]; the origin itself for
+            a translation.
+        pitch: translation per turn [m/rad]; infinite for a translation.
+
+    """
+
+    twist: tuple[float, ...]
+    axis: tuple[float, ...]
+    point: tuple[float, ...]
+    pitch: float
+
+    def words(self) -> str:
+        """Such as "rotation about the left axis (y)"."""
+        direction = _direction_in_words(np.array(self.axis))
+        if math.isinf(self.pitch):
+            return f"translation along {direction}"
+        at = "({:.3f}, {:.3f}, {:.3f}) m".format(*self.point)
+        if abs(self.pitch) < 1e-3 * LENGTH:
+            return f"rotation about {direction} through {at}"
+        return f"screw about {direction} through {at}, {1e3 * self.pitch:.1f} mm per radian"
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A choice of independent actuated joints.
+
+    Attributes:
+        joints: their names.
+        condition: of the block to be inverted, median over the generic poses.
+        condition_start: the same at the start.
+        admissible: whether the choice is regular at any generic pose.
+        admissible_start: whether it is at the start.
+
+    """
+
+    joints: tuple[str, ...]
+    condition: float
+    condition_start: float
+    admissible: bool
+    admissible_start: bool
+
+
+@dataclass(frozen=True)
+class TaskMobility:
+    """What the grasp allows of a task.
+
+    Attributes:
+        name: of the task.
+        rows: its dimension.
+        rank: how many of its rows can be chosen freely at the start.
+
+    """
+
+    name: str
+    rows: int
+    rank: int
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """The mobility report; see the module for the letters.
+
+    Attributes:
+        joints: names of the l joints, passive ones included.
+        passive: names of the passive joints.
+        rank, rank_start: of J_c at generic poses (the most common) and at the start.
+        ranks: every rank that occurred at the generic poses.
+        freedom, freedom_start: l - rank.
+        dropped: loop rows that follow from others.
+        object_freedom, object_freedom_start: independent object motions.
+        motor_freedom, motor_freedom_start: those that the actuated joints decide.
+        impossible: object motions that the grasp forbids at the start.
+        uncontrolled: object motions that no motor decides, at the start.
+        tasks: each task by itself.
+        tasks_rows, tasks_rank: rows of all tasks together, and how many can be met together.
+        schemes_total: number of choices of f among the actuated joints.
+        schemes: those that were tried, best first; all when ``schemes_complete``.
+        schemes_complete: whether all were tried.
+        asked: the scheme the user asked about.
+
+    """
+
+    joints: tuple[str, ...]
+    passive: tuple[str, ...]
+    rank: int
+    rank_start: int
+    ranks: tuple[int, ...]
+    freedom: int
+    freedom_start: int
+    dropped: tuple[str, ...]
+    object_freedom: int
+    object_freedom_start: int
+    motor_freedom: int
+    motor_freedom_start: int
+    impossible: tuple[Screw, ...]
+    uncontrolled: tuple[Screw, ...]
+    tasks: tuple[TaskMobility, ...]
+    tasks_rows: int
+    tasks_rank: int
+    schemes_total: int
+    schemes: tuple[Scheme, ...]
+    schemes_complete: bool
+    asked: Scheme | None
+
+    @property
+    def inadmissible(self) -> int:
+        """Schemes that are singular at every generic pose."""
+        return sum(not s.admissible for s in self.schemes)
+
+    @property
+    def inadmissible_start(self) -> int:
+        """Schemes that are singular at the start."""
+        return sum(not s.admissible_start for s in self.schemes)
+
+    @property
+    def lost_at_start(self) -> tuple[Scheme, ...]:
+        """Schemes that are fine at generic poses and singular at the start."""
+        return tuple(s for s in self.schemes if s.admissible and not s.admissible_start)
+
+    def verdict(self) -> str:
+        """The report in a few sentences."""
+        return " ".join(_sentences(self))
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Jacobians at one closed pose: loop rows and object twist."""
+
+    J_c: Array
+    J_o: Array
+    N: Array
+
+
+def mobility(
+    chain: ClosedChain,
+    *,
+    task_rows: Sequence[tuple[str, Array]] = (),
+    asked: Sequence[str] | None = None,
+    samples: int = 24,
+    seed: int = 0,
+) -> Mobility:
+    """Analyse what a closed chain can do.
+
+    Args:
+        chain: arms that hold an object.
+        task_rows: name and Jacobian (k, n) of each task at the start.
+        asked: an actuation scheme to report on.
+        samples: number of generic poses.
+        seed: of the generic poses.
+
+    Raises:
+        UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain.
+
+    """
+    rng = np.random.default_rng(seed)
+    poses = [_pose(chain, q) for q in chain.sample(rng, samples)]
+    start = _pose(chain, chain.q_start)
+    active = [i for i in range(chain.n) if i not in chain.passive]
+    ranks = [matrix_rank(pose.J_c) for pose in poses]
+    rank = max(set(ranks), key=ranks.count)
+    regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
+    schemes, complete, total = _schemes(chain, active, regular, start, chain.n - rank)
+    asked_index = scheme(chain, asked) if asked is not None else None
+    J_tasks = [J for _, J in task_rows]
+    return Mobility(
+        joints=chain.joint_names,
+        passive=tuple(chain.joint_names[i] for i in chain.passive),
+        rank=rank,
+        rank_start=matrix_rank(start.J_c),
+        ranks=tuple(sorted(set(ranks))),
+        freedom=chain.n - rank,
+        freedom_start=start.N.shape[1],
+        dropped=chain.loops.dropped,
+        object_freedom=max(_motion_rank(pose.J_o @ pose.N) for pose in regular),
+        object_freedom_start=_motion_rank(start.J_o @ start.N),
+        motor_freedom=max(_motor_rank(pose, active) for pose in regular),
+        motor_freedom_start=_motor_rank(start, active),
+        impossible=_screws(_impossible(start.J_o @ start.N), chain),
+        uncontrolled=_screws(_uncontrolled(start, active), chain),
+        tasks=tuple(TaskMobility(name, len(J), _motion_rank(J @ start.N)) for name, J in task_rows),
+        tasks_rows=sum(len(J) for J in J_tasks),
+        tasks_rank=_motion_rank(np.vstack(J_tasks) @ start.N) if J_tasks else 0,
+        schemes_total=total,
+        schemes=schemes,
+        schemes_complete=complete,
+        asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
+    )
+
+
+def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
+    """Yoshikawa's measure of the tasks within what the loops allow, sqrt(det(M M')), M = J N.
+
+    Args:
+        chain: the closed chain.
+        q: configuration with the loops closed, shape (n,).
+        task_rows: Jacobian of the tasks there, shape (k, n).
+
+    """
+    values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
+    return float(np.prod(values)) if len(values) == len(task_rows) else 0.0
+
+
+def _pose(chain: ClosedChain, q: Array) -> _Pose:
+    J_arms = chain.object_jacobians(q)
+    J_c = np.vstack([J - J_arms[0] for J in J_arms[1:]])
+    J_o = np.tensordot(chain.alpha, J_arms, axes=1)
+    return _Pose(J_c, J_o, null_space(J_c, 1e-8))
+
+
+def _scaled(twists: Array) -> Array:
+    """Rotations weighed as lengths, so that one tolerance serves all six rows."""
+    scaled = np.array(twists, float)
+    if len(scaled) == 6:
+        scaled[3:] *= LENGTH
+    return scaled
+
+
+def _motion_rank(motions: Array) -> int:
+    if not motions.size:
+        return 0
+    return int(np.linalg.matrix_rank(_scaled(motions), tol=MOTION_TOLERANCE))
+
+
+def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
+    """Object twists that happen with every motor locked, shape (6, .)."""
+    locked = null_space(pose.N[list(active)], 1e-8) if pose.N.size else np.zeros((0, 0))
+    return pose.J_o @ pose.N @ locked
+
+
+def _motor_rank(pose: _Pose, active: Sequence[int]) -> int:
+    """Object motions less those that are free with the motors locked."""
+    return _motion_rank(pose.J_o @ pose.N) - _motion_rank(_free_motions(pose, active))
+
+
+def _impossible(motions: Array) -> Array:
+    """Basis of the twists orthogonal to all possible ones, shape (6, .)."""
+    U, values, _ = np.linalg.svd(_scaled(motions))
+    rank = int(np.sum(values > MOTION_TOLERANCE))
+    basis = U[:, rank:].copy()
+    basis[3:] /= LENGTH
+    return basis
+
+
+def _uncontrolled(pose: _Pose, active: Sequence[int]) -> Array:
+    free = _free_motions(pose, active)
+    if not free.size:
+        return np.zeros((6, 0))
+    U, values, _ = np.linalg.svd(_scaled(free), full_matrices=False)
+    basis = U[:, values > MOTION_TOLERANCE].copy()
+    basis[3:] /= LENGTH
+    return basis
+
+
+def _screws(twists: Array, chain: ClosedChain) -> tuple[Screw, ...]:
+    return tuple(_screw(column, chain.start_position) for column in twists.T)
+
+
+def _screw(twist: Array, origin: Array) -> Screw:
+    v, omega = twist[:3], twist[3:]
+    turn = float(np.linalg.norm(omega))
+    if turn * LENGTH < 1e-6 * max(float(np.linalg.norm(v)), 1e-12):
+        axis = v / np.linalg.norm(v)
+        return Screw(_tuple(twist), _tuple(axis), _tuple(origin), math.inf)
+    point = origin + np.cross(omega, v) / turn**2
+    return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
+
+
+def _schemes(
+    chain: ClosedChain, active: Sequence[int], poses: Sequence[_Pose], start: _Pose, freedom: int
+) -> tuple[tuple[Scheme, ...], bool, int]:
+    total = math.comb(len(active), freedom)
+    if total <= MOST_SCHEMES:
+        choices = list(itertools.combinations(active, freedom))
+    else:
+        choices = list({_best_choice(pose, active, freedom) for pose in [start, *poses]})
+    rated = _rate(chain, choices, poses, start)
+    ordered = sorted(rated, key=lambda s: (s.condition, s.condition_start))
+    return tuple(ordered), total <= MOST_SCHEMES, total
+
+
+def _best_choice(pose: _Pose, active: Sequence[int], freedom: int) -> tuple[int, ...]:
+    """The joints that pivoting finds best conditioned at a pose."""
+    import scipy.linalg
+
+    _, _, order = scipy.linalg.qr(pose.N[list(active)].T, mode="economic", pivoting=True)
+    return tuple(sorted(active[i] for i in order[:freedom]))
+
+
+def _rate(
+    chain: ClosedChain,
+    choices: Sequence[Sequence[int]],
+    poses: Sequence[_Pose],
+    start: _Pose,
+) -> list[Scheme]:
+    """Condition of the block that each choice leaves to be inverted."""
+    if not choices:
+        return []
+    others = np.array([[i for i in range(chain.n) if i not in choice] for choice in choices])
+    by_pose = np.array([_conditions(pose, others) for pose in poses])
+    at_start = _conditions(start, others)
+    rated = []
+    for i, choice in enumerate(choices):
+        conditions = by_pose[:, i]
+        rated.append(
+            Scheme(
+                joints=tuple(chain.joint_names[j] for j in choice),
+                condition=float(np.median(conditions)),
+                condition_start=float(at_start[i]),
+                admissible=bool(conditions.min() < SINGULAR_CONDITION),
+                admissible_start=bool(at_start[i] < SINGULAR_CONDITION),
+            )
+        )
+    return rated
+
+
+def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
+    """Condition numbers of J_c's columns for each set of dependent joints; inf when deficient."""
+    blocks = np.moveaxis(pose.J_c[:, others], 1, 0)
+    values = np.linalg.svd(blocks, compute_uv=False)[:, : others.shape[1]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        conditions: Array = np.where(values[:, -1] > 0.0, values[:, 0] / values[:, -1], np.inf)
+    return conditions
+
+
+def _sentences(m: Mobility) -> list[str]:
+    said = [
+        f"{len(m.joints)} joints and loop rows of rank {m.rank} leave {m.freedom} degrees of "
+        f"freedom; the object can move in {m.object_freedom} of 6 directions."
+    ]
+    if m.freedom > m.object_freedom:
+        said.append(
+            f"{m.freedom - m.object_freedom} degrees of freedom move the joints and not the object."
+        )
+    if (m.rank, m.object_freedom) != (m.rank_start, m.object_freedom_start):
+        said.append(
+            f"The start is singular: rank {m.rank_start} there, {m.object_freedom_start} "
+            "directions."
+        )
+    if m.motor_freedom < m.object_freedom:
+        said.append(
+            f"The motors decide only {m.motor_freedom} of them: the object can move by itself in "
+            f"{m.object_freedom - m.motor_freedom}."
+        )
+    if m.tasks_rows:
+        said.append(_about_tasks(m))
+    if m.asked:
+        said.append(_about_scheme(m.asked))
+    return said
+
+
+def _about_tasks(m: Mobility) -> str:
+    names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
+    if m.tasks_rank == m.tasks_rows:
+        return (
+            f"The tasks {names} can all be met: {m.tasks_rows} rows, "
+            f"{m.freedom_start - m.tasks_rows} degrees of freedom left."
+        )
+    return f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
+
+
+def _about_scheme(s: Scheme) -> str:
+    names = ", ".join(s.joints)
+    if not s.admissible:
+        return f"Actuating {names} is inadmissible: it is singular at every pose."
+    if not s.admissible_start:
+        return (
+            f"Actuating {names} is admissible at generic poses (condition {s.condition:.0f}) but "
+            "singular at the start."
+        )
+    return f"Actuating {names} is admissible (condition {s.condition:.0f}, {s.condition_start:.0f} at the start)."
+
+
+def _direction_in_words(axis: Array) -> str:
+    for i, name in enumerate(("x", "y", "z")):
+        if abs(abs(axis[i]) - 1.0) < 1e-6:
+            return name
+    return "({:.3f}, {:.3f}, {:.3f})".format(*axis)
+
+
+def _tuple(values: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)

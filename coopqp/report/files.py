@@ -1,0 +1,148 @@
+"""The report as files: the page, the metrics as JSON and every tick as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coopqp.comparison import Comparison
+from coopqp.errors import CoopqpError
+from coopqp.report.page import render
+from coopqp.trace import Trace
+
+
+def write(comparison: Comparison, folder: Path) -> list[Path]:
+    """Write ``report.html``, ``metrics.json`` and ``trace.csv``; all of them or none.
+
+    Args:
+        comparison: from :func:`coopqp.compare`.
+        folder: made if it does not exist; files of these names are replaced.
+
+    Returns:
+        What was written.
+
+    Raises:
+        CoopqpError: the folder cannot be made or written to.
+
+    """
+    contents = {
+        "report.html": render(comparison),
+        "metrics.json": metrics_json(comparison),
+        "trace.csv": trace_csv(comparison),
+    }
+    try:
+        return _replace_all(contents, folder)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CoopqpError(f"cannot write the report to '{folder}': {reason}") from error
+
+
+def write_one(path: Path, content: str) -> None:
+    """Write one file; the old one stays when that fails.
+
+    Raises:
+        CoopqpError: it cannot be written.
+
+    """
+    try:
+        _replace_all({path.name: content}, path.parent)
+    except OSError as error:
+        raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be written to, before a long run and not after it.
+
+    Raises:
+        CoopqpError: it is a file, or cannot be made or written to.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".coopqp-", dir=folder):
+            pass
+    except FileExistsError:
+        raise CoopqpError(f"'{folder}' is not a folder") from None
+    except OSError as error:
+        raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
+
+
+def metrics_json(comparison: Comparison) -> str:
+    """``metrics.json``: what is not finite is null, because JSON has no word for it."""
+    return json.dumps(_finite(comparison.as_json()), allow_nan=False, indent=2) + "\n"
+
+
+def trace_csv(comparison: Comparison) -> str:
+    """``trace.csv``: a row for each controller and instant, with numbers that read back exactly.
+
+    The last row of a controller is the end of its run, after which there is no command.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_header(next(iter(comparison.traces.values()))))
+    for name, trace in comparison.traces.items():
+        writer.writerows(_rows(name, trace))
+    return stream.getvalue()
+
+
+def _replace_all(contents: dict[str, str], folder: Path) -> list[Path]:
+    """Write everything aside first, so that a full disk leaves the old files as they were."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".coopqp-", dir=folder) as aside:
+        for name, content in contents.items():
+            (Path(aside) / name).write_text(content, encoding="utf-8", newline="")
+        for name in contents:
+            os.replace(Path(aside) / name, folder / name)
+    return [folder / name for name in contents]
+
+
+def _finite(value: Any) -> Any:
+    """The same, with null for NaN and infinities."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _header(trace: Trace) -> list[str]:
+    return [
+        *("controller", "tick", "t"),
+        *(f"q[{joint}]" for joint in trace.joints),
+        *(f"v[{joint}]" for joint in trace.joints),
+        *("x", "y", "z"),
+        *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
+        *("loop_position", "loop_orientation"),
+        *(f"error[{task.name}]" for task in trace.tasks),
+        *("usable", "inaccurate", "tick_us"),
+    ]
+
+
+def _rows(name: str, trace: Trace) -> Iterator[list[Any]]:
+    # tolist() gives Python floats, which csv writes with all the digits they need.
+    after = np.column_stack(
+        [
+            trace.position,
+            trace.rotation.reshape(-1, 9),
+            trace.loop_position,
+            trace.loop_orientation,
+            trace.task_error,
+        ]
+    ).tolist()
+    q, v, t, us = trace.q.tolist(), trace.v.tolist(), trace.t.tolist(), trace.tick_us.tolist()
+    for k in range(trace.ticks):
+        flags = [int(trace.usable[k]), int(trace.inaccurate[k]), us[k]]
+        yield [name, k, t[k], *q[k], *v[k], *after[k], *flags]
+    end, nothing = trace.ticks, [""] * len(trace.joints)
+    yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", ""]

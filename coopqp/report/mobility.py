@@ -1,0 +1,213 @@
+"""The mobility report of a scenario: as a table, as JSON and as a page."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
+from rich.table import Table
+from rich.text import Text
+
+from coopqp import __version__
+from coopqp.comparison import run
+from coopqp.mobility_analysis import Mobility, Scheme, manipulability, mobility
+from coopqp.scenario import Scenario
+from coopqp.state import State
+from coopqp.task import TaskStack
+
+HERE = Path(__file__).parent
+SHOWN = 8  # schemes in the tables
+MOST_POINTS = 400  # of the manipulability curve
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a scenario's grasp allows, and how well its tasks can be moved on the way.
+
+    Attributes:
+        scenario: what was analysed.
+        mobility: at generic poses and at the start.
+        t: shape (K,) [s].
+        manipulability: of the tasks along the run of the scenario's first controller, shape (K,).
+
+    """
+
+    scenario: Scenario
+    mobility: Mobility
+    t: NDArray[np.float64]
+    manipulability: NDArray[np.float64]
+
+
+def study(scenario: Scenario, asked: Sequence[str] | None = None) -> Study:
+    """Analyse a scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        asked: names of the joints of an actuation scheme, or q1, q2 ... by their order.
+
+    Raises:
+        CoopqpError: ``asked`` is no scheme, or the scenario cannot be built.
+
+    """
+    chain = scenario.chain
+    state = State(chain)
+    tasks = TaskStack(scenario.tasks, state)
+    tasks.update(state)
+    rows = [
+        (task.name, tasks.J[part].copy())
+        for task, part in zip(tasks.tasks, tasks.slices, strict=True)
+        if not task.joint_space
+    ]
+    joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
+    names = [joints.get(name, name) for name in asked] if asked is not None else None
+    found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
+    t, measure = _along(scenario, tasks, state)
+    return Study(scenario, found, t, measure)
+
+
+def _along(
+    scenario: Scenario, tasks: TaskStack, state: State
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Manipulability along the run of the first controller."""
+    trace = run(scenario, controller=next(iter(scenario.controllers)))
+    every = max(1, len(trace.t) // MOST_POINTS)
+    measure = []
+    for t, q in zip(trace.t[::every], trace.q[::every], strict=True):
+        state.t, state.q[:] = float(t), q
+        state.update()
+        tasks.update(state)
+        measure.append(manipulability(scenario.chain, q, tasks.J))
+    return trace.t[::every], np.array(measure)
+
+
+def as_json(result: Study) -> dict[str, Any]:
+    """Everything, with infinities as null."""
+    m = result.mobility
+    data = dataclasses.asdict(m)
+    data["impossible"] = [_screw_json(s) for s in m.impossible]
+    data["uncontrolled"] = [_screw_json(s) for s in m.uncontrolled]
+    data |= {
+        "scenario": result.scenario.name,
+        "verdict": m.verdict(),
+        "inadmissible": m.inadmissible,
+        "inadmissible_start": m.inadmissible_start,
+        "lost_at_start": [list(s.joints) for s in m.lost_at_start],
+        "manipulability": {"t": result.t.tolist(), "value": result.manipulability.tolist()},
+    }
+    finite: dict[str, Any] = json.loads(
+        json.dumps(data), parse_constant=lambda _: None
+    )  # Infinity and NaN are not JSON
+    return finite
+
+
+def _screw_json(screw: Any) -> dict[str, Any]:
+    return {**dataclasses.asdict(screw), "words": screw.words()}
+
+
+def rows(result: Study) -> list[tuple[str, str, str]]:
+    """What is asked, at generic poses, at the start."""
+    m = result.mobility
+    schemes = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
+    lines = [
+        ("joints (passive)", f"{len(m.joints)} ({len(m.passive)})", ""),
+        ("rank of J_c", ", ".join(map(str, m.ranks)), str(m.rank_start)),
+        ("degrees of freedom, l - rank", str(m.freedom), str(m.freedom_start)),
+        ("object motions (largest task)", str(m.object_freedom), str(m.object_freedom_start)),
+        ("object motions the motors decide", str(m.motor_freedom), str(m.motor_freedom_start)),
+        (
+            "inadmissible schemes",
+            f"{m.inadmissible} {schemes}",
+            f"{m.inadmissible_start} {schemes}",
+        ),
+    ]
+    lines += [("redundant loop row", name, "") for name in m.dropped]
+    lines += [
+        (f"task '{task.name}', {task.rows} rows", "", f"{task.rank} free") for task in m.tasks
+    ]
+    if len(m.tasks) > 1:
+        lines.append((f"all tasks, {m.tasks_rows} rows", "", f"{m.tasks_rank} free"))
+    lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
+    lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
+    if len(result.manipulability):
+        low, high = result.manipulability.min(), result.manipulability.max()
+        lines.append(("manipulability on the way", "", f"{low:.3g} to {high:.3g}"))
+    return lines
+
+
+def schemes(result: Study) -> list[tuple[str, str, str]]:
+    """Asked, best and lost schemes with their condition."""
+    m = result.mobility
+    shown = ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
+    return [(", ".join(s.joints), *_conditions(s)) for s in shown]
+
+
+def _conditions(s: Scheme) -> tuple[str, str]:
+    generic = f"{s.condition:.3g}" if s.admissible else "inadmissible"
+    start = f"{s.condition_start:.3g}" if s.admissible_start else "singular"
+    return generic, start
+
+
+def tables(result: Study) -> list[Table]:
+    """For the terminal."""
+    first = Table(title=Text(f"mobility of {result.scenario.name}"), title_justify="left")
+    for heading in ("", "generic poses", "at the start"):
+        first.add_column(heading)
+    for row in rows(result):
+        first.add_row(*map(Text, row))
+    second = Table(title="actuation schemes: condition number", title_justify="left")
+    for heading in (
+        "asked for, then best" if result.mobility.asked else "best",
+        "generic",
+        "start",
+    ):
+        second.add_column(heading)
+    for row in schemes(result):
+        second.add_row(*map(Text, row))
+    return [first, second]
+
+
+def page(result: Study) -> str:
+    """One HTML page that works offline."""
+    line = {
+        "x": result.t.tolist(),
+        "y": [y if math.isfinite(y) else None for y in result.manipulability.tolist()],
+        "mode": "lines",
+        "line": {"color": "#0072B2", "width": 2.5},
+    }
+    layout = {
+        "height": 300,
+        "margin": {"l": 70, "r": 20, "t": 10, "b": 45},
+        "xaxis": {"title": {"text": "time [s]"}},
+        "yaxis": {"title": {"text": "manipulability"}, "rangemode": "tozero"},
+    }
+    template = (HERE / "mobility.html").read_text(encoding="utf-8")
+    return Template(template).substitute(
+        css=(HERE / "page.css").read_text(encoding="utf-8"),
+        title=html.escape(result.scenario.name),
+        version=__version__,
+        description=html.escape(result.scenario.description),
+        verdict=html.escape(result.mobility.verdict()),
+        rows=_html_rows(rows(result)),
+        schemes=_html_rows(schemes(result)),
+        figure=json.dumps({"data": [line], "layout": layout}).replace("<", "\\u003c"),
+        plotly=get_plotlyjs(),
+    )
+
+
+def _html_rows(lines: Sequence[tuple[str, str, str]]) -> str:
+    cells = (f"<td class='name'>{html.escape(a)}</td>" + _cells(rest) for a, *rest in lines)
+    return "".join(f"<tr>{row}</tr>" for row in cells)
+
+
+def _cells(values: Sequence[str]) -> str:
+    return "".join(f"<td>{html.escape(value)}</td>" for value in values)

@@ -1,0 +1,159 @@
+"""One HTML page that holds everything, plotly.js included, and works offline."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from plotly.offline import get_plotlyjs
+
+from coopqp import __version__
+from coopqp.comparison import Comparison
+from coopqp.report.cells import COLUMNS, Cell, cells, facts
+from coopqp.report.curves import Figure
+from coopqp.report.figures import Figures
+from coopqp.report.playback import scene
+from coopqp.report.style import Style, styles
+
+HERE = Path(__file__).parent
+PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
+WRAPPING = ("task_error", "solver")  # columns with names that users give
+
+
+def render(comparison: Comparison) -> str:
+    """The report as one page.
+
+    Args:
+        comparison: from :func:`coopqp.compare`.
+
+    """
+    looks = styles(comparison.traces)
+    figures = Figures(comparison)
+    joints, others = figures.joints(), figures.others()
+    plots = [{"data": figure.data, "layout": figure.layout} for figure in (*joints, *others)]
+    return Template(_read("page.html")).substitute(
+        title=text(comparison.scenario.name),
+        description=text(comparison.scenario.description),
+        version=text(__version__),
+        facts=_facts(comparison),
+        summary=_summary(comparison, looks),
+        how=_how(comparison),
+        legend=_legend(looks),
+        columns=PANES_A_ROW.get(len(looks), 3),
+        panes="".join(_pane(name, style) for name, style in looks.items()),
+        joints="".join(map(_figure, joints)),
+        others="".join(map(_figure, others)),
+        scene=script_json(scene(comparison)),
+        figures=script_json(plots),
+        css=_read("page.css"),
+        plotly=get_plotlyjs(),
+        playback_js=_read("playback.js"),
+        curves_js=_read("curves.js"),
+    )
+
+
+def text(value: str) -> str:
+    """Text between tags."""
+    return html.escape(value, quote=False)
+
+
+def script_json(value: Any) -> str:
+    """JSON inside a script tag, which ends at the first ``</script``, wherever that comes from."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def breakable(name: str) -> str:
+    """A name as text that may be broken after its underscores."""
+    return text(name).replace("_", "_<wbr>")
+
+
+def _read(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def _facts(comparison: Comparison) -> str:
+    return " · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison))
+
+
+def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
+    heads = "".join(
+        f'<th scope="col" title="{html.escape(column.help)}">{column.heading}'
+        f"<small>{column.unit}</small></th>"
+        for column in COLUMNS.values()
+    )
+    rows = "".join(_row(comparison, name, style) for name, style in looks.items())
+    return (
+        '<table class="summary"><thead><tr><th scope="col" class="name">Controller</th>'
+        f'<th scope="col" class="verdict">Verdict</th>{heads}</tr></thead>'
+        f"<tbody>{rows}</tbody></table>"
+    )
+
+
+def _row(comparison: Comparison, name: str, style: Style) -> str:
+    row = cells(comparison.traces[name], comparison.metrics[name])
+    entries = "".join(_entry(row[key], wraps=key in WRAPPING) for key in COLUMNS)
+    return (
+        f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
+        f'<td class="verdict">{text(comparison.verdicts[name])}</td>{entries}</tr>'
+    )
+
+
+def _entry(cell: Cell, *, wraps: bool) -> str:
+    first, *more = map(text, cell.lines)
+    lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
+    kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
+    return f'<td class="{kind}">' + "".join(f"<span>{line}</span>" for line in lines) + "</td>"
+
+
+def _legend(looks: dict[str, Style]) -> str:
+    return "".join(
+        f'<label title="Hide or show"><input type="checkbox" checked autocomplete="off" '
+        f'data-controller="{html.escape(name)}">{style.swatch()} {text(name)}</label>'
+        for name, style in looks.items()
+    )
+
+
+def _pane(name: str, style: Style) -> str:
+    return (
+        f'<div class="pane"><h3>{style.swatch()}<span>{breakable(name)}</span></h3>'
+        '<canvas></canvas><p class="readout"></p></div>'
+    )
+
+
+def _figure(figure: Figure) -> str:
+    notes = "".join(f'<span class="note">{text(note)}</span>' for note in figure.notes)
+    return (
+        f"<figure><figcaption>{text(figure.title)} <small>[{text(figure.unit)}]</small>{notes}"
+        '</figcaption><div class="plot"></div></figure>'
+    )
+
+
+def _how(comparison: Comparison) -> str:
+    """For readers who know neither the paper nor QPs."""
+    return "".join(f"<p>{text(paragraph)}</p>" for paragraph in _explanation(comparison))
+
+
+def _explanation(comparison: Comparison) -> Sequence[str]:
+    bounded = (
+        "and no joint goes beyond its limits"
+        if comparison.scenario.limits
+        else "and joints keep the limits that the scenario lists (this one lists none)"
+    )
+    return (
+        "All arms hold one object, so the joints are not free: whatever they do, every hand has "
+        "to stay where it holds the object. This condition is the closed loop. The loop error is "
+        "what steps of finite length still let open; the drift correction κ pulls it back.",
+        "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
+        "closed, but they do not know the joint limits; the null-space variant leans away from "
+        "limits and cannot stop there. The QP solves a small optimisation problem in every "
+        f"control period, with two hard conditions: the loop stays closed, {bounded}. "
+        "It follows the task as well as these allow.",
+        "So the curves are much alike while no limit is in the way. Where one is, the QP stops at "
+        "it and goes on with the other joints, or keeps a task error. A pseudoinverse law goes "
+        "on into the hatched region: a motion that only looks good, because the real robot "
+        "cannot make it.",
+    )
