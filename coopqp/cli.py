@@ -99,9 +99,7 @@ def run(
 
 @main.command()
 @SCENARIO
-@click.option(
-    "--actuated", help="Comma-separated joints, or q1,q2,... by their order, to ask about."
-)
+@click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
 @click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
 @TASKS
 @JSON

@@ -64,6 +64,13 @@ class LoopRows:
         return tuple(self.names[i] for i in self.kept)
 
     @property
+    def solver_names(self) -> tuple[str, ...]:
+        """Names of the rows that the solvers see; numbered when the choice varies."""
+        if self.varying:
+            return tuple(f"loop.independent[{i}]" for i in range(self.rank))
+        return self.kept_names
+
+    @property
     def varying(self) -> bool:
         """Whether the dependence between the kept rows changes with the configuration."""
         return self.rank < len(self.kept)
@@ -248,14 +255,20 @@ class ClosedChain:
         return LoopRows(names=names, kept=tuple(kept), rank=rank)
 
 
-def independent_rows(matrix: NDArray[np.float64]) -> list[int]:
-    """Indices of a largest set of independent rows, in their own order, by pivoted QR."""
+def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> list[int]:
+    """Indices of a largest set of independent rows, in their own order, by pivoted QR.
+
+    Args:
+        matrix: shape (m, n).
+        most: not more rows than this; the best pivots are kept.
+
+    """
     if not matrix.size:
         return []
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
     diagonal = np.abs(np.diag(R))
     rank = int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], 1e-300)))
-    return sorted(int(i) for i in order[:rank])
+    return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
 
 
 def matrix_rank(matrix: NDArray[np.float64]) -> int:

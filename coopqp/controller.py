@@ -35,7 +35,6 @@ class ControlProblem:
             removes the linearisation error of each step in the next.
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
-        q_start: where the references set out from, shape (n,).
 
     """
 

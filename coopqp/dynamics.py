@@ -272,11 +272,11 @@ class ClosedLoopDynamics:
         return np.concatenate([force, torque]), R
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
-        """[J]"""
+        """Kinetic energy [J]."""
         return float(pin.computeKineticEnergy(self.model, self._data, q, v))
 
     def potential_energy(self, q: Array) -> float:
-        """[J]"""
+        """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self._data, q))
 
 
@@ -319,16 +319,17 @@ class Saddle:
             rcond, _ = lapack.dgecon(lu, math.sqrt(self._flat.dot(self._flat)))
             if rcond > SINGULAR:
                 return lapack.dgetrs(lu, pivots, rhs)[0], False
-        return np.linalg.lstsq(self._K, rhs, rcond=1e-10)[0], True
+        return np.asarray(np.linalg.lstsq(self._K, rhs, rcond=1e-10)[0], float), True
 
 
 def null_space(J: Array, tolerance: float = 1e-9) -> Array:
     """Orthonormal basis of the null space of J (m, n), shape (n, n - rank)."""
     if not len(J):
-        return np.eye(J.shape[1])
+        return np.identity(J.shape[1])
     _, values, Vt = np.linalg.svd(J)
     rank = int(np.sum(values > tolerance * max(values[0], 1e-300)))
-    return np.ascontiguousarray(Vt[rank:].T)
+    basis: Array = np.ascontiguousarray(Vt[rank:].T)
+    return basis
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
@@ -363,7 +364,7 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
 def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
     names = [arm.name for arm in chain.arms]
     if shares is None:
-        return np.eye(len(names))[0]
+        return np.array([1.0] + [0.0] * (len(names) - 1))
     for name in shares:
         if name not in names:
             raise UnknownNameError("arm", name, names, "shares: ")

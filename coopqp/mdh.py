@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 #: sin(alpha) below which two axes count as parallel; a grasp is never known to a nanoradian.
-PARALLEL_AXES = 1e-9
+PARALLEL_AXES = 1e-8
 
 JointKind = Literal["revolute", "prismatic", "fixed"]
 
@@ -58,8 +58,10 @@ class Link:
     axes: Literal["joint", "base"] = "joint"
 
     def __post_init__(self) -> None:
-        if not self.mass >= 0.0:
+        if not 0.0 <= self.mass < math.inf:
             raise InvalidValueError(f"link mass: found {self.mass} kg, needs 0 or more")
+        if not np.isfinite([*self.com, *self.inertia]).all():
+            raise InvalidValueError("link com and inertia: need finite numbers")
         check_inertia(self.matrix, "link inertia")
 
     @property
@@ -96,6 +98,14 @@ class MdhRow:
     link: Link | None = None
 
     def __post_init__(self) -> None:
+        if self.kind not in get_args(JointKind):
+            known = get_args(JointKind)
+            raise UnknownNameError("kind", str(self.kind), known, f"joint {self.name}: ")
+        if not (self.velocity > 0.0 and self.effort >= 0.0):
+            raise InvalidValueError(
+                f"joint {self.name}: velocity {self.velocity} and effort {self.effort} "
+                "must be positive"
+            )
         if self.kind != "fixed" and not self.lower < self.upper:
             raise InvalidValueError(
                 f"joint {self.name}: lower limit {self.lower} is not below upper {self.upper}"
@@ -262,6 +272,8 @@ def _add_tips(
 ) -> None:
     data = _zero_pose(model)
     for name, tip in tips.items():
+        if name in joint_of:
+            raise InvalidValueError(f"tip {name}: a row has this name already")
         if tip.parent not in joint_of:
             known = [str(n) for n in joint_of if n is not None]
             raise UnknownNameError("row", tip.parent, known, f"tip {name}: ")

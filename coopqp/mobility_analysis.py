@@ -409,7 +409,10 @@ def _about_scheme(s: Scheme) -> str:
             f"Actuating {names} is admissible at generic poses (condition {s.condition:.0f}) but "
             "singular at the start."
         )
-    return f"Actuating {names} is admissible (condition {s.condition:.0f}, {s.condition_start:.0f} at the start)."
+    return (
+        f"Actuating {names} is admissible (condition {s.condition:.0f}, "
+        f"{s.condition_start:.0f} at the start)."
+    )
 
 
 def _direction_in_words(axis: Array) -> str:

@@ -35,7 +35,7 @@ class Profile:
         if t >= self.end:
             return 1.0, 0.0
         x = (t - self.delay) / self.duration
-        if x <= 0.0:
+        if x < 0.0:
             return 0.0, 0.0
         if self.kind == "quintic":
             return (

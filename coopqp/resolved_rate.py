@@ -45,6 +45,9 @@ class ResolvedRateLaw(Law):
         rows = self._k + len(start.e_loop)
         self._HJ, self._rhs = np.zeros((rows, n)), np.zeros(rows)
         self._Z = np.zeros(n)
+        # Several objectives share Z by their weights, as they share the cost of the QP.
+        weights = np.array([task.weight for task in self._secondary.tasks])
+        self._shares = weights / max(float(weights.sum()), 1e-300)
 
     def tick(self, state: State) -> Command:
         """One evaluation of eq. (33)."""
@@ -68,8 +71,8 @@ class ResolvedRateLaw(Law):
         if not self._secondary.tasks:
             return
         self._secondary.update(state)
-        Z, n = self._Z, self.problem.chain.n
+        Z, stack = self._Z, self._secondary
         Z[:] = 0.0
-        for part in range(0, len(self._secondary.wanted), n):
-            Z += self._secondary.wanted[part : part + n]
+        for part, share in zip(stack.slices, self._shares, strict=True):
+            Z += share * stack.wanted[part]
         self.command.v += Z - inverse @ (self._HJ @ Z)

@@ -45,8 +45,9 @@ class Solution:
         z_box: multipliers of the bounds, shape (n,), positive at ub, negative at lb.
         status: as the solver says; after :meth:`Verifier.check`, as verified.
         primal_residual: violation of rows or bounds (Euclidean norm).
-        dual_residual: norm of v - clip(v - g, lb, ub) with g = P v + q + A'y + G'z: zero
-            at the optimum, whatever multipliers the solver gives for the bounds.
+        dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the
+            least curvature: |g| where no bound is active, zero at the optimum, whatever
+            multipliers the solver gives for the bounds.
 
     """
 
@@ -90,14 +91,15 @@ class Budget:
     bound: Positive = 1e-6
     """Largest overrun of a bound before it is clipped to the bound [rad/s, m/s]."""
     accuracy: Positive = 1e-6
-    """Largest distance of v from the optimum [rad/s]; beyond it a tick counts as inaccurate."""
+    """Largest estimated distance from the optimum [rad/s]; beyond it a tick is inaccurate."""
 
 
 class Verifier:
     """Checks each solution against the QP itself, whatever solver it came from.
 
-    The distance to the optimum is bounded by the dual residual over the QP's curvature: with
-    curvature mu (at least the damping), |v - v*| <= |residual| / mu.
+    How far v is from the optimum is told by a projected gradient step of length 1/mu, mu being the
+    least curvature of the cost (the damping): v - clip(v - g/mu, lb, ub) vanishes at the optimum
+    alone, and where no bound is active its norm bounds |v - v*|.
 
     Args:
         qp: the problem.
@@ -109,51 +111,64 @@ class Verifier:
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
         self.qp, self.solution, self.budget = qp, solution, budget
-        self._dual = budget.accuracy * curvature
+        self._curvature = curvature
+        self._per_curvature = np.full(qp.n, 1.0 / curvature)
         self._box, self._change = np.zeros(qp.n), np.zeros(qp.n)
         self._rows, self._gradient = np.zeros(qp.p + qp.m), np.zeros(qp.n)
-        self._gap, self._above = self._rows[qp.p :], self._rows[: qp.p]
+        self._gap, self._slack = self._rows[qp.p :], self._rows[: qp.p]
         self._of_rows = solution.multipliers[qp.n :]
 
     def check(self) -> Status:
         """Clip v to the bounds and return what it is worth, from its own residuals."""
-        qp, solution, budget = self.qp, self.solution, self.budget
+        qp, solution, budget, v = self.qp, self.solution, self.budget, self.solution.v
         if not solution.status.usable:
             return solution.status
+        if not v.dot(v) < math.inf:  # written so that a NaN fails
+            return Status.NOT_FINITE
         overrun = self._clip()
-        qp.C.dot(solution.v, self._rows)
+        qp.C.dot(v, self._rows)
         gap = _norm(np.subtract(self._gap, qp.b, self._gap))
-        above = max(0.0, float(np.subtract(self._above, qp.h).max())) if qp.p else 0.0
+        above, idle = self._inequalities() if qp.p else (0.0, 0.0)
+        off = self._distance() + idle
         solution.primal_residual = max(overrun, gap, above)
-        solution.dual_residual = dual = self._dual_residual()
-        # Written so that a NaN anywhere fails.
-        if not overrun < math.inf:
+        solution.dual_residual = off * self._curvature
+        if not off < math.inf:
             return Status.NOT_FINITE
         if not (overrun <= budget.bound and above <= budget.bound):
             return Status.BOUND_RESIDUAL
         if not gap <= budget.equality:
             return Status.EQUALITY_RESIDUAL
-        return Status.OPTIMAL if dual <= self._dual else Status.INACCURATE
+        return Status.OPTIMAL if off <= budget.accuracy else Status.INACCURATE
 
     def _clip(self) -> float:
-        """Put v into the bounds; returns how far it was outside, NaN if v has one."""
+        """Put v into the bounds; returns how far it was outside."""
         qp, v, box = self.qp, self.solution.v, self._box
         np.minimum(np.maximum(v, qp.lb, out=box), qp.ub, out=box)
-        overrun = _norm(np.subtract(v, box, self._change))
+        # Once more from below: where the bounds cross, no v is inside.
+        np.maximum(box, qp.lb, out=self._change)
+        overrun = _norm(np.subtract(v, self._change, self._change))
         v[:] = box
         return overrun
 
-    def _dual_residual(self) -> float:
-        qp, v, gradient = self.qp, self.solution.v, self._gradient
-        qp.P.dot(v, gradient)
-        np.add(gradient, qp.q, gradient)
-        np.add(gradient, self._of_rows.dot(qp.C, self._change), gradient)
-        free = _norm(gradient)
-        if free <= self._dual:  # no bound holds v back
+    def _inequalities(self) -> tuple[float, float]:
+        """How far G v is above h, and how far z is from belonging to active rows only."""
+        slack = np.subtract(self.qp.h, self._slack, self._slack)
+        idle = np.minimum(slack, self.solution.z / self._curvature)
+        return max(0.0, -float(slack.min())), _norm(np.maximum(idle, -np.abs(self.solution.z)))
+
+    def _distance(self) -> float:
+        """Norm of a projected gradient step, an estimate of |v - v*|."""
+        qp, v, g = self.qp, self.solution.v, self._gradient
+        qp.P.dot(v, g)
+        np.add(g, qp.q, g)
+        np.add(g, self._of_rows.dot(qp.C, self._change), g)
+        np.multiply(g, self._per_curvature, g)
+        free = _norm(g)
+        if free <= self.budget.accuracy:  # no bound holds v back
             return free
-        np.subtract(v, gradient, gradient)
-        np.minimum(np.maximum(gradient, qp.lb, out=gradient), qp.ub, out=gradient)
-        return _norm(np.subtract(v, gradient, gradient))
+        np.subtract(v, g, g)
+        np.minimum(np.maximum(g, qp.lb, out=g), qp.ub, out=g)
+        return _norm(np.subtract(v, g, g))
 
 
 def _norm(values: Array) -> float:

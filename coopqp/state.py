@@ -97,7 +97,7 @@ class State:
         J = self.J_loop
         _, x, info = lapack.dposv(J.dot(J.T), rows)
         if info:  # not positive definite: the loops are singular here
-            return np.linalg.lstsq(J, rows, rcond=1e-10)[0]
+            return np.asarray(np.linalg.lstsq(J, rows, rcond=1e-10)[0], float)
         return J.T.dot(x)
 
     def point(self, p_O: Array) -> Array:
@@ -175,7 +175,7 @@ class State:
     def _update_loop_rows(self) -> None:
         rows = self._kept
         if self.chain.loops.varying:
-            rows = rows[independent_rows(self.J_rel[rows])][: len(self.e_loop)]
+            rows = rows[independent_rows(self.J_rel[rows], most=len(self.e_loop))]
             # At a singular pose fewer rows are independent; the missing ones ask for nothing.
             self.J_loop[:], self.e_loop[:] = 0.0, 0.0
         self.J_loop[: len(rows)] = self.J_rel[rows]

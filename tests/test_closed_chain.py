@@ -289,18 +289,7 @@ def test_spherical_arms_have_three_independent_loop_rows() -> None:
     assert spherical_pair().loops.rank == 3
 
 
-@pytest.mark.parametrize(
-    "drift",
-    [
-        0.0,
-        pytest.param(
-            1e-6,
-            marks=pytest.mark.xfail(
-                strict=True, reason="BUG State._update_loop_rows keeps the first, not the best rows"
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("drift", [0.0, 1e-6])
 def test_rows_for_the_solver_stay_well_apart_when_the_loop_drifts(
     drift: float, rng: np.random.Generator
 ) -> None:

@@ -46,7 +46,7 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
         if not cls.__module__.startswith("coopqp"):
             continue
         source = inspect.getsource(cls)
-        for field in cls.__dict__.get("__annotations__", {}):
+        for field in inspect.get_annotations(cls):
             after = source.split(f"    {field}:", 1)[1].split("\n", 2)[1]
             assert '"""' in after or field in ("unit", "joint_space", "constant", "uses_solver")
 

@@ -238,7 +238,6 @@ def test_qp_stays_within_all_limits_on_the_way_to_a_goal_out_of_reach(
     assert np.abs(np.diff(result.distance[-20:])).max() < 1e-3
 
 
-@pytest.mark.xfail(strict=True, reason="BUG Verifier: 1e-12 off an active bound is INACCURATE")
 def test_exact_answers_at_the_limits_count_as_optimal(reach_too_far: ControlProblem) -> None:
     """DAQP's answers lie within 3e-10 of the optimum of its active set in every such tick."""
     assert run(QPController(), reach_too_far, 200, UNREACHABLE).statuses == {Status.OPTIMAL}

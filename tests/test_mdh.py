@@ -213,7 +213,6 @@ def test_two_rows_with_one_name_are_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["revolute", "fixed"])
-@pytest.mark.xfail(strict=True, reason="BUG mdh.build_model: a tip may take a row's name unnoticed")
 def test_tip_with_the_name_of_a_row_is_refused(kind: mdh.JointKind) -> None:
     """Else getFrameId finds the row's frame, and the tip's offset is silently lost."""
     rows = [
@@ -268,9 +267,6 @@ UNCHECKED: dict[str, Callable[[], object]] = {
 
 
 @pytest.mark.parametrize("build", UNCHECKED.values(), ids=UNCHECKED.keys())
-@pytest.mark.xfail(
-    strict=True, reason="BUG mdh.Link, mdh.MdhRow: accepted, then turned into a model"
-)
 def test_value_without_meaning_is_refused(build: Callable[[], object]) -> None:
     with pytest.raises(CoopqpError):
         build()

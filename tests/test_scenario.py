@@ -36,7 +36,7 @@ FAULTS = [
     ("mass: 0.2", "mass: -1", "mass: found -1; needs greater than or equal to 0"),
     ("[qp, ", "[qp, qp, ", "controllers[1]: the name 'qp' is taken"),
     ("robot: nao_t14\n", "", "robot: is missing"),
-    ("robot: nao_t14", "robot: nao_t14\nsolver: dapq", "unknown solver 'dapq'; did you mean 'daqp'"),
+    ("robot: nao_t14", "robot: nao_t14\nsolver: dapq", "unknown solver 'dapq'; did you mean"),
     ("grasp: rigid", "grasp: {rigid: {}, firm: {}}", "needs one grasp by name, such as 'rigid'"),
     (
         "grasp: rigid",
@@ -78,7 +78,7 @@ def test_all_faults_come_at_once(tmp_path: Path) -> None:
 
 def test_a_zero_normal_is_refused(tmp_path: Path) -> None:
     text = shipped()["point_on_plane"].read_text(encoding="utf-8")
-    with pytest.raises(ScenarioError, match="normal: .*all three numbers are zero"):
+    with pytest.raises(ScenarioError, match=r"normal: .*all three numbers are zero"):
         load(write(tmp_path, text.replace("normal: [0, 0, 1]", "normal: [0, 0, 0]")))
 
 

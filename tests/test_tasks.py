@@ -247,7 +247,6 @@ class Hinge(Grasp):
         return (PassiveJoint(name="hinge", joint=pin.JointModelRX(), placement=pin.SE3.Identity()),)
 
 
-@pytest.mark.xfail(strict=True, reason="BUG JointCentering.bind: 0.5 * (-inf + inf) warns")
 def test_joint_without_limits_is_left_alone(nao: RobotModel, chain: ClosedChain) -> None:
     hinged = ClosedChain(nao, chain.q_start, Hinge(), HeldObject())
     q = np.full(hinged.n, 0.3)
@@ -311,7 +310,6 @@ def test_profile_has_its_known_top_speed(kind: str, top: float) -> None:
     assert max(rates) == pytest.approx(top / 2.0)
 
 
-@pytest.mark.xfail(strict=True, reason="BUG Profile.at: x <= 0 gives rate 0 at the first instant")
 def test_constant_velocity_is_there_from_the_first_instant() -> None:
     """The first tick moves by rate dt; without it the point lags one tick's way behind."""
     profile = Profile(kind="constant_velocity", duration=2.0)

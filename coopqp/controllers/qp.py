@@ -43,7 +43,7 @@ class QPLaw(Law):
             RowNames(
                 variables=chain.joint_names,
                 inequalities=tuple(name for r in rows for name in r),
-                equalities=chain.loops.kept_names[: len(start.e_loop)],
+                equalities=chain.loops.solver_names,
             )
         )
         self.solution = Solution(self.qp)

@@ -1,4 +1,7 @@
-"""Joints stay within their range: (lower - q)/dt <= v <= (upper - q)/dt."""
+"""Joints stay within their range: (lower - q)/dt <= v <= (upper - q)/dt.
+
+A joint outside its range is sent back at the speed that the limits before this one allow.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,12 @@ class JointPosition(Limit):
         def tighten(state: State, rows: LimitRows) -> None:
             np.subtract(ends, state.q, room)
             np.multiply(room, rate, room)
-            np.maximum(rows.lb, below, out=rows.lb)
-            np.minimum(rows.ub, above, out=rows.ub)
+            # Clipped into what the other limits leave: outside its range a joint comes back as
+            # fast as it may, and the bounds never cross.
+            np.maximum(rows.lb, below, out=below)
+            np.minimum(rows.ub, above, out=above)
+            np.maximum(rows.lb, above, out=above)
+            np.minimum(rows.ub, below, out=rows.lb)
+            rows.ub[:] = above
 
         return tighten

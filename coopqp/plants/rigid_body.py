@@ -33,7 +33,8 @@ class RigidBodyModel(PlantModel):
         settings: the plug-in.
 
     Attributes:
-        signals: tau, shape (n,) [N m], of the last step; energy, shape (2,): kinetic, potential [J];
+        signals: tau, shape (n,) [N m], of the last step; energy, shape (2,):
+            kinetic and potential [J];
             saturated, shape (n,): share of the period's steps that a motor was at its limit.
 
     """

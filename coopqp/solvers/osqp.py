@@ -52,6 +52,9 @@ class Osqp(Solver):
         )  # fmt: skip
 
         def solve() -> None:
+            if (qp.lower > qp.upper).any():  # osqp would print, and solve the last problem again
+                solution.status = Status.INFEASIBLE
+                return
             values[:, 1:] = qp.C.T
             backend.update(q=qp.q, l=qp.lower, u=qp.upper, Px=qp.P[row, column], Ax=values.ravel())
             backend.warm_start(x=solution.v, y=solution.multipliers)

@@ -25,7 +25,7 @@ class Proxqp(Solver):
     """Absolute tolerance on the residuals."""
     eps_primal_inf: Positive = 1e-8
     """Below its default of 1e-4: with small numbers, feasible problems were called infeasible."""
-    max_iter: int = 10_000
+    max_iter: int = 1_000
     """Most outer iterations."""
 
     def open(self, qp: QP, solution: Solution) -> Solve:
@@ -42,6 +42,11 @@ class Proxqp(Solver):
         def solve() -> None:
             backend.update(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
             backend.solve()
+            if backend.results.info.status != proxqp.PROXQP_SOLVED:
+                # A far warm start makes it call feasible problems infeasible: ask again, cold.
+                backend.cleanup()
+                backend.update(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
+                backend.solve()
             results = backend.results
             solution.v[:] = results.x
             solution.y[:] = results.y
