@@ -98,7 +98,7 @@ class State:
         _, x, info = lapack.dposv(J.dot(J.T), rows)
         if info:  # not positive definite: the loops are singular here
             return np.asarray(np.linalg.lstsq(J, rows, rcond=1e-10)[0], float)
-        return J.T.dot(x)
+        return np.asarray(J.T.dot(x), float)
 
     def point(self, p_O: Array) -> Array:
         """Where a point of the object is in the world, shape (3,) [m].
