@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-
 from coopqp import mdh
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.spec import Lengths3, Positive, spec
