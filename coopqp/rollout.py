@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,7 @@ from coopqp.controller import Law
 from coopqp.plant import PlantModel
 from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.task import TaskStack
+from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
 
 Array = NDArray[np.float64]
@@ -83,7 +83,8 @@ class _Recorder:
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
-        self.task_error = np.zeros((rows, len(problem.tasks)))
+        self._parts = _parts(problem.tasks, problem.chain)
+        self.task_error = np.zeros((rows, len(self._parts)))
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
@@ -98,7 +99,7 @@ class _Recorder:
         self.position[k], self.rotation[k] = state.p_WO, state.R_WO
         self.loop[k] = state.loop_position_error, state.loop_orientation_error
         self._tasks.update(state)
-        for i, part in enumerate(self._tasks.slices):
+        for i, (_, part) in enumerate(self._parts):
             self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
 
     def record_signals(self, k: int, plant: PlantModel) -> None:
@@ -127,7 +128,7 @@ class _Recorder:
             lower=chain.lower,
             upper=chain.upper,
             velocity=chain.velocity,
-            tasks=tuple(TaskInfo(k.name, k.unit, k.tolerance, k.end) for k in problem.tasks),
+            tasks=tuple(info for info, _ in self._parts),
             t=self.t,
             q=self.q,
             v=self.v,
@@ -143,6 +144,18 @@ class _Recorder:
             failures=tuple(self.failures),
             signals=self.signals,
         )
+
+
+def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
+    """What the trace says of each part of each task, and its rows in the stack."""
+    found, at = [], 0
+    for task in tasks:
+        for part in task.parts(chain):
+            name = f"{task.name}.{part.name}" if part.name else task.name
+            info = TaskInfo(name, part.unit, part.tolerance, task.end)
+            found.append((info, slice(at, at + part.rows)))
+            at += part.rows
+    return found
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

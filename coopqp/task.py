@@ -45,6 +45,24 @@ class TaskRows:
 Evaluate = Callable[[State, TaskRows], None]
 
 
+@dataclass(frozen=True)
+class Part:
+    """Rows of a task that share a unit, so that their error is one number.
+
+    Attributes:
+        name: such as "orientation"; empty when the task has one part.
+        rows: how many.
+        unit: of the error.
+        tolerance: error at the end that still counts as reached [unit].
+
+    """
+
+    name: str
+    rows: int
+    unit: str
+    tolerance: float
+
+
 @spec
 class Task:
     """A plug-in in ``tasks/``: what the object, or the joints, shall do."""
@@ -77,6 +95,10 @@ class Task:
 
         """
         raise NotImplementedError
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """The rows by unit, in their order; one part for most tasks."""
+        return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
 
     @property
     def end(self) -> float:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TaskInfo:
-    """A task as the trace needs it."""
+    """A task, or a part of it with a unit of its own, as the trace needs it."""
 
     name: str
     unit: str

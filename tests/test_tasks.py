@@ -16,10 +16,11 @@ from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.held_object import HeldObject
 from coopqp.profile import Profile
 from coopqp.robot import RobotModel
+from coopqp.spec import Pose as PoseValue
 from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint
+from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint, Pose
 from coopqp.tasks.point_on_plane import Turn
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ THROUGH = (0.2, 0.01, 0.06)
 
 #: At least one of every class; a new task needs a line here.
 EXAMPLES: dict[str, Task] = {
+    "pose": Pose(goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)), profile=SMOOTH),
     "origin on point": PointOnPoint(goal=(0.2, 0.02, 0.08), profile=SMOOTH),
     "point on point": PointOnPoint(goal=(0.2, 0.02, 0.08), point=POINT, profile=SMOOTH),
     "step to a point": PointOnPoint(
