@@ -26,7 +26,7 @@ def test_a_million_ticks_do_not_grow(benchmark: BenchmarkFixture, scenario: Scen
     """Ticks back and forth along the scenario's motion."""
     problem = scenario.problem()
     law = QPController().build(problem)
-    plant = scenario.plant.build(problem, seed=0)
+    plant = scenario.plant.build(problem, 0, scenario.disturbance)
     state = law.start()
 
     def ticks(count: int) -> None:

@@ -28,7 +28,7 @@ def test_coopqp_tick(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """The tick of the hand-written loop in the README, without joint centring: Pink has none."""
     problem = replace(scenario, secondary=()).problem()
     law = QPController().build(problem)
-    plant = scenario.plant.build(problem, seed=0)
+    plant = scenario.plant.build(problem, 0, scenario.disturbance)
 
     def motion() -> float:
         state = law.start()

@@ -46,7 +46,6 @@ class Entry:
         name: in YAML, and of its file.
         cls: its class.
         help: one line.
-
     """
 
     name: str
@@ -62,7 +61,6 @@ class Catalog:
 
     Raises:
         CoopqpError: a user's task file cannot be read, or takes a name that exists.
-
     """
 
     def __init__(self, task_folders: tuple[Path, ...] = ()) -> None:
@@ -82,7 +80,6 @@ class Catalog:
 
         Args:
             kind: a collection, such as "tasks".
-
         """
         return self._collections[kind]
 
@@ -91,7 +88,6 @@ class Catalog:
 
         Raises:
             UnknownNameError: with the nearest names.
-
         """
         known = self.entries(kind)
         if name not in known:

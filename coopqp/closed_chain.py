@@ -46,7 +46,6 @@ class LoopRows:
         names: of all rows, such as "loop[left].rot_y".
         kept: indices of the rows handed to the solvers.
         rank: rank of J_c at generic configurations.
-
     """
 
     names: tuple[str, ...]
@@ -99,7 +98,6 @@ class ClosedChain:
     Raises:
         GraspError: fewer than two arms, or grasps that do not close at the start.
         UnknownNameError: a grasp for an arm that the robot does not have.
-
     """
 
     def __init__(
@@ -119,6 +117,7 @@ class ClosedChain:
             raise InvalidValueError(
                 f"q_start: found shape {start.shape}, needs ({robot.model.nq},)"
             )
+        self._robot_start = start
         self.model = robot.model.copy()
         ends = {arm.name: self._add_passive_joints(arm) for arm in self.arms}
         self.n: int = self.model.nv
@@ -170,7 +169,7 @@ class ClosedChain:
 
     def _add_passive_joints(self, arm: Arm) -> str:
         """Insert the grasp's joints after the tip; returns the frame that carries the object."""
-        joints = self.grasps[arm.name].passive_joints()
+        joints = self.grasps[arm.name].passive_joints(self._tip_orientation(arm))
         if not joints:
             return arm.tip
         tail, parent, one = pin.Model(), 0, np.ones(1)
@@ -185,6 +184,13 @@ class ClosedChain:
         tip = self.model.getFrameId(arm.tip)
         self.model = pin.appendModel(self.model, tail, tip, pin.SE3.Identity())
         return end
+
+    def _tip_orientation(self, arm: Arm) -> NDArray[np.float64]:
+        model = self.robot.model
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, self._robot_start)
+        R: NDArray[np.float64] = data.oMf[model.getFrameId(arm.tip)].rotation.copy()
+        return R
 
     def _extended(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Configuration of the model with its passive joints, these at zero."""
@@ -220,7 +226,6 @@ class ClosedChain:
 
         Raises:
             GraspError: the object's pose and the grasps put it in different places.
-
         """
         seen = {
             f"the grasp of arm '{arm}'": X_WE[arm] * pose_matrix(grasp.object_in_hand)
@@ -261,7 +266,6 @@ def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> li
     Args:
         matrix: shape (m, n).
         most: not more rows than this; the best pivots are kept.
-
     """
     if not matrix.size:
         return []

@@ -32,7 +32,6 @@ class Comparison:
         traces: by controller.
         metrics: by controller, then by metric.
         verdicts: one sentence each, by controller.
-
     """
 
     scenario: Scenario
@@ -61,7 +60,6 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     Raises:
         UnknownNameError: no such controller.
         CoopqpError: the controller or the plant cannot be built for this scenario.
-
     """
     chosen = scenario.controllers.get(controller)
     if chosen is None:
@@ -74,7 +72,7 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     report = (lambda k: progress(controller, k)) if progress else None
     return rollout(
         chosen.build(problem),
-        scenario.plant.build(problem, scenario.seed),
+        scenario.plant.build(problem, scenario.seed, scenario.disturbance),
         scenario.ticks,
         controller=controller,
         solver=scenario.solver_name if chosen.uses_solver else None,
@@ -97,7 +95,6 @@ def compare(
 
     Raises:
         CoopqpError: as :func:`run`.
-
     """
     names = list(controllers) or list(scenario.controllers)
     traces = {name: run(scenario, controller=name, progress=progress) for name in names}

@@ -42,7 +42,6 @@ class ConstraintEquations:
         J_a: object twist from v_a by each arm, shape (N, 6, f) [m/rad, 1]; all N agree.
         drift: what Jdot_c v adds to the accelerations, a = motion a_a + drift, shape (n,).
         condition: of the block that is inverted; beyond 1e8 the scheme is singular here.
-
     """
 
     actuated: tuple[int, ...]
@@ -80,7 +79,6 @@ def constraint_equations(
 
     Raises:
         UnknownNameError, InvalidValueError: the choice is no scheme of this chain.
-
     """
     a, c = scheme(chain, actuated), _cut_joints(chain, cut, actuated)
     p = tuple(i for i in range(chain.n) if i not in a and i not in c)
@@ -116,7 +114,6 @@ def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
     Raises:
         UnknownNameError: an unknown joint.
         InvalidValueError: a joint given twice, or more or fewer than the degrees of freedom.
-
     """
     freedom = chain.n - chain.loops.rank
     joints = chain.joint_names

@@ -35,7 +35,6 @@ class ControlProblem:
             removes the linearisation error of each step in the next.
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
-
     """
 
     chain: ClosedChain
@@ -71,26 +70,38 @@ class Command:
     """What a controller wants, in preallocated arrays.
 
     Attributes:
-        v: joint velocity for the next dt, shape (n,) [rad/s, m/s].
-        status: what became of the tick; not usable means v = 0.
-
+        v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
+        tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
+        status: what became of the tick; not usable means v = 0, or torques that only hold.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, *, torques: bool = False) -> None:
         self.v = np.zeros(n)
+        self.tau = np.zeros(n) if torques else None
         self.status = Status.OPTIMAL
+
+    def copy(self) -> Command:
+        """The same, in arrays of its own."""
+        other = Command(len(self.v))
+        other.v[:] = self.v
+        other.tau = None if self.tau is None else self.tau.copy()
+        other.status = self.status
+        return other
 
 
 class Law(ABC):
     """A controller built for one problem."""
 
-    def __init__(self, problem: ControlProblem) -> None:
+    memory_size: int = 0
+    """How many numbers the law must remember between ticks; they live in ``State.memory``."""
+
+    def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
         self.problem = problem
-        self.command = Command(problem.chain.n)
+        self.command = Command(problem.chain.n, torques=torques)
 
     def start(self, q: ArrayLike | None = None) -> State:
         """The first state, with room for the law's memory; q is the chain's start if omitted."""
-        return State(self.problem.chain, q)
+        return State(self.problem.chain, q, memory=np.zeros(self.memory_size))
 
     @abstractmethod
     def tick(self, state: State) -> Command:
@@ -113,6 +124,5 @@ class Controller:
 
         Raises:
             CoopqpError: the controller cannot be used for this problem.
-
         """
         raise NotImplementedError

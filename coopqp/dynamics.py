@@ -58,7 +58,6 @@ class DirectResult:
         wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
             of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
         singular: whether the loops were singular, so that a least-squares answer was given.
-
     """
 
     a: Array
@@ -76,7 +75,6 @@ class InverseResult:
         singular: whether the actuation scheme cannot produce every motion here. tau is then the
             least-squares answer and ``residual`` tells what it leaves undone.
         residual: largest generalised force that tau does not produce [N m].
-
     """
 
     tau: Array
@@ -94,17 +92,18 @@ class ClosedLoopDynamics:
             first arm when omitted. It changes the wrench at the cut, nothing else.
         friction: of every joint.
         actuated: names of the actuated joints; all but the passive ones when omitted.
+        mass_scale: of the object's mass and inertia over what the chain says.
 
     Attributes:
         model: the tree with the object's mass.
         A, H, J, drift: the terms above as of the last :meth:`update`; drift is Jdot_c v, (m,).
+        J_object: Jacobian of the object by arm 0 as of the last update, shape (6, n).
         actuated: indices of the actuated joints, shape (k,).
 
     Raises:
         InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
             a passive joint among them.
         UnknownNameError: an unknown joint or arm.
-
     """
 
     def __init__(
@@ -114,14 +113,16 @@ class ClosedLoopDynamics:
         shares: Mapping[str, float] | None = None,
         friction: Friction | None = None,
         actuated: Sequence[str] | None = None,
+        mass_scale: float = 1.0,
     ) -> None:
         self.chain = chain
+        body = chain.held.body()
+        self._body = pin.Inertia(mass_scale * body.mass, body.lever, mass_scale * body.inertia)
         self.shares = _shares(chain, shares)
         self.model = chain.model.copy()
         for frame, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
-                body = chain.held.body()
-                part = pin.Inertia(share * body.mass, body.lever, share * body.inertia)
+                part = pin.Inertia(share * self._body.mass, body.lever, share * self._body.inertia)
                 self.model.appendBodyToJoint(
                     chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
                 )
@@ -137,6 +138,7 @@ class ClosedLoopDynamics:
         m, k = len(self._kept), len(self.actuated)
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self._J_arms, self._drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
+        self.J_object = self._J_arms[:6]
         self._J_rel, self._drift_rel = np.zeros((rows, n)), np.zeros(rows)
         whole = m == rows
         self.J = self._J_rel if whole else np.zeros((m, n))
@@ -158,7 +160,6 @@ class ClosedLoopDynamics:
         Args:
             q: configuration, shape (n,) [rad].
             v: velocity with J_c v = 0, shape (n,) [rad/s].
-
         """
         model, data = self.model, self._data
         self.A[:] = pin.crba(model, data, q)
@@ -195,7 +196,6 @@ class ClosedLoopDynamics:
 
         Args:
             tau: torques of all joints, shape (n,); entries of passive joints should be 0 [N m].
-
         """
         n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
@@ -215,12 +215,19 @@ class ClosedLoopDynamics:
 
         Args:
             a: joint accelerations with J_c a = -Jdot_c v, shape (n,) [rad/s2].
+        """
+        self.A.dot(a, self._Gamma)
+        np.add(self._Gamma, self.H, self._Gamma)
+        return self.distribute(self._Gamma)
 
+    def distribute(self, Gamma: Array) -> InverseResult:
+        """Motor torques with the effect of the tree's torques Gamma, eq. (23) and (27).
+
+        Args:
+            Gamma: torques of all joints of the tree, shape (n,) [N m].
         """
         m, act, pas = len(self.drift), self.actuated, self.passive
-        Gamma, J_a, J_p = self._Gamma, self._J_a, self._J_p
-        self.A.dot(a, Gamma)
-        np.add(Gamma, self.H, Gamma)
+        J_a, J_p = self._J_a, self._J_p
         Gamma_a, Gamma_p = Gamma[act], Gamma[pas]
         np.take(self.J, act, axis=1, out=J_a)
         np.take(self.J, pas, axis=1, out=J_p)
@@ -240,18 +247,24 @@ class ClosedLoopDynamics:
         """Orthonormal basis N of the null space of J_c as of the last update, shape (n, f)."""
         return null_space(self.J)
 
-    def object_wrenches(self, a: Array, wrench: Array) -> ObjectWrenches:
+    def gravity(self, q: Array) -> Array:
+        """Torques of the tree that hold it at rest, shape (n,) [N m]."""
+        return np.asarray(pin.computeGeneralizedGravity(self.model, self._data, q), float)
+
+    def object_wrenches(self, a: Array, wrench: Array, push: Array | None = None) -> ObjectWrenches:
         """Split what the hands do to the object into what moves it and what only squeezes it.
 
         Args:
             a: joint accelerations, shape (n,).
             wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
-
+            push: on the object from outside, shape (6,); the hands need not bring it. The tree
+                must feel it through arm 0, as ``J_object' push``.
         """
-        needed, R = self._object_wrench(a)
+        carried, R = self._object_wrench(a)
+        needed = carried if push is None else carried - push
         loops = wrench.reshape(-1, 6)
-        by_arm = np.outer(self.shares, needed)
-        by_arm[0] += loops.sum(axis=0)
+        by_arm = np.outer(self.shares, carried)
+        by_arm[0] += loops.sum(axis=0) + (needed - carried)
         by_arm[1:] -= loops
         internal = by_arm - np.outer(self.chain.alpha, needed)
         return ObjectWrenches(needed, by_arm, internal, R)
@@ -263,7 +276,7 @@ class ClosedLoopDynamics:
         acceleration = drift.vector + self._J_arms[:6] @ a
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()
-        body = self.chain.held.body()
+        body = self._body
         r, I = R @ body.lever, R @ body.inertia @ R.T  # noqa: E741
         alpha = acceleration[3:]
         a_com = acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r))
@@ -289,7 +302,6 @@ class ObjectWrenches:
         by_arm: what each hand does to it, shape (N, 6); they sum to ``needed``.
         internal: the part that cancels between the hands, shape (N, 6); sums to zero.
         rotation: of the object, shape (3, 3).
-
     """
 
     needed: Array
@@ -303,7 +315,6 @@ class Saddle:
 
     Args:
         n: rows of top. m: rows of left.
-
     """
 
     def __init__(self, n: int, m: int) -> None:
@@ -338,7 +349,6 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
     Raises:
         UnknownNameError: an unknown joint.
         InvalidValueError: a passive or repeated joint, or fewer than the degrees of freedom.
-
     """
     joints = chain.joint_names
     passive = {joints[i] for i in chain.passive}

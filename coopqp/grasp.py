@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from coopqp.spec import Pose, spec
+from coopqp.spec import Pose, spec, unit
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +29,6 @@ class PassiveJoint:
         joint: pinocchio joint model with one coordinate.
         placement: pose of the joint frame in the one before it (the tip frame for the first).
         lower, upper: limits [rad or m].
-
     """
 
     name: str
@@ -44,9 +46,33 @@ class Grasp:
     """Pose of the object in the arm's tip frame when it is known; else the start tells, eq. (1)."""
 
     @abstractmethod
-    def passive_joints(self) -> tuple[PassiveJoint, ...]:
-        """The joints this grasp adds after the tip, hand first."""
+    def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
+        """The joints this grasp adds after the tip, hand first.
+
+        Args:
+            R_WT: orientation of the tip frame at the start, shape (3, 3), for axes that are given
+                in the world.
+        """
         raise NotImplementedError
+
+
+def axis_frame(
+    axis: tuple[float, float, float],
+    axis_in: Literal["hand", "world"],
+    point: tuple[float, float, float],
+    R_WT: Array,
+) -> pin.SE3:
+    """Frame in the hand with z along an axis and its origin on it.
+
+    Args:
+        axis: direction, in the hand or in the world.
+        axis_in: which of the two.
+        point: in the hand [m].
+        R_WT: orientation of the hand at the start.
+    """
+    z = unit(axis) if axis_in == "hand" else R_WT.T @ unit(axis)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z)
+    return pin.SE3(turn.toRotationMatrix(), np.array(point))
 
 
 def pose_matrix(pose: Pose) -> pin.SE3:

@@ -24,7 +24,6 @@ class LimitRows:
     Attributes:
         lb, ub: bounds on v, shape (n,) [rad/s, m/s].
         G, h: this limit's own inequality rows, shapes (p, n) and (p,).
-
     """
 
     lb: Array
@@ -54,6 +53,5 @@ class Limit:
         Args:
             chain: what is limited.
             dt: control period [s].
-
         """
         raise NotImplementedError

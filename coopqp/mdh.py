@@ -49,7 +49,6 @@ class Link:
         axes: "joint" when com and inertia are written along the axes of MDH frame j; "base" when
             they are written along the base axes at the zero pose, as robot makers do. The origin
             is that of frame j in both cases.
-
     """
 
     mass: float
@@ -84,7 +83,6 @@ class MdhRow:
         velocity: [rad/s or m/s].
         effort: [N m or N].
         link: mass properties; None for a massless link.
-
     """
 
     name: str
@@ -119,7 +117,6 @@ class Tip:
     Attributes:
         parent: name of the row it is fixed to.
         offset: from that row's origin, along the base axes at the zero pose, shape (3,) [m].
-
     """
 
     parent: str
@@ -137,7 +134,6 @@ def check_inertia(matrix: NDArray[np.float64], what: str) -> None:
 
     Raises:
         InvalidValueError: a principal moment is negative or exceeds the sum of the other two.
-
     """
     moments = np.linalg.eigvalsh(matrix)
     slack = 1e-9 * max(float(moments[-1]), 1e-12)
@@ -201,7 +197,6 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     Raises:
         UnknownNameError: an antecedent or tip parent is not in the table above it.
         InvalidValueError: two rows share a name, or rows are not depth first.
-
     """
     model = pin.Model()
     model.name = name

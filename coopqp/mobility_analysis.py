@@ -43,7 +43,6 @@ class Screw:
         point: of the axis nearest to the object's origin, in the world [m]; the origin itself for
             a translation.
         pitch: translation per turn [m/rad]; infinite for a translation.
-
     """
 
     twist: tuple[float, ...]
@@ -72,7 +71,6 @@ class Scheme:
         condition_start: the same at the start.
         admissible: whether the choice is regular at any generic pose.
         admissible_start: whether it is at the start.
-
     """
 
     joints: tuple[str, ...]
@@ -90,7 +88,6 @@ class TaskMobility:
         name: of the task.
         rows: its dimension.
         rank: how many of its rows can be chosen freely at the start.
-
     """
 
     name: str
@@ -119,7 +116,6 @@ class Mobility:
         schemes: those that were tried, best first; all when ``schemes_complete``.
         schemes_complete: whether all were tried.
         asked: the scheme the user asked about.
-
     """
 
     joints: tuple[str, ...]
@@ -192,7 +188,6 @@ def mobility(
 
     Raises:
         UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain.
-
     """
     rng = np.random.default_rng(seed)
     poses = [_pose(chain, q) for q in chain.sample(rng, samples)]
@@ -236,7 +231,6 @@ def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
         chain: the closed chain.
         q: configuration with the loops closed, shape (n,).
         task_rows: Jacobian of the tasks there, shape (k, n).
-
     """
     values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
     return float(np.prod(values)) if len(values) == len(task_rows) else 0.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.controller import Command, ControlProblem
+from coopqp.disturbance import Disturbance
 from coopqp.spec import spec
 from coopqp.state import State
 
@@ -20,10 +20,12 @@ class PlantModel(ABC):
     Attributes:
         signals: what the plant tells beside the state, by name, written by each step; the trace
             keeps it.
-
     """
 
-    signals: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
+    def __init__(self) -> None:
+        self.signals = {}
+
+    signals: dict[str, NDArray[np.float64]]
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
@@ -34,12 +36,19 @@ class PlantModel(ABC):
 class Plant:
     """A plug-in in ``plants/``: settings, and how to build the plant."""
 
+    takes_torques: ClassVar[bool] = True
+    """Whether torques can be commanded, and disturbances have an effect."""
+
     @abstractmethod
-    def build(self, problem: ControlProblem, seed: int) -> PlantModel:
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """Make the plant, at rest at the chain's start.
+
+        Args:
+            problem: what the controller was built for.
+            seed: of everything random.
+            disturbance: what the controller does not know.
 
         Raises:
             CoopqpError: the plant cannot be built for this problem.
-
         """
         raise NotImplementedError

@@ -24,7 +24,6 @@ class RowNames:
         variables: shape (n,), such as "RElbowRoll".
         inequalities: rows of G, shape (p,).
         equalities: rows of A, shape (m,), such as "loop[left].rot_y".
-
     """
 
     variables: tuple[str, ...]
@@ -42,7 +41,6 @@ class QP:
         P: shape (n, n), symmetric. q: shape (n,).
         C: [G; A], shape (p + m, n).
         lower, upper: of [v; G v; A v], shape (n + p + m,).
-
     """
 
     def __init__(self, names: RowNames) -> None:

@@ -31,7 +31,6 @@ class ResolvedRateLaw(Law):
         problem: tasks and closed chain.
         invert: (k + m, n) -> (n, k + m), the inverse of H J_ext.
         null_space: whether the secondary objectives enter as Z.
-
     """
 
     def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:

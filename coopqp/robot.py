@@ -22,7 +22,6 @@ class Robot(ABC):
 
         Raises:
             CoopqpError: the description cannot be turned into a model.
-
         """
 
 
@@ -33,7 +32,6 @@ class Arm:
     Attributes:
         name: as used in scenarios, such as "right".
         tip: frame of the hand.
-
     """
 
     name: str
@@ -49,7 +47,6 @@ class RobotModel:
         model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
-
     """
 
     name: str
@@ -90,7 +87,6 @@ class RobotModel:
         Raises:
             UnknownNameError: a key is neither an arm nor a joint.
             InvalidValueError: wrong number of values, or a value that is not finite.
-
         """
         q = np.array(pin.neutral(self.model))
         arms = {arm.name: self.arm_joints(arm) for arm in self.arms}

@@ -46,7 +46,6 @@ def rollout(
 
     Returns:
         All that happened.
-
     """
     state = law.start()
     recorder = _Recorder(law, plant, state, ticks)
@@ -167,7 +166,6 @@ def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
 
     Returns:
         By arm, base first, shape (T, p, 3) [m].
-
     """
     model, data = chain.model, chain.model.createData()
     joints = {

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem
+from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
@@ -45,9 +46,9 @@ class Scenario:
             [rad, m]).
         tasks, secondary, limits: what shall happen and what must not.
         controllers: by name; what is compared.
-        plant, solver, solver_name, budget: what is controlled and how QPs are solved.
+        plant, disturbance: what is controlled, and what the controllers are not told of it.
+        solver, solver_name, budget: how QPs are solved.
         dt, duration: [s]. kappa: drift correction [1/s]. seed: of everything random.
-
     """
 
     name: str
@@ -62,6 +63,7 @@ class Scenario:
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
     controllers: Mapping[str, Controller] = field(default_factory=dict)
     plant: Plant = field(default_factory=Kinematic)
+    disturbance: Disturbance = field(default_factory=Disturbance)
     solver: Solver = field(default_factory=Daqp)
     solver_name: str = "daqp"
     budget: Budget = field(default_factory=Budget)
@@ -108,7 +110,6 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
-
     """
     file = read_yaml(find(path))
     read = check(file, file_model(catalog or Catalog()))
@@ -152,6 +153,7 @@ class _Reader:
             limits=tuple(chosen(slot)[1] for slot in read.limits),
             controllers={c.name: c for c in self._named("controllers")},
             plant=chosen(read.plant)[1],
+            disturbance=read.disturbance,
             solver=solver,
             solver_name=getattr(solver, "backend", solver_name),
             budget=read.budget,
@@ -161,6 +163,8 @@ class _Reader:
             seed=read.seed,
         )
         self._check_times(scenario)
+        if not scenario.disturbance.none and not scenario.plant.takes_torques:
+            self._fault(["disturbance"], "has no effect on this plant; use one with masses")
         if self._faults:
             raise ScenarioError(self._faults)
         return scenario
@@ -280,7 +284,6 @@ def with_solver(scenario: Scenario, name: str, catalog: Catalog) -> Scenario:
 
     Raises:
         UnknownNameError: no such solver; names the nearest.
-
     """
     entries = catalog.entries("solvers")
     backends = qpsolvers.installed()

@@ -17,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic_core import ErrorDetails
 
 from coopqp.catalog import Catalog
+from coopqp.disturbance import Disturbance
 from coopqp.errors import Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
 from coopqp.solver import Budget
@@ -129,6 +130,10 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             one_of(catalog, "plants"),
             Field(default="kinematic", validate_default=True, description="What is controlled."),
         ),
+        "disturbance": (
+            Disturbance,
+            Field(default=Disturbance(), description="What the controllers are not told."),
+        ),
         "solver": (
             one_of(catalog, "solvers"),
             Field(default="daqp", validate_default=True, description="For the QP controllers."),
@@ -153,7 +158,6 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
 
     Raises:
         ScenarioError: with every fault and its line.
-
     """
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.

@@ -48,7 +48,6 @@ class Solution:
         dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the
             least curvature: |g| where no bound is active, zero at the optimum, whatever
             multipliers the solver gives for the bounds.
-
     """
 
     def __init__(self, qp: QP) -> None:
@@ -77,7 +76,6 @@ class Solver:
 
         Raises:
             MissingDependencyError: the solver is not installed.
-
         """
         raise NotImplementedError
 
@@ -106,7 +104,6 @@ class Verifier:
         solution: the answer.
         budget: what it may be off by.
         curvature: smallest eigenvalue that P can have, mu.
-
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:

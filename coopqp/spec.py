@@ -41,7 +41,6 @@ def numbers(value: Any, count: int) -> Any:
 
     Raises:
         ValueError: it has another length.
-
     """
     listed = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(listed, list | tuple) or len(listed) != count:
@@ -90,7 +89,6 @@ def one_angle(name: str, radians: object, degrees: object, *, needed: bool = Fal
 
     Raises:
         ValueError: both or, if needed, neither of the two keys was given.
-
     """
     if radians is not None and degrees is not None:
         raise ValueError(f"give {name} (radians) or {name}_deg (degrees), not both")

@@ -38,7 +38,6 @@ class State:
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop.
         J_loop, e_loop: the independent rows of J_rel and loop_error, for the solvers.
-
     """
 
     def __init__(
@@ -85,7 +84,6 @@ class State:
 
         Args:
             iterations: Newton steps; one does for the drift of an integration step.
-
         """
         for _ in range(iterations):
             self.q -= self._through_loops(self.e_loop)
@@ -105,7 +103,6 @@ class State:
 
         Args:
             p_O: the point in the object frame, shape (3,) [m].
-
         """
         return self.p_WO + self.R_WO @ p_O
 
@@ -115,7 +112,6 @@ class State:
         Args:
             lever: from the object's origin to the point, in world axes, shape (3,) [m].
             out: written, shape (3, n).
-
         """
         x, y, z = lever.tolist()
         S = self._skew
@@ -192,7 +188,6 @@ class PointOfObject:
     Attributes:
         p: where it is in the world, shape (3,) [m].
         J: its velocity Jacobian, shape (3, n) [m/rad].
-
     """
 
     def __init__(self, p_O: ArrayLike, n: int) -> None:

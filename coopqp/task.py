@@ -34,7 +34,6 @@ class TaskRows:
         e: error, shape (k,) [unit of the task].
         J: task Jacobian, shape (k, n) [unit per rad or m].
         rate: J v that keeps the error constant, shape (k,) [unit/s].
-
     """
 
     e: Array
@@ -54,7 +53,6 @@ class Part:
         rows: how many.
         unit: of the error.
         tolerance: error at the end that still counts as reached [unit].
-
     """
 
     name: str
@@ -92,7 +90,6 @@ class Task:
 
         Args:
             start: the state from which the reference sets out.
-
         """
         raise NotImplementedError
 
@@ -119,7 +116,6 @@ class TaskStack:
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
         weights: of the rows.
-
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:

@@ -56,7 +56,6 @@ class Trace:
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         failures: ticks that held still, and why.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
-
     """
 
     controller: str

@@ -23,7 +23,6 @@ class YamlFile:
     Attributes:
         path: of the file, as given.
         data: plain dicts, lists, strings, numbers, booleans and None.
-
     """
 
     path: Path
@@ -59,7 +58,6 @@ def read_yaml(path: Path) -> YamlFile:
 
     Raises:
         ScenarioError: no such file, not text, not YAML, a key given twice, empty, not a mapping.
-
     """
     try:
         text = path.read_text(encoding="utf-8")

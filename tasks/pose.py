@@ -6,7 +6,7 @@ The reference goes straight and turns about one axis, phi = log(R_goal R_start')
 
 With R_e = R R_r' and Jl the left Jacobian of SO(3),
 
-    e = [p - p_r; log R_e],   J = [J_v; Jl^-1(e) J_omega],   rate = [p_r_dot; Jl^-1(e) R_e s_dot phi]
+    e = [p - p_r; log R_e],   J = [J_v; Jl^-1 J_omega],   rate = [p_r_dot; Jl^-1 R_e s_dot phi]
 """
 
 from __future__ import annotations

@@ -1,8 +1,15 @@
 """The controllers: one file each, the YAML name is the file's name."""
 
 from coopqp.controllers.damped_pseudoinverse import DampedPseudoinverse
+from coopqp.controllers.passive_grasp_pid import PassiveGraspPid
 from coopqp.controllers.pseudoinverse import Pseudoinverse
 from coopqp.controllers.pseudoinverse_null_space import PseudoinverseNullSpace
 from coopqp.controllers.qp import QPController
 
-__all__ = ["DampedPseudoinverse", "Pseudoinverse", "PseudoinverseNullSpace", "QPController"]
+__all__ = [
+    "DampedPseudoinverse",
+    "PassiveGraspPid",
+    "Pseudoinverse",
+    "PseudoinverseNullSpace",
+    "QPController",
+]

@@ -30,7 +30,6 @@ class QPLaw(Law):
     Attributes:
         qp: the last tick's program.
         solution: its answer.
-
     """
 
     def __init__(self, problem: ControlProblem, damping: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.grasp import Array, Grasp, PassiveJoint
 from coopqp.spec import spec
 
 
@@ -10,6 +10,6 @@ from coopqp.spec import spec
 class Rigid(Grasp):
     """Firm grasp: no motion between hand and object (paper, sections 2 to 5.2)."""
 
-    def passive_joints(self) -> tuple[PassiveJoint, ...]:
+    def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         """None."""
         return ()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from coopqp.controller import Command, ControlProblem
+from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
 from coopqp.spec import spec
 from coopqp.state import State
@@ -16,10 +19,10 @@ class KinematicModel(PlantModel):
     Args:
         dt: control period [s].
         n: number of joints.
-
     """
 
     def __init__(self, dt: float, n: int) -> None:
+        super().__init__()
         self._dt = np.array(dt)
         self._step = np.zeros(n)
 
@@ -35,6 +38,8 @@ class KinematicModel(PlantModel):
 class Kinematic(Plant):
     """Joints that do exactly as told, q + v dt: shows the control law and nothing else."""
 
-    def build(self, problem: ControlProblem, seed: int) -> PlantModel:
+    takes_torques: ClassVar[bool] = False
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """Nothing to prepare."""
         return KinematicModel(problem.dt, problem.chain.n)

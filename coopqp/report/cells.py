@@ -18,7 +18,6 @@ class Column:
     Attributes:
         heading, unit: at its top.
         help: one sentence.
-
     """
 
     heading: str
@@ -46,7 +45,6 @@ class Cell:
     Attributes:
         lines: of text.
         bad: whether it speaks against the controller; None where neither good nor bad is meant.
-
     """
 
     lines: tuple[str, ...]

@@ -35,7 +35,6 @@ class Figure:
         title: above it. unit: of the vertical axis.
         data, layout: for Plotly.
         notes: below the title, such as what lies off the chart.
-
     """
 
     title: str

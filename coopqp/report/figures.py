@@ -31,7 +31,6 @@ class Figures:
 
     Args:
         comparison: from :func:`coopqp.compare`.
-
     """
 
     def __init__(self, comparison: Comparison) -> None:

@@ -32,7 +32,6 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
 
     Raises:
         CoopqpError: the folder cannot be made or written to.
-
     """
     contents = {
         "report.html": render(comparison),
@@ -51,7 +50,6 @@ def write_one(path: Path, content: str) -> None:
 
     Raises:
         CoopqpError: it cannot be written.
-
     """
     try:
         _replace_all({path.name: content}, path.parent)
@@ -64,7 +62,6 @@ def check_folder(folder: Path) -> None:
 
     Raises:
         CoopqpError: it is a file, or cannot be made or written to.
-
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -39,7 +39,6 @@ class Study:
         mobility: at generic poses and at the start.
         t: shape (K,) [s].
         manipulability: of the tasks along the run of the scenario's first controller, shape (K,).
-
     """
 
     scenario: Scenario
@@ -57,7 +56,6 @@ def study(scenario: Scenario, asked: Sequence[str] | None = None) -> Study:
 
     Raises:
         CoopqpError: ``asked`` is no scheme, or the scenario cannot be built.
-
     """
     chain = scenario.chain
     state = State(chain)

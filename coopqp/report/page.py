@@ -29,7 +29,6 @@ def render(comparison: Comparison) -> str:
 
     Args:
         comparison: from :func:`coopqp.compare`.
-
     """
     looks = styles(comparison.traces)
     figures = Figures(comparison)

@@ -32,7 +32,6 @@ class Style:
         color: such as "#0072B2".
         dash: lengths of dash and gap [px], empty for a full line.
         width: [px]
-
     """
 
     color: str

@@ -50,7 +50,6 @@ def arm_table(side: str) -> list[mdh.MdhRow]:
 
     Args:
         side: "R" for joints 1-5, "L" for joints 6-10.
-
     """
     y = -1.0 if side == "R" else 1.0
     parameters = (

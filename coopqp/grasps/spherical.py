@@ -1,0 +1,42 @@
+"""A grasp that lets the object turn every way about one point of the hand.
+
+The ball is three hinges about x, y, z of the hand, one after the other, so that each has one
+coordinate. It is singular where the second has turned by a quarter; limits keep it off.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.grasp import Array, Grasp, PassiveJoint
+from coopqp.spec import Positive, Vector3, spec
+
+
+@spec
+class Spherical(Grasp):
+    """Ball: the object turns every way about a point of the hand."""
+
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The centre, in the hand [m]."""
+    cone: Positive = 1.4
+    """Each of the three angles goes this far both ways [rad]; below a quarter turn."""
+
+    def __post_init__(self) -> None:
+        if self.cone >= math.pi / 2:
+            raise ValueError(f"needs a cone below a quarter turn, found {self.cone} rad")
+
+    def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
+        """Hinges about x, y and z through the point."""
+        centre = pin.SE3(np.eye(3), np.array(self.point))
+        kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
+        places = (centre, pin.SE3.Identity(), pin.SE3.Identity())
+        return tuple(
+            PassiveJoint(
+                name=f"ball_{axis}", joint=joint, placement=place,
+                lower=-self.cone, upper=self.cone,
+            )
+            for axis, joint, place in zip("xyz", kinds, places, strict=True)
+        )  # fmt: skip

@@ -1,0 +1,94 @@
+"""Joint servos: from velocity or torque commands to motor torques within the motors' limits.
+
+A velocity command moves the desired angle, q_d += v dt, and each joint follows it:
+
+    tau = K (q_d - q) + D (v_d - v) + gravity compensation,   |tau| <= effort
+    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K A_jj)
+
+with A_jj the inertia the joint sees at the start. A torque command goes to the motors as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Command
+from coopqp.dynamics import ClosedLoopDynamics
+from coopqp.spec import Positive, spec
+
+Array = NDArray[np.float64]
+
+
+@spec
+class Servo:
+    """How the joints follow velocity commands; torque commands pass through."""
+
+    saturation_angle: Positive = 0.05
+    """Angle error at which a servo asks its full torque [rad]."""
+    damping_ratio: Positive = 1.0
+    """With the inertia a joint sees at the start; 1 is critical."""
+    gravity_compensation: bool = True
+    """Whether the torques that hold the modelled weight are added."""
+
+
+class ServoLaw:
+    """The servos of one chain.
+
+    Args:
+        chain: arms and modelled object.
+        servo: settings.
+
+    Attributes:
+        tau: torques as of the last :meth:`torque`, shape (n,) [N m].
+        effort: their limits, zero for passive joints, shape (n,) [N m].
+        asked: the same torques before they were limited.
+    """
+
+    def __init__(self, chain: ClosedChain, servo: Servo) -> None:
+        self._model = ClosedLoopDynamics(chain)
+        motors = np.zeros(chain.n, bool)
+        motors[self._model.actuated] = True
+        # A file that gives no limit means a motor without one, which no stiffness can be read from.
+        self.effort = np.where(motors, chain.model.effortLimit, 0.0)
+        self._rest = np.zeros(chain.n)
+        self._model.update(chain.q_start, self._rest)
+        full = np.where(np.isfinite(self.effort), self.effort, UNLIMITED_EFFORT)
+        self._stiffness = full / servo.saturation_angle
+        inertia = np.diag(self._model.A)
+        self._damping = 2.0 * servo.damping_ratio * np.sqrt(self._stiffness * inertia)
+        self._compensate = servo.gravity_compensation
+        self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
+        self._forward = np.zeros(chain.n)
+        self._follow = True
+        self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
+
+    def begin(self, command: Command, q: Array) -> None:
+        """Take a command for the next control period."""
+        self._follow = command.tau is None
+        if command.tau is not None:
+            self._forward[:] = command.tau
+            return
+        self._v_d[:] = command.v
+        if self._compensate:
+            self._model.update(q, self._rest)
+            self._forward[:] = self._model.inverse(self._rest).tau
+
+    def advance(self, h: float) -> None:
+        """Move the desired angles by a time h [s]."""
+        if self._follow:
+            self._q_d += h * self._v_d
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Motor torques at a state, within their limits, shape (n,) [N m]."""
+        asked = self.asked
+        asked[:] = self._forward
+        if self._follow:
+            asked += self._stiffness * (self._q_d - q) + self._damping * (self._v_d - v)
+        np.minimum(np.maximum(asked, -self.effort, out=self.tau), self.effort, out=self.tau)
+        return self.tau
+
+
+#: Taken for the stiffness of a joint whose motor has no limit [N m].
+UNLIMITED_EFFORT = 100.0

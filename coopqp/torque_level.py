@@ -1,0 +1,78 @@
+"""What the torque-level controllers share: tasks in accelerations and the tree's torques.
+
+A task e(q, t) with e_dot = J v - rate has e_ddot = J a + drift, where drift is the change of
+J v - rate along v. It is taken by a forward difference of the task itself, so that a task needs no
+second derivative of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.controller import ControlProblem
+from coopqp.dynamics import ClosedLoopDynamics
+from coopqp.errors import GraspError
+from coopqp.mobility_analysis import mobility
+from coopqp.state import State
+from coopqp.task import TaskStack
+
+Array = NDArray[np.float64]
+
+#: Step of the forward difference [s]: its error is this times a second derivative.
+STEP = 1e-6
+
+
+class TaskDynamics:
+    """Tasks and tree of one problem, for control by torques.
+
+    Args:
+        problem: what to control.
+
+    Attributes:
+        dynamics: of the modelled object.
+        tasks: e, J, rate as of the last update.
+        e_dot: J v - rate, shape (k,).
+        drift: e_ddot - J a, shape (k,).
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        start = State(problem.chain)
+        self.dynamics = ClosedLoopDynamics(problem.chain)
+        self.tasks = TaskStack(problem.tasks, start)
+        self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
+        self._ahead = State(problem.chain)
+
+    def update(self, state: State) -> None:
+        """Everything for a measured state."""
+        ahead, tasks, v = self._ahead, self.tasks, state.v
+        np.multiply(v, STEP, ahead.q)
+        np.add(ahead.q, state.q, ahead.q)
+        ahead.t = state.t + STEP
+        ahead.update()
+        tasks.update(ahead)
+        np.subtract(tasks.J.dot(v), tasks.rate, self.drift)
+        tasks.update(state)
+        np.subtract(tasks.J.dot(v), tasks.rate, self.e_dot)
+        np.subtract(self.drift, self.e_dot, self.drift)
+        self.drift /= STEP
+        self.dynamics.update(state.q, v)
+
+
+def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
+    """Refuse tasks that the motors cannot decide with this grasp.
+
+    Raises:
+        GraspError: with the object motions that are missing.
+    """
+    start = State(problem.chain)
+    tasks = TaskStack([task for task in problem.tasks if not task.joint_space], start)
+    tasks.update(start)
+    found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
+    missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
+    rows = len(tasks.e)
+    if rows > found.motor_freedom_start or found.tasks_rank < rows:
+        raise GraspError(
+            f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
+            f"{found.motor_freedom_start} object motions; missing: {'; '.join(missing)}"
+        )
