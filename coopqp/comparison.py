@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.controller import Controller
-from coopqp.errors import UnknownNameError
+from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.rollout import rollout
 from coopqp.scenario import Scenario
 from coopqp.trace import Trace
@@ -68,6 +68,12 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
             raise UnknownNameError("controller", controller, {*known, *scenario.controllers})
         chosen = known[controller].cls()
         assert isinstance(chosen, Controller)  # what the catalogue holds there
+    if chosen.commands_torques and not scenario.plant.takes_torques:
+        raise InvalidValueError(
+            f"controller '{controller}' commands torques, which this plant does not take; use "
+            "plant: rigid_body or plant: mujoco"
+        )
+    scenario = scenario.held_by(controller)
     problem = scenario.problem()
     report = (lambda k: progress(controller, k)) if progress else None
     return rollout(

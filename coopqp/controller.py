@@ -115,6 +115,11 @@ class Controller:
     uses_solver: ClassVar[bool] = False
     """Whether it solves a QP, so that the scenario's solver matters."""
 
+    @property
+    def commands_torques(self) -> bool:
+        """Whether it commands torques, which only plants with masses take."""
+        return False
+
     name: str = ""
     """Your name for it in tables; its type's name if omitted."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -39,6 +41,26 @@ class Arm:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A part of a link as it looks; for drawing only.
+
+    Attributes:
+        frame: the model's frame that it is fixed to.
+        placement: pose in that frame.
+        kind: what it is; a mesh is read from ``mesh``.
+        size: box: edges; cylinder and capsule: radius, length along z (without the capsule's
+            caps); sphere: radius [m]; mesh: scale along x, y, z.
+        mesh: file of a mesh.
+    """
+
+    frame: str
+    placement: pin.SE3
+    kind: Literal["mesh", "box", "cylinder", "capsule", "sphere"]
+    size: tuple[float, ...]
+    mesh: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotModel:
     """A robot ready to take hold of something.
 
@@ -47,11 +69,15 @@ class RobotModel:
         model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
+        shapes: how the links look; a link without shapes is drawn as a capsule.
+        warnings: what was left out when the robot was read, one sentence each.
     """
 
     name: str
     model: pin.Model
     arms: tuple[Arm, ...]
+    shapes: tuple[Shape, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.model.nq != self.model.nv:

@@ -60,6 +60,8 @@ def rollout(
         if command.status is not Status.OPTIMAL:
             recorder.note(k, command.status)
         plant.step(state, command)
+        if command.tau is not None:
+            recorder.v[k] = state.v
         recorder.record_signals(k, plant)
         if progress and k % PROGRESS_EVERY == 0:
             progress(k)
@@ -127,6 +129,7 @@ class _Recorder:
             lower=chain.lower,
             upper=chain.upper,
             velocity=chain.velocity,
+            effort=chain.model.effortLimit.copy(),
             tasks=tuple(info for info, _ in self._parts),
             t=self.t,
             q=self.q,

@@ -17,7 +17,7 @@ from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -44,6 +44,7 @@ class Scenario:
         name: of its file.
         robot, held, grasps, start: who holds what, how, and where it begins (start by arm or joint
             [rad, m]).
+        grasp_of: grasps of controllers that hold the object otherwise, by controller.
         tasks, secondary, limits: what shall happen and what must not.
         controllers: by name; what is compared.
         plant, disturbance: what is controlled, and what the controllers are not told of it.
@@ -58,6 +59,7 @@ class Scenario:
     duration: float
     description: str = ""
     grasps: Grasp | Mapping[str, Grasp] = field(default_factory=Rigid)
+    grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
     held: HeldObject = field(default_factory=HeldObject)
     secondary: tuple[Task, ...] = ()
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
@@ -70,6 +72,11 @@ class Scenario:
     dt: float = 0.01
     kappa: float = 0.0
     seed: int = 0
+
+    def held_by(self, controller: str) -> Scenario:
+        """The scenario with the grasp that this controller uses."""
+        grasp = self.grasp_of.get(controller)
+        return self if grasp is None else replace(self, grasps=grasp, grasp_of={})
 
     @property
     def ticks(self) -> int:
@@ -146,6 +153,7 @@ class _Reader:
             description=read.description,
             robot=chosen(read.robot)[1],
             grasps=self._grasps(),
+            grasp_of={name: chosen(slot)[1] for name, slot in read.grasp_of.items()},
             held=read.object,
             start=self._start(),
             tasks=self._named("tasks"),
@@ -163,6 +171,11 @@ class _Reader:
             seed=read.seed,
         )
         self._check_times(scenario)
+        for name in scenario.grasp_of:
+            if name not in scenario.controllers:
+                self._fault(
+                    ["grasp_of", name], unknown_name("controller", name, scenario.controllers)
+                )
         if not scenario.disturbance.none and not scenario.plant.takes_torques:
             self._fault(["disturbance"], "has no effect on this plant; use one with masses")
         if self._faults:

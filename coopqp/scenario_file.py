@@ -93,6 +93,10 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             types.GenericAlias(dict, (str, one_of(catalog, "grasps"))) | None,
             Field(default=None, description="How each arm holds it, by arm; instead of grasp."),
         ),
+        "grasp_of": (
+            types.GenericAlias(dict, (str, one_of(catalog, "grasps"))),
+            Field(default={}, description="Grasp of controllers that hold it otherwise, by name."),
+        ),
         "object": (HeldObject, Field(default=HeldObject(), description="What is held.")),
         "start": (
             dict[str, float | list[float]] | None,

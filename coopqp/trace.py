@@ -41,11 +41,13 @@ class Trace:
         solver: name of its QP solver; None for laws without one.
         dt: control period [s]. kappa: gain of the drift correction [1/s].
         joints: names, shape (n,).
-        lower, upper, velocity: the limits, shape (n,) [rad or m; rad/s or m/s].
+        lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
+            no effort for passive joints.
         tasks: in the order of task_error.
         t: shape (T + 1,) [s].
         q: shape (T + 1, n) [rad or m].
-        v: commanded velocity, shape (T, n) [rad/s or m/s].
+        v: commanded velocity, or the plant's after the tick when torques were commanded, shape
+            (T, n) [rad/s or m/s].
         position: of the object, shape (T + 1, 3) [m].
         rotation: of the object, shape (T + 1, 3, 3).
         loop_position, loop_orientation: largest loop error, shape (T + 1,) [m], [rad].
@@ -66,6 +68,7 @@ class Trace:
     lower: Array
     upper: Array
     velocity: Array
+    effort: Array
     tasks: tuple[TaskInfo, ...]
     t: Array
     q: Array

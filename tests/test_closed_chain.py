@@ -97,7 +97,7 @@ def three_arms() -> ClosedChain:
 class Hinge(Grasp):
     """A passive revolute joint about the wrist's axis, as in the paper's Table 2."""
 
-    def passive_joints(self) -> tuple[PassiveJoint, ...]:
+    def passive_joints(self, *_: object) -> tuple[PassiveJoint, ...]:
         return (PassiveJoint(name="hinge", joint=pin.JointModelRX(), placement=pin.SE3.Identity()),)
 
 

@@ -245,7 +245,7 @@ def test_joint_centering_pulls_down_the_slope_of_the_papers_criterion(
 class Hinge(Grasp):
     """A passive joint without limits."""
 
-    def passive_joints(self) -> tuple[PassiveJoint, ...]:
+    def passive_joints(self, *_: object) -> tuple[PassiveJoint, ...]:
         return (PassiveJoint(name="hinge", joint=pin.JointModelRX(), placement=pin.SE3.Identity()),)
 
 

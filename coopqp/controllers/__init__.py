@@ -5,6 +5,7 @@ from coopqp.controllers.passive_grasp_pid import PassiveGraspPid
 from coopqp.controllers.pseudoinverse import Pseudoinverse
 from coopqp.controllers.pseudoinverse_null_space import PseudoinverseNullSpace
 from coopqp.controllers.qp import QPController
+from coopqp.controllers.torque_qp import TorqueQp
 
 __all__ = [
     "DampedPseudoinverse",
@@ -12,4 +13,5 @@ __all__ = [
     "Pseudoinverse",
     "PseudoinverseNullSpace",
     "QPController",
+    "TorqueQp",
 ]

@@ -124,6 +124,11 @@ class PassiveGraspPid(Controller):
     feed_forward: Literal["gravity", "inverse_dynamics"] = "inverse_dynamics"
     """What the torque level adds: the weight, or the reference's whole inverse dynamics."""
 
+    @property
+    def commands_torques(self) -> bool:
+        """At the torque level."""
+        return self.level == "torque"
+
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, and gains of the wrong number."""
         require_motor_freedom(problem, self.name or "passive_grasp_pid")

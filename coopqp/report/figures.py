@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import chain as joined
 
 import numpy as np
@@ -39,14 +39,74 @@ class Figures:
         # Lines that solve QPs first, so that the thin ones lie on top of the thick ones.
         self._names = sorted(self._traces, key=lambda name: self._traces[name].solver is None)
         self._styles = styles(self._traces)
-        self._any = next(iter(self._traces.values()))
+        # Grasps may differ between controllers; the one with most joints shows them all.
+        self._any = max(self._traces.values(), key=lambda trace: len(trace.joints))
         self._end = float(self._any.t[-1])
 
     def joints(self) -> list[Figure]:
         """One a joint; two arms of equal build side by side."""
-        chain = self._comparison.scenario.chain
-        order = joint_order(chain)
-        return [self._joint(i, joint_unit(chain, self._any.joints[i])) for i in order]
+        chain = self._chain
+        return [self._joint(i, joint_unit(chain, self._any.joints[i])) for i in joint_order(chain)]
+
+    @property
+    def _chain(self) -> ClosedChain:
+        """The chain of the trace with most joints."""
+        scenario, name = self._comparison.scenario, self._any.controller
+        return scenario.held_by(name).chain
+
+    def torques(self) -> list[Figure]:
+        """Torque of each motor and the wrenches on the object, where the plant tells them."""
+        told = {name: t for name, t in self._traces.items() if "tau" in t.signals}
+        if not told:
+            return []
+        motors = [i for i in joint_order(self._chain) if self._any.effort[i] > 0.0]
+        figures = [self._torque(i, told) for i in motors]
+        for signal, title in (
+            ("cut_wrench", "Constraint force at the cut"),
+            ("internal_wrench", "Internal force, largest of the hands"),
+        ):
+            lines = {
+                name: np.linalg.norm(
+                    told[name].signals[signal].reshape(told[name].ticks, -1, 6)[:, :, :3], axis=2
+                ).max(axis=1)
+                for name in self._names
+                if name in told and signal in told[name].signals
+            }
+            if lines:
+                figures.append(self._plain(title, "N", lines))
+        return figures
+
+    def _torque(self, i: int, told: Mapping[str, Trace]) -> Figure:
+        joint, limit = self._any.joints[i], float(self._any.effort[i])
+        lines = {
+            name: told[name].signals["tau"][:, told[name].joints.index(joint)]
+            for name in self._names
+            if name in told and joint in told[name].joints
+        }
+        if not np.isfinite(limit):
+            return self._plain(f"Torque of {joint}", "N m, no limit", lines)
+        shown = Window(-1.15 * limit, 1.15 * limit)
+        levels = [
+            curves.level(-limit, f"-{limit:.3g}", above=False),
+            curves.level(limit, f"{limit:.3g}"),
+        ]
+        return Figure(
+            title=f"Torque of {joint}",
+            unit="N m",
+            data=self._beyond_limits(shown, -limit, limit) + self._curves(lines),
+            layout=curves.layout(self._end, curves.linear(shown), *levels),
+        )
+
+    def _plain(self, title: str, unit: str, lines: dict[str, Array]) -> Figure:
+        """Lines over time on a linear scale."""
+        low = min(0.0, *(float(y.min(initial=0.0)) for y in lines.values()))
+        high = max(1e-3, *(float(y.max(initial=0.0)) for y in lines.values()))
+        return Figure(
+            title=title,
+            unit=unit,
+            data=self._curves(lines),
+            layout=curves.layout(self._end, curves.linear(Window(1.1 * low, 1.1 * high))),
+        )
 
     def others(self) -> list[Figure]:
         """Errors, margin, speed and time."""
@@ -66,7 +126,12 @@ class Figures:
 
     def _joint(self, i: int, unit: str) -> Figure:
         lower, upper = float(self._any.lower[i]), float(self._any.upper[i])
-        lines = self._lines(lambda trace: trace.q[:, i])
+        joint = self._any.joints[i]
+        lines = {
+            name: self._traces[name].q[:, self._traces[name].joints.index(joint)]
+            for name in self._names
+            if joint in self._traces[name].joints
+        }
         shown = joint_window(lower, upper, list(lines.values()))
         data = self._beyond_limits(shown, lower, upper) + self._curves(lines)
         for name, y in lines.items():

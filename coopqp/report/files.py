@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.comparison import Comparison
 from coopqp.errors import CoopqpError
 from coopqp.report.page import render
 from coopqp.trace import Trace
+
+Array = NDArray[np.float64]
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
@@ -85,9 +88,11 @@ def trace_csv(comparison: Comparison) -> str:
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_header(next(iter(comparison.traces.values()))))
-    for name, trace in comparison.traces.items():
-        writer.writerows(_rows(name, trace))
+    traces = comparison.traces
+    joints = list(dict.fromkeys(joint for trace in traces.values() for joint in trace.joints))
+    writer.writerow(_header(joints, next(iter(traces.values()))))
+    for name, trace in traces.items():
+        writer.writerows(_rows(name, trace, joints))
     return stream.getvalue()
 
 
@@ -113,11 +118,12 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _header(trace: Trace) -> list[str]:
+def _header(joints: list[str], trace: Trace) -> list[str]:
     return [
         *("controller", "tick", "t"),
-        *(f"q[{joint}]" for joint in trace.joints),
-        *(f"v[{joint}]" for joint in trace.joints),
+        *(f"q[{joint}]" for joint in joints),
+        *(f"v[{joint}]" for joint in joints),
+        *(f"tau[{joint}]" for joint in joints),
         *("x", "y", "z"),
         *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
         *("loop_position", "loop_orientation"),
@@ -126,7 +132,7 @@ def _header(trace: Trace) -> list[str]:
     ]
 
 
-def _rows(name: str, trace: Trace) -> Iterator[list[Any]]:
+def _rows(name: str, trace: Trace, joints: list[str]) -> Iterator[list[Any]]:
     # tolist() gives Python floats, which csv writes with all the digits they need.
     after = np.column_stack(
         [
@@ -137,9 +143,21 @@ def _rows(name: str, trace: Trace) -> Iterator[list[Any]]:
             trace.task_error,
         ]
     ).tolist()
-    q, v, t, us = trace.q.tolist(), trace.v.tolist(), trace.t.tolist(), trace.tick_us.tolist()
+    q, v = _by_joint(trace.q, trace, joints), _by_joint(trace.v, trace, joints)
+    tau = _by_joint(trace.signals.get("tau", np.zeros((trace.ticks, 0))), trace, joints)
+    t, us = trace.t.tolist(), trace.tick_us.tolist()
     for k in range(trace.ticks):
         flags = [int(trace.usable[k]), int(trace.inaccurate[k]), us[k]]
-        yield [name, k, t[k], *q[k], *v[k], *after[k], *flags]
-    end, nothing = trace.ticks, [""] * len(trace.joints)
+        yield [name, k, t[k], *q[k], *v[k], *tau[k], *after[k], *flags]
+    end, nothing = trace.ticks, [""] * (2 * len(joints))
     yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", ""]
+
+
+def _by_joint(values: Array, trace: Trace, joints: list[str]) -> list[list[Any]]:
+    """Columns in the order of ``joints``; empty for joints that the trace does not have."""
+    columns: list[list[Any]] = []
+    for joint in joints:
+        known = joint in trace.joints and values.shape[1] > 0
+        column = values[:, trace.joints.index(joint)].tolist() if known else [""] * len(values)
+        columns.append(column)
+    return [list(row) for row in zip(*columns, strict=True)]

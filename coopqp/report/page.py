@@ -32,8 +32,10 @@ def render(comparison: Comparison) -> str:
     """
     looks = styles(comparison.traces)
     figures = Figures(comparison)
-    joints, others = figures.joints(), figures.others()
-    plots = [{"data": figure.data, "layout": figure.layout} for figure in (*joints, *others)]
+    joints, torques, others = figures.joints(), figures.torques(), figures.others()
+    plots = [
+        {"data": figure.data, "layout": figure.layout} for figure in (*joints, *torques, *others)
+    ]
     return Template(_read("page.html")).substitute(
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
@@ -45,6 +47,8 @@ def render(comparison: Comparison) -> str:
         columns=PANES_A_ROW.get(len(looks), 3),
         panes="".join(_pane(name, style) for name, style in looks.items()),
         joints="".join(map(_figure, joints)),
+        torques="".join(map(_figure, torques)),
+        torques_hidden="" if torques else "hidden",
         others="".join(map(_figure, others)),
         scene=script_json(scene(comparison)),
         figures=script_json(plots),

@@ -1,0 +1,296 @@
+"""Where a point and an axis of the object are, seen from a reference in space that may move.
+
+The reference is a frame with origin c on the point, line, plane or circle in space and third axis
+along the line or the normal. The origin moves at c_dot and the frame turns about an axis through
+it at omega. Its first two axes, a basis of the plane normal to the third, are chosen once at the
+start and turn with the frame, so they never jump. With R its axes, p a point and a an axis of the
+object, and everything in the reference's own coordinates,
+
+    x = R' (p - c),   x_dot = R' (J_p v - c_dot - omega x (p - c))
+    y = R' a,         y_dot = R' (J_omega v - omega) x y
+
+so that an error f(x, y) has its exact Jacobian and rate from one chain rule, moving or not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Vector3, one_angle, spec, unit
+from coopqp.state import PointOfObject, State
+
+Array = NDArray[np.float64]
+
+#: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
+TINY = 1e-12  # sine of an angle, or [m]
+
+#: Half angle of the cone about the opposite direction in which rows are kept from growing [rad].
+CONE = 0.02
+
+_STILL = (0.0, 0.0, 0.0)
+
+
+@spec
+class Turn:
+    """A turn of a reference about an axis through its point."""
+
+    axis: Direction
+    """In the world; any length."""
+    angle: float | None = None
+    """How far [rad]."""
+    angle_deg: float | None = None
+    """How far [degrees]; instead of angle."""
+    profile: Profile = Profile()
+    """When and how."""
+
+    def __post_init__(self) -> None:
+        one_angle("angle", self.angle, self.angle_deg, needed=True)
+
+    @property
+    def radians(self) -> float:
+        """How far [rad]."""
+        return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
+
+
+def last_end(profile: Profile, turn: Turn | None) -> float:
+    """When the error has gone to zero and the reference has turned [s]."""
+    return max(profile.end, turn.profile.end if turn else 0.0)
+
+
+class Reference:
+    """A frame that the object is steered to.
+
+    Args:
+        origin: where it is at t = 0, in the world, shape (3,) [m].
+        direction: of its third axis before it turns, in the world; any length.
+        velocity: of its origin, in the world, shape (3,) [m/s].
+        turn: about an axis through its origin.
+
+    Attributes:
+        c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
+        RT: its axes as rows, R', shape (3, 3).
+        omega: its angular velocity, in the world, shape (3,) [rad/s].
+        moves: whether anything changes with time.
+    """
+
+    def __init__(
+        self,
+        origin: Vector3 = _STILL,
+        direction: Vector3 = (0.0, 0.0, 1.0),
+        velocity: Vector3 = _STILL,
+        turn: Turn | None = None,
+    ) -> None:
+        self._c_0, self._RT_0 = np.array(origin, float), axes_along(direction)
+        self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
+        self.c_dot, self.omega = np.array(velocity, float), np.zeros(3)
+        self._turning = turn.profile if turn else None
+        self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
+        self.moves = turn is not None or bool(self.c_dot.any())
+
+    def update(self, t: float) -> None:
+        """Go to where it is at time t [s]."""
+        if not self.moves:
+            return
+        np.multiply(self.c_dot, t, self.c)
+        np.add(self.c, self._c_0, self.c)
+        if self._turning:
+            share, speed = self._turning.at(t)
+            self._RT_0.dot(pin.exp3(self._turn * share).T, self.RT)
+            np.multiply(self._turn, speed, self.omega)
+
+
+def axes_along(direction: Vector3) -> Array:
+    """Right-handed unit axes as rows, the third along the direction, shape (3, 3).
+
+    The first is the world axis that is farthest from the direction, made normal to it.
+    """
+    d = unit(direction)
+    farthest = int(np.argmin(np.abs(d)))
+    first = np.eye(3)[farthest] - d[farthest] * d
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(d, first), d])
+
+
+class PointInReference:
+    """A point of the object, seen from the reference.
+
+    Args:
+        p_O: the point in the object frame, shape (3,) [m].
+        reference: updated by the task before this.
+        n: number of joints.
+
+    Attributes:
+        x: where it is, in the reference's axes, shape (3,) [m].
+        J: Jacobian of x, shape (3, n) [m/rad].
+        rate: J v that keeps x constant, shape (3,) [m/s].
+    """
+
+    def __init__(self, p_O: ArrayLike, reference: Reference, n: int) -> None:
+        self._tracked, self._reference = PointOfObject(p_O, n), reference
+        self.x, self.J, self.rate = np.zeros(3), np.zeros((3, n)), np.zeros(3)
+        self._gap = np.zeros(3)
+
+    def update(self, state: State) -> None:
+        """Follow the object."""
+        tracked, reference = self._tracked, self._reference
+        tracked.update(state)
+        np.subtract(tracked.p, reference.c, self._gap)
+        reference.RT.dot(self._gap, self.x)
+        reference.RT.dot(tracked.J, self.J)
+        if reference.moves:
+            drag = pin.skew(reference.omega).dot(self._gap)
+            np.add(drag, reference.c_dot, drag)
+            reference.RT.dot(drag, self.rate)
+
+
+@dataclass(frozen=True, slots=True)
+class Polar:
+    """A unit vector by its angle from the third axis and its way from it.
+
+    Attributes:
+        angle: from the third axis, 0 to pi [rad].
+        sine: of the angle.
+        way: unit vector in the plane of the first two axes; the first axis where none is known.
+    """
+
+    angle: float
+    sine: float
+    way: tuple[float, float]
+
+
+def polar(y: Array) -> Polar:
+    """The unit vector y, shape (3,), by angle and way; finite for all of them."""
+    y_0, y_1, y_2 = y.tolist()
+    sine = math.hypot(y_0, y_1)
+    way = (y_0 / sine, y_1 / sine) if sine > TINY else (1.0, 0.0)
+    return Polar(math.atan2(sine, y_2), sine, way)
+
+
+class Alignment:
+    """Two rows that bring an axis of the object into the direction of the reference.
+
+    The wished direction goes from the axis at the start to the reference's third axis on the
+    shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
+    third axis and its way u from it,
+
+        e = theta u,   E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
+                           [ -h - (1-h) u_1^2   (1-h) u_0 u_1      theta u_0 ]
+
+        J = E D' R' J_omega,   rate = E (D' R' omega - s_dot phi)
+
+    All is smooth but at theta = pi, where no way is shortest: one is taken at the start, and if the
+    axis gets there later, as with a step, u is the reference's first axis, so the error is pi, not
+    zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
+    ``CONE`` of pi it keeps its value at the cone's edge.
+
+    Args:
+        axis: of the object, in the object frame; any length.
+        reference: updated by the task before this.
+        profile: how the wished direction goes there.
+        start: the state from which it sets out; the reference must be up to date.
+    """
+
+    def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
+        self._a_O, self._reference, self._profile = unit(axis), reference, profile
+        self._C, self._y, self._E = np.zeros((3, 3)), np.zeros(3), np.zeros((2, 3))
+        self._EC = np.zeros((2, 3))
+        seen = polar(reference.RT @ start.R_WO @ self._a_O)
+        self._phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
+        self._lowest = (math.pi - CONE) / math.tan(math.pi - CONE)
+
+    def fill(self, state: State, e: Array, J: Array, rate: Array) -> None:
+        """Write the rows, shapes (2,) [rad], (2, n) [rad/rad] and (2,) [rad/s]."""
+        reference, C, E, EC = self._reference, self._C, self._E, self._EC
+        share, speed = self._profile.at(state.t)
+        C[:] = reference.RT
+        if share < 1.0:
+            pin.exp3(self._phi * (share - 1.0)).dot(reference.RT, C)
+        C.dot(state.R_WO.dot(self._a_O), self._y)
+        seen = polar(self._y)
+        self._fill_rows(seen)
+        e[0], e[1] = seen.angle * seen.way[0], seen.angle * seen.way[1]
+        E.dot(C, EC)
+        EC.dot(state.J_task[3:], J)
+        E.dot(self._phi * -speed, rate)
+        if reference.moves:
+            np.add(rate, EC.dot(reference.omega), rate)
+
+    def _fill_rows(self, seen: Polar) -> None:
+        theta, (u, w), E = seen.angle, seen.way, self._E
+        if seen.sine > TINY:
+            h = max(theta * math.cos(theta) / seen.sine, self._lowest)
+        else:
+            h = 1.0 if theta < 1.0 else self._lowest
+        k = 1.0 - h
+        E[0, 0], E[0, 1], E[0, 2] = -k * u * w, h + k * u * u, -theta * w
+        E[1, 0], E[1, 1], E[1, 2] = -h - k * w * w, k * u * w, theta * u
+
+
+class RotationError:
+    """Three rows that turn Q, an orientation that the joints change, into its goal.
+
+    The reference turns about one axis, Q_r = exp(s phi) Q_start with phi = log(Q_goal Q_start').
+    With Q_e = Q Q_r', Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
+
+        e = log Q_e,   J = Jl^-1(e) R' J_omega,   rate = Jl^-1(e) Q_e s_dot phi
+
+    Args:
+        goal: Q_goal, shape (3, 3).
+        profile: how the reference turns there.
+        start: Q_start, shape (3, 3).
+
+    Attributes:
+        rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
+    """
+
+    def __init__(self, goal: Array, profile: Profile, start: Array) -> None:
+        self._profile, self._start = profile, start.copy()
+        self._phi = np.array(pin.log3(goal @ start.T))
+        self.rows = np.zeros((3, 3))
+
+    def fill(
+        self, t: float, Q: Array, RT: Array, J_omega: Array, out: tuple[Array, Array, Array]
+    ) -> None:
+        """Write e, J and rate, shapes (3,) [rad], (3, n) [rad/rad] and (3,) [rad/s].
+
+        Args:
+            t: time [s].
+            Q: the orientation, shape (3, 3).
+            RT: turns J_omega's axes into Q's, shape (3, 3).
+            J_omega: angular velocity of Q by joint, shape (3, n).
+            out: e, J and rate, written.
+        """
+        e, J, rate = out
+        share, speed = self._profile.at(t)
+        Q_e = Q.dot(pin.exp3(self._phi * share).dot(self._start).T)
+        e[:] = pin.log3(Q_e)
+        # pinocchio's Jlog3 takes body velocities; Q_e' turns those of the reference into them.
+        J_log = pin.Jlog3(Q_e)
+        J_log.dot(Q_e.T).dot(RT, self.rows)
+        self.rows.dot(J_omega, J)
+        J_log.dot(self._phi * speed, rate)
+
+
+class Approach:
+    """Lets an error shrink from what it is at the start to zero: e_r = (1 - s) e_start.
+
+    Args:
+        profile: how it shrinks.
+        e_start: the error at the start, shape (k,); copied.
+    """
+
+    def __init__(self, profile: Profile, e_start: ArrayLike) -> None:
+        self._profile, self._e_start = profile, np.array(e_start, float)
+
+    def shift(self, t: float, e: Array, rate: Array) -> None:
+        """Subtract the reference from e and add its rate, in place, shapes (k,)."""
+        share, speed = self._profile.at(t)
+        if share < 1.0:
+            e -= self._e_start * (1.0 - share)
+            rate -= self._e_start * speed
