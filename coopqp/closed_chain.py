@@ -203,14 +203,15 @@ class ClosedChain:
         """Fix the object frame to every arm, where the grasp or the start says, eq. (1)."""
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, self.q_start)
-        X_WE = {arm: data.oMf[self.model.getFrameId(end)].copy() for arm, end in ends.items()}
-        X_WO = self._start_pose(X_WE)
+        X_WT = {arm.name: data.oMf[self.model.getFrameId(arm.tip)] for arm in self.arms}
+        X_WO = self._start_pose(X_WT)
         self.start_position = X_WO.translation.copy()
         ids = []
         for arm, end in ends.items():
             given = self.grasps[arm].object_in_hand
-            X_EO = pose_matrix(given) if given else X_WE[arm].actInv(X_WO)
-            frame = self.model.frames[self.model.getFrameId(end)]
+            index = self.model.getFrameId(end)
+            X_EO = data.oMf[index].actInv(X_WT[arm] * pose_matrix(given) if given else X_WO)
+            frame = self.model.frames[index]
             placement = frame.placement * X_EO
             ids.append(
                 self.model.addFrame(
@@ -221,21 +222,21 @@ class ClosedChain:
             )
         return tuple(ids)
 
-    def _start_pose(self, X_WE: Mapping[str, pin.SE3]) -> pin.SE3:
+    def _start_pose(self, X_WT: Mapping[str, pin.SE3]) -> pin.SE3:
         """Pose of the object at the start, after checking that all that is given agrees.
 
         Raises:
             GraspError: the object's pose and the grasps put it in different places.
         """
         seen = {
-            f"the grasp of arm '{arm}'": X_WE[arm] * pose_matrix(grasp.object_in_hand)
+            f"the grasp of arm '{arm}'": X_WT[arm] * pose_matrix(grasp.object_in_hand)
             for arm, grasp in self.grasps.items()
             if grasp.object_in_hand
         }
         if self.held.pose:
             seen["object.pose"] = pose_matrix(self.held.pose)
         if not seen:
-            middle = np.mean([X.translation for X in X_WE.values()], axis=0)
+            middle = np.mean([X.translation for X in X_WT.values()], axis=0)
             return pin.SE3(np.eye(3), middle)
         (first, X_WO), *others = seen.items()
         for name, X in others:

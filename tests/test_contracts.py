@@ -12,6 +12,7 @@ import pytest
 import coopqp
 from coopqp.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.comparison import run
+from coopqp.controller import Controller
 from coopqp.scenario import Scenario, load, shipped, with_solver
 from coopqp.solvers import qpsolvers
 
@@ -23,6 +24,13 @@ ENTRIES = [
 ]
 CONTROLLERS = list(CATALOG.entries("controllers"))
 SOLVERS = sorted({*CATALOG.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"})
+
+
+def scenario_for(controller: str) -> Scenario:
+    """One that the controller can run: torques need masses and six degrees of freedom."""
+    plugin = CATALOG.entries("controllers")[controller].cls()
+    assert isinstance(plugin, Controller)
+    return load("passive_grasp_pose" if plugin.commands_torques else "point_on_point")
 
 
 def ten_ticks(scenario: Scenario) -> Scenario:
@@ -46,9 +54,11 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
         if not cls.__module__.startswith("coopqp"):
             continue
         source = inspect.getsource(cls)
-        for field in inspect.get_annotations(cls):
+        for field, hint in inspect.get_annotations(cls).items():
+            if "ClassVar" in str(hint):
+                continue  # explained where the idea is
             after = source.split(f"    {field}:", 1)[1].split("\n", 2)[1]
-            assert '"""' in after or field in ("unit", "joint_space", "constant", "uses_solver")
+            assert '"""' in after
 
 
 @pytest.mark.parametrize("name", shipped())
@@ -63,10 +73,11 @@ def test_every_scenario_runs_ten_ticks_with_all_its_controllers(name: str) -> No
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_controller_moves_the_object_towards_the_goal(controller: str) -> None:
-    scenario = load("point_on_point")
-    trace = run(replace(scenario, duration=1.0), controller=controller)
-    goal = np.array(scenario.tasks[0].goal)  # type: ignore[attr-defined]
-    distance = np.linalg.norm(trace.position - goal, axis=1)
+    scenario = scenario_for(controller)
+    trace = run(replace(scenario, duration=1.3), controller=controller)
+    goal = scenario.tasks[0].goal  # type: ignore[attr-defined]
+    place = np.array(getattr(goal, "position", goal))
+    distance = np.linalg.norm(trace.position - place, axis=1)
     assert distance[-1] < 0.6 * distance[0]
 
 
@@ -86,7 +97,7 @@ def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_equal_seeds_give_equal_runs(controller: str) -> None:
-    scenario = ten_ticks(load("tilting_plane"))
+    scenario = ten_ticks(scenario_for(controller))
     first, second = (run(scenario, controller=controller) for _ in range(2))
     assert np.array_equal(first.q, second.q)
     assert np.array_equal(first.v, second.v)

@@ -37,7 +37,7 @@ FAULTS = [
     ("[qp, ", "[qp, qp, ", "controllers[1]: the name 'qp' is taken"),
     ("robot: nao_t14\n", "", "robot: is missing"),
     ("robot: nao_t14", "robot: nao_t14\nsolver: dapq", "unknown solver 'dapq'; did you mean"),
-    ("grasp: rigid", "grasp: {rigid: {}, firm: {}}", "needs one grasp by name, such as 'rigid'"),
+    ("grasp: rigid", "grasp: {rigid: {}, firm: {}}", "needs one grasp by name, such as"),
     (
         "grasp: rigid",
         "grasp: {rigid: {object_in_hand: {position: [0.1, 0, 0]}}}",
