@@ -89,7 +89,8 @@ def constraint_equations(
     G_a, G_p = J[np.ix_(free, a)], J[np.ix_(free, p)]
     condition = float(np.linalg.cond(G_p)) if G_p.shape[0] == G_p.shape[1] else np.inf
     f, n = len(a), chain.n
-    G, drift = np.full((len(p), f), np.nan), np.zeros(n)
+    G, drift = np.full((len(p), f), np.nan), np.full(n, np.nan)
+    drift[list(a)] = 0.0
     motion = np.zeros((n, f))
     motion[list(a)] = np.eye(f)
     if condition < SINGULAR_CONDITION:
@@ -120,6 +121,8 @@ def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
     for name in actuated:
         if name not in joints:
             raise UnknownNameError("joint", name, joints, "actuated: ")
+        if joints.index(name) in chain.passive:
+            raise InvalidValueError(f"actuated: '{name}' is a passive joint and has no motor")
     repeated = sorted({name for name in actuated if list(actuated).count(name) > 1})
     if repeated:
         raise InvalidValueError(f"actuated: {', '.join(repeated)} given more than once")
@@ -150,9 +153,11 @@ def _cut_joints(chain: ClosedChain, cut: Sequence[str], actuated: Sequence[str])
 
 
 def _carriers(chain: ClosedChain, frame: int) -> list[str]:
-    """Names of the joints that carry a frame, base first."""
+    """Names of the joints that carry a frame and not arm 0's, base first: they move the loop."""
     model = chain.model
-    return [model.names[j] for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+    reference = set(model.supports[model.frames[chain.frames[0]].parentJoint])
+    carriers = model.supports[model.frames[frame].parentJoint]
+    return [model.names[j] for j in carriers if j > 0 and j not in reference]
 
 
 def _last_free_joint(chain: ClosedChain, frame: int, actuated: Sequence[str]) -> str:

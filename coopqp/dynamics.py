@@ -25,7 +25,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import ClosedChain, independent_rows
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.spec import NonNegative, Positive, spec
 
@@ -135,6 +135,7 @@ class ClosedLoopDynamics:
         chain, n = self.chain, self.chain.n
         rows = len(chain.loops.names)
         self._kept = np.array(chain.loops.kept, int)
+        self._kept = self._kept[: chain.loops.rank]
         m, k = len(self._kept), len(self.actuated)
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self._J_arms, self._drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
@@ -180,6 +181,11 @@ class ClosedLoopDynamics:
             at += 6
         self._relative.dot(self._J_arms, self._J_rel)
         self._relative.dot(self._drift_arms, self._drift_rel)
+        if self.chain.loops.varying:
+            kept = np.array(self.chain.loops.kept, int)
+            chosen = kept[independent_rows(self._J_rel[kept], most=len(self.drift))]
+            # At a singular pose fewer rows are independent; any others fill up.
+            self._kept = np.concatenate([chosen, np.setdiff1d(kept, chosen)])[: len(self.drift)]
         if self.J is not self._J_rel:
             np.take(self._J_rel, self._kept, axis=0, out=self.J)
             np.take(self._drift_rel, self._kept, out=self.drift)
@@ -203,6 +209,7 @@ class ClosedLoopDynamics:
         np.negative(self.drift, rhs[n:])
         x, singular = saddle.solve(rhs)
         self._a[:] = x[:n]
+        self._wrench[:] = 0.0
         self._wrench[self._kept] = -x[n:]
         return DirectResult(self._a, self._wrench, singular)
 
@@ -236,6 +243,7 @@ class ClosedLoopDynamics:
         rhs[:m], rhs[m:] = J_a.dot(Gamma_a), Gamma_p
         x, singular = saddle.solve(rhs)
         wrench = x[:m]
+        self._wrench[:] = 0.0
         self._wrench[self._kept] = wrench
         self._tau[act] = Gamma_a - wrench.dot(J_a)
         undone = Gamma_p - wrench.dot(J_p) if singular else _NOTHING
@@ -379,6 +387,6 @@ def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
         if name not in names:
             raise UnknownNameError("arm", name, names, "shares: ")
     values = np.array([shares.get(name, 0.0) for name in names])
-    if values.min() < 0.0 or abs(values.sum() - 1.0) > 1e-9:
+    if not values.min() >= 0.0 or abs(values.sum() - 1.0) > 1e-9:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
     return values

@@ -372,11 +372,15 @@ def _sentences(m: Mobility) -> list[str]:
             f"The start is singular: rank {m.rank_start} there, {m.object_freedom_start} "
             "directions."
         )
-    if m.motor_freedom < m.object_freedom:
-        said.append(
-            f"The motors decide only {m.motor_freedom} of them: the object can move by itself in "
-            f"{m.object_freedom - m.motor_freedom}."
-        )
+    for where, motors, all_motions in (
+        ("", m.motor_freedom, m.object_freedom),
+        ("At the start ", m.motor_freedom_start, m.object_freedom_start),
+    ):
+        if motors < all_motions:
+            said.append(
+                f"{where or 'T'}{'t' if where else ''}he motors decide only {motors} of them: the "
+                f"object can move by itself in {all_motions - motors}."
+            )
     if m.tasks_rows:
         said.append(_about_tasks(m))
     if m.asked:

@@ -3,9 +3,11 @@
 A velocity command moves the desired angle, q_d += v dt, and each joint follows it:
 
     tau = K (q_d - q) + D (v_d - v) + gravity compensation,   |tau| <= effort
-    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K A_jj)
+    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K / W_jj)
 
-with A_jj the inertia the joint sees at the start. A torque command goes to the motors as it is.
+with 1/W_jj the inertia the joint sees where it is, the loops closed: W = N (N' A N)^-1 N'. (The
+tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain.) A
+torque command goes to the motors as it is.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ class Servo:
     saturation_angle: Positive = 0.05
     """Angle error at which a servo asks its full torque [rad]."""
     damping_ratio: Positive = 1.0
-    """With the inertia a joint sees at the start; 1 is critical."""
+    """With the inertia a joint sees; 1 is critical."""
     gravity_compensation: bool = True
     """Whether the torques that hold the modelled weight are added."""
 
@@ -53,11 +55,10 @@ class ServoLaw:
         # A file that gives no limit means a motor without one, which no stiffness can be read from.
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
         self._rest = np.zeros(chain.n)
-        self._model.update(chain.q_start, self._rest)
         full = np.where(np.isfinite(self.effort), self.effort, UNLIMITED_EFFORT)
         self._stiffness = full / servo.saturation_angle
-        inertia = np.diag(self._model.A)
-        self._damping = 2.0 * servo.damping_ratio * np.sqrt(self._stiffness * inertia)
+        self._ratio = servo.damping_ratio
+        self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
         self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
         self._forward = np.zeros(chain.n)
@@ -71,9 +72,19 @@ class ServoLaw:
             self._forward[:] = command.tau
             return
         self._v_d[:] = command.v
+        self._model.update(q, self._rest)
+        self._update_damping()
         if self._compensate:
-            self._model.update(q, self._rest)
             self._forward[:] = self._model.inverse(self._rest).tau
+
+    def _update_damping(self) -> None:
+        model = self._model
+        N = model.null_space()
+        mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ model.A @ N), N)
+        # A joint that the loops hold fast is infinitely heavy and needs no damping.
+        inertia = np.where(mobility > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)
+        np.sqrt(self._stiffness * inertia, out=self._damping)
+        self._damping *= 2.0 * self._ratio
 
     def advance(self, h: float) -> None:
         """Move the desired angles by a time h [s]."""

@@ -96,11 +96,19 @@ def hinged_states(hinged: ClosedChain) -> list[Closed]:
     return closed_states(hinged, 20)
 
 
+def inertia_of(held: HeldObject) -> Array:
+    """As given, or that of a solid box."""
+    if held.inertia is None:
+        squares = np.square(held.size)
+        return np.asarray(held.mass / 12 * np.diag(squares.sum() - squares))
+    xx, xy, xz, yy, yz, zz = held.inertia
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def with_mass(chain: ClosedChain, shares: dict[int, float]) -> pin.Model:
     """The tree with shares of the object's mass as bodies of their own, written out."""
     model, held = chain.model.copy(), chain.held
-    xx, xy, xz, yy, yz, zz = held.inertia or (0.0,) * 6
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about_com = inertia_of(held)
     for arm, share in shares.items():
         frame = chain.model.frames[chain.frames[arm]]
         body = pin.Inertia(share * held.mass, np.array(held.com), share * about_com)
@@ -465,6 +473,15 @@ def test_loop_rows_whose_dependence_varies_do_no_harm() -> None:
         assert result.residual < 1e-9
 
 
+def test_regular_state_of_varying_loop_rows_is_not_called_singular() -> None:
+    chain = heavy(spherical_pair())
+    dynamics, (q, v) = ClosedLoopDynamics(chain), closed_states(chain, 1)[0]
+    dynamics.update(q, v)
+    direct = dynamics.direct(np.ones(6))
+    assert not direct.singular
+    assert not dynamics.inverse(direct.a.copy()).singular
+
+
 def heavy(chain: ClosedChain) -> ClosedChain:
     """The same chain with links that weigh something and a box in its hands."""
     model = chain.robot.model.copy()
@@ -575,8 +592,7 @@ def test_power_of_the_motors_and_of_gravity_becomes_kinetic_energy(
 def object_motion(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
     """Newton-Euler of the object from where it was, is and will be; wrench at its origin."""
     held, data = chain.held, chain.model.createData()
-    xx, xy, xz, yy, yz, zz = held.inertia or (0.0,) * 6
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about_com = inertia_of(held)
     places = []
     for h in (-H, 0.0, H):
         pin.framesForwardKinematics(chain.model, data, q + h * v + 0.5 * h * h * a)
@@ -634,6 +650,30 @@ def test_each_arm_feels_the_wrench_of_its_hand(
                 J = pin.getFrameJacobian(bare, data, frame, pin.LOCAL_WORLD_ALIGNED)
                 moved = moved + J.T @ by_hand
             np.testing.assert_allclose(moved, used, atol=1e-8)
+
+
+@pytest.mark.parametrize("shares", SHARES)
+def test_hands_need_not_bring_what_pushes_from_outside(
+    box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
+) -> None:
+    """With a push on the object each arm still feels the wrench of its hand and no more."""
+    dynamics, bare = ClosedLoopDynamics(box_chain, shares=shares), box_chain.model
+    data, push = bare.createData(), np.array([3.0, -2.0, 5.0, 0.1, 0.3, -0.2])
+    for q, v in states[:10]:
+        dynamics.update(q, v)
+        tau = np.linspace(-1, 1, 10)
+        result = dynamics.direct(tau + dynamics.J_object.T @ push)
+        wrenches = dynamics.object_wrenches(result.a, result.wrench, push)
+        alone = dynamics.object_wrenches(result.a, result.wrench).needed
+        np.testing.assert_allclose(wrenches.needed + push, alone, atol=1e-12)
+        np.testing.assert_allclose(wrenches.by_arm.sum(axis=0), wrenches.needed, atol=1e-9)
+        moved = pin.rnea(bare, data, q, v, result.a)
+        pin.computeJointJacobians(bare, data, q)
+        pin.updateFramePlacements(bare, data)
+        for frame, by_hand in zip(box_chain.frames, wrenches.by_arm, strict=True):
+            J = pin.getFrameJacobian(bare, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            moved = moved + J.T @ by_hand
+        np.testing.assert_allclose(moved, tau, atol=1e-8)
 
 
 def test_hand_wrenches_do_not_depend_on_where_the_mass_is_counted(

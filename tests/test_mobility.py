@@ -200,11 +200,6 @@ def test_motors_of_hinges_on_one_line_decide_five_motions_in_every_pose(
         assert np.linalg.matrix_rank(object_twists(skewered, q), tol=1e-7) == 6
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="BUG mobility_analysis: generic poses grasp the object anew with the hinges fixed in "
-    "the hands, so the collinear axes come apart; motor_freedom is 6 and the verdict is silent",
-)
 def test_verdict_tells_of_the_motion_that_no_motor_decides(skewered: ClosedChain) -> None:
     assert "motors decide only 5" in mobility(skewered).verdict()
 
@@ -377,11 +372,6 @@ def test_asked_for_scheme_that_is_none(chain: ClosedChain, asked: list[str], mes
         mobility(chain, asked=asked)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="BUG constraint_equations.scheme: a passive joint is taken for an actuated one; "
-    "ClosedLoopDynamics says 'is a passive joint and has no motor'",
-)
 def test_passive_joint_is_no_part_of_a_scheme(hinged: ClosedChain) -> None:
     with pytest.raises(InvalidValueError, match="passive"):
         mobility(hinged, asked=[*hinged.joint_names[:5], "right.hinge"])

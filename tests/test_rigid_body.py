@@ -30,6 +30,8 @@ from coopqp.state import State
 Array = NDArray[np.float64]
 
 DT = 0.01  # control period [s]
+FINE = RigidBody(time_step=1e-4)
+"""At which even the stiffest servos of these tests are integrated stably."""
 
 
 def build(chain: ClosedChain, plant: RigidBody | None = None) -> tuple[PlantModel, State, Command]:
@@ -44,7 +46,8 @@ def limp(chain: ClosedChain) -> ClosedChain:
     model = chain.robot.model.copy()
     model.effortLimit = np.zeros(model.nv)
     robot = replace(chain.robot, model=model)
-    return ClosedChain(robot, chain.q_start[: model.nq], chain.grasps, chain.held)
+    active = np.setdiff1d(np.arange(chain.n), chain.passive)
+    return ClosedChain(robot, chain.q_start[active], chain.grasps, chain.held)
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +58,9 @@ def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
 
 
 @pytest.fixture(scope="module")
-def limp_hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    """NAO without motors, the box between two hinges: the tree's inertia is singular."""
-    model = nao.model.copy()
-    model.effortLimit = np.zeros(10)
-    return ClosedChain(replace(nao, model=model), chain.q_start, Hinge(), BOX)
-
-
-def three_limp_arms() -> ClosedChain:
-    return limp(ring(3, 6))
+def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
+    """The box between two hinges: the tree's inertia matrix is singular."""
+    return ClosedChain(nao, chain.q_start, Hinge(), BOX)
 
 
 class Ledger:
@@ -91,10 +88,10 @@ class Ledger:
             self.opening = max(self.opening, float(np.abs(other - speed).max()))
 
 
-FREE = {
-    "firm": lambda request: limp(request.getfixturevalue("box_chain")),
-    "hinged": lambda request: request.getfixturevalue("limp_hinged"),
-    "three arms": lambda _: three_limp_arms(),
+FREE: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
+    "firm": lambda request: request.getfixturevalue("chain"),
+    "hinged": lambda request: request.getfixturevalue("hinged"),
+    "three arms": lambda _: ring(3, 6),
 }
 
 
@@ -103,7 +100,7 @@ def test_free_chain_keeps_its_energy_and_its_loops_for_ten_seconds(
     request: pytest.FixtureRequest, name: str
 ) -> None:
     """Gravity and no torque: less than a thousandth of the exchanged energy is lost or won."""
-    chain = FREE[name](request)
+    chain = limp(FREE[name](request))
     plant, state, still = build(chain)
     ledger = Ledger(chain)
     ledger.note(state)
@@ -164,6 +161,7 @@ def heavy_planar_pair() -> ClosedChain:
 RESTING: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
     "start": lambda request: request.getfixturevalue("chain"),
     "box": lambda request: request.getfixturevalue("box_chain"),
+    "hinged": lambda request: request.getfixturevalue("hinged"),
     "planar": lambda _: heavy_planar_pair(),
     "three arms": lambda _: ring(3, 7),
 }
@@ -173,9 +171,32 @@ RESTING: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
 def test_nothing_moves_at_rest_with_gravity_compensation(
     request: pytest.FixtureRequest, name: str
 ) -> None:
-    chain = RESTING[name](request)
-    plant, state, still = build(chain)
-    for _ in range(100):
+    stand_still(RESTING[name](request), FINE, 20)
+
+
+STIFF = pytest.mark.xfail(
+    strict=True,
+    raises=(AssertionError, np.linalg.LinAlgError),
+    reason="BUG servo.ServoLaw: D from the tree's A_jj, all other joints locked, is many times "
+    "critical for what a joint moves in the closed loop; at 1 ms the explicit Runge-Kutta method "
+    "is unstable (h times the largest rate beyond its 2.79)",
+)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["start", *(pytest.param(name, marks=STIFF) for name in RESTING if name != "start")],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_nothing_moves_at_rest_at_the_default_time_step(
+    request: pytest.FixtureRequest, name: str
+) -> None:
+    stand_still(RESTING[name](request), RigidBody(), 100)
+
+
+def stand_still(chain: ClosedChain, settings: RigidBody, ticks: int) -> None:
+    plant, state, still = build(chain, settings)
+    for _ in range(ticks):
         plant.step(state, still)
     np.testing.assert_allclose(state.q, chain.q_start, atol=1e-9)
     np.testing.assert_allclose(state.v, 0, atol=1e-8)
@@ -185,10 +206,8 @@ def test_nothing_moves_at_rest_with_gravity_compensation(
 
 def test_servos_without_compensation_sag_and_hold(box_chain: ClosedChain) -> None:
     """At rest the springs carry the weight: N' K (q_d - q) = N' gravity."""
-    plant, state, still = build(
-        box_chain, RigidBody(servo=Servo(gravity_compensation=False), friction=Friction())
-    )
-    for _ in range(300):
+    plant, state, still = build(box_chain, replace(FINE, servo=Servo(gravity_compensation=False)))
+    for _ in range(100):
         plant.step(state, still)
     assert np.abs(state.v).max() < 1e-3
     sag = np.abs(state.q - box_chain.q_start).max()
@@ -221,8 +240,7 @@ def test_torque_never_goes_beyond_the_limits(
     assert ledger.gap < 1e-9
 
 
-def test_hinges_have_no_motor_and_are_never_at_a_limit(nao: RobotModel, chain: ClosedChain) -> None:
-    hinged = ClosedChain(nao, chain.q_start, Hinge(), BOX)
+def test_hinges_have_no_motor_and_are_never_at_a_limit(hinged: ClosedChain) -> None:
     plant, state, command = build(hinged)
     command.v[:] = 1.0
     for _ in range(30):
@@ -233,21 +251,21 @@ def test_hinges_have_no_motor_and_are_never_at_a_limit(nao: RobotModel, chain: C
 
 def test_joints_follow_a_slow_motion_along_the_loops(box_chain: ClosedChain) -> None:
     """A commanded self-motion of the closed loops is carried out."""
-    plant, state, command = build(box_chain)
+    plant, state, command = build(box_chain, FINE)
     target = box_chain.q_start.copy()
-    for _ in range(100):
+    for _ in range(50):
         _, _, rows = np.linalg.svd(box_chain.loop_jacobian(target))
         direction = rows[6:].T @ rows[6:] @ np.linspace(-1, 1, 10)
         command.v[:] = 0.2 * direction / np.linalg.norm(direction)
         plant.step(state, command)
         target += DT * command.v
-    assert np.linalg.norm(target - box_chain.q_start) > 0.15
+    assert np.linalg.norm(target - box_chain.q_start) > 0.08
     np.testing.assert_allclose(state.q, target, atol=0.01)
 
 
 def test_wrench_at_the_cut_holds_the_box_at_rest(box_chain: ClosedChain) -> None:
     """Each hand's wrench is its share of the weight plus what cancels between the hands."""
-    plant, state, still = build(box_chain)
+    plant, state, still = build(box_chain, FINE)
     for _ in range(10):
         plant.step(state, still)
     internal = plant.signals["internal_wrench"].reshape(2, 6)
@@ -289,7 +307,7 @@ def comparison() -> coopqp.Comparison:
 def test_box_reaches_its_goal_on_rigid_bodies(comparison: coopqp.Comparison) -> None:
     found = comparison.metrics["qp"]
     assert found["reached"]
-    assert found["loop_error_max"] < 1e-9
+    assert max(found["loop_error_max"].values()) < 1e-9
     trace = comparison.traces["qp"]
     np.testing.assert_allclose(trace.position[-1], [0.13, 0.05, 0.03], atol=5e-4)
 
@@ -303,6 +321,11 @@ def test_run_on_rigid_bodies_tells_torques_and_energy(comparison: coopqp.Compari
         assert np.all(trace.signals["energy"][:, 0] >= 0)
 
 
-def test_quick_report_of_a_scenario_file(comparison: coopqp.Comparison) -> None:
-    assert set(comparison.verdicts) == {"qp", "pseudoinverse", "pseudoinverse_null_space"}
-    assert all(verdict for verdict in comparison.verdicts.values())
+def test_run_does_not_depend_on_the_time_step() -> None:
+    """A pose where the arms are nearly stretched: the same box at the same place."""
+    scenario = coopqp.load("near_singular")
+    ends = []
+    for time_step in (0.001, 0.00025):
+        trace = coopqp.run(replace(scenario, plant=RigidBody(time_step=time_step)), controller="qp")
+        ends.append(np.concatenate([trace.position[-1], 1e-3 * trace.signals["tau"][-1]]))
+    np.testing.assert_allclose(*ends, atol=1e-4)
