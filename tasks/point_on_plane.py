@@ -9,38 +9,12 @@ from where the point starts to 0:
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-import pinocchio as pin
-
 from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Vector3, one_angle, spec, unit
-from coopqp.state import PointOfObject, State
+from coopqp.spec import Direction, Vector3, spec
+from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
-
-
-@spec
-class Turn:
-    """A turn of the plane about an axis through its point."""
-
-    axis: Direction
-    """In the world; any length."""
-    angle: float | None = None
-    """How far [rad]."""
-    angle_deg: float | None = None
-    """How far [degrees]; instead of angle."""
-    profile: Profile = Profile()
-    """When and how."""
-
-    def __post_init__(self) -> None:
-        one_angle("angle", self.angle, self.angle_deg, needed=True)
-
-    @property
-    def radians(self) -> float:
-        """How far [rad]."""
-        return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 
 @spec
@@ -67,27 +41,21 @@ class PointOnPlane(Task):
     @property
     def end(self) -> float:
         """When the point shall be on the plane and the plane has turned [s]."""
-        return max(self.profile.end, self.turn.profile.end if self.turn else 0.0)
+        return last_end(self.profile, self.turn)
 
     def bind(self, start: State) -> Evaluate:
         """The height shrinks from what it is now."""
-        c_0, c_dot = np.array(self.through), np.array(self.velocity)
-        n_0, axis, angle, turning = unit(self.normal), np.zeros(3), 0.0, Profile()
-        if self.turn:
-            axis, angle, turning = unit(self.turn.axis), self.turn.radians, self.turn.profile
-        tracked, profile = PointOfObject(self.point, start.chain.n), self.profile
-        tracked.update(start)
-        height = float(n_0 @ (tracked.p - c_0 - c_dot * start.t))
+        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        seen = PointInReference(self.point, plane, start.chain.n)
+        plane.update(start.t)
+        seen.update(start)
+        approach = Approach(self.profile, seen.x[2:])
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            turned, turn_rate = turning.at(state.t)
-            n = pin.exp3(axis * (angle * turned)).dot(n_0)
-            n_dot = np.cross(axis * (angle * turn_rate), n)
-            share, speed = profile.at(state.t)
-            tracked.update(state)
-            above = tracked.p - c_0 - c_dot * state.t
-            rows.e[0] = n.dot(above) - height * (1.0 - share)
-            rows.rate[0] = n.dot(c_dot) - n_dot.dot(above) - height * speed
-            n.dot(tracked.J, rows.J[0])
+            plane.update(state.t)
+            seen.update(state)
+            rows.e[0], rows.rate[0] = seen.x[2], seen.rate[2]
+            rows.J[0] = seen.J[2]
+            approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate

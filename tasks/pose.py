@@ -12,9 +12,9 @@ With R_e = R R_r' and Jl the left Jacobian of SO(3),
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Approach, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.profile import Profile
 from coopqp.spec import Pose as PoseValue
@@ -52,21 +52,18 @@ class Pose(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from where the object is now."""
-        goal, profile = pose_matrix(self.goal), self.profile
-        p_start, R_start = start.p_WO.copy(), start.R_WO.copy()
-        way = goal.translation - p_start
-        phi = pin.log3(goal.rotation @ R_start.T)
+        goal, world = pose_matrix(self.goal), np.eye(3)
+        p_goal = goal.translation.copy()
+        rotation = RotationError(goal.rotation, self.profile, start.R_WO)
+        approach = Approach(self.profile, start.p_WO - p_goal)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            share, speed = profile.at(state.t)
-            R_e = state.R_WO.dot((pin.exp3(share * phi).dot(R_start)).T)
-            # pinocchio's Jlog3 takes body velocities; R_e' turns world ones into them.
-            Jl_inv = pin.Jlog3(R_e).dot(R_e.T)
-            np.subtract(state.p_WO, p_start + share * way, rows.e[:3])
-            rows.e[3:] = pin.log3(R_e)
-            rows.J[:3] = state.J_task[:3]
-            Jl_inv.dot(state.J_task[3:], rows.J[3:])
-            rows.rate[:3] = speed * way
-            rows.rate[3:] = Jl_inv.dot(R_e.dot(speed * phi))
+            e, J, rate = rows.e, rows.J, rows.rate
+            np.subtract(state.p_WO, p_goal, e[:3])
+            J[:3] = state.J_task[:3]
+            rate[:3] = 0.0
+            approach.shift(state.t, e[:3], rate[:3])
+            out = e[3:], J[3:], rate[3:]
+            rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate

@@ -768,10 +768,6 @@ def test_torques_for_a_motion_are_those_of_mujoco(
         pytest.param(
             {"right": math.nan, "left": 1.0},
             "needs shares that sum to 1",
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="BUG dynamics._shares: NaN passes both comparisons and the mass is dropped",
-            ),
         ),
     ],
 )

@@ -174,18 +174,9 @@ def test_nothing_moves_at_rest_with_gravity_compensation(
     stand_still(RESTING[name](request), FINE, 20)
 
 
-STIFF = pytest.mark.xfail(
-    strict=True,
-    raises=(AssertionError, np.linalg.LinAlgError),
-    reason="BUG servo.ServoLaw: D from the tree's A_jj, all other joints locked, is many times "
-    "critical for what a joint moves in the closed loop; at 1 ms the explicit Runge-Kutta method "
-    "is unstable (h times the largest rate beyond its 2.79)",
-)
-
-
 @pytest.mark.parametrize(
     "name",
-    ["start", *(pytest.param(name, marks=STIFF) for name in RESTING if name != "start")],
+    RESTING,
 )
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_nothing_moves_at_rest_at_the_default_time_step(

@@ -1,0 +1,76 @@
+"""A point of the object goes to a distance from a point in space: one row.
+
+With p the point, c the other one, which may move at c_dot, r the distance, u = (p - c) / |p - c|
+and h(t) the reference, which shrinks from the start to 0:
+
+    e = |p - c| - r - h,   J = u' J_p,   rate = u' c_dot + h_dot
+
+Where the two points coincide u is the world's x axis: the row stays finite and the point leaves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import TINY, Approach
+from coopqp.profile import Profile
+from coopqp.spec import Positive, Vector3, spec
+from coopqp.state import PointOfObject, State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class Distance(Task):
+    """A point of the object goes to a distance from a point in space (1 row), a sphere."""
+
+    to: Vector3
+    """The point in space at the start, in the world [m]."""
+    length: Positive
+    """The distance [m]."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point of the object, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the point in space, in the world [m/s]."""
+    profile: Profile = Profile()
+    """How the distance goes from what it is at the start to the length."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The way from the point in space to the object's."""
+        return ("distance",)
+
+    @property
+    def end(self) -> float:
+        """When the distance shall be the length [s]."""
+        return self.profile.end
+
+    def bind(self, start: State) -> Evaluate:
+        """The distance changes from what it is now."""
+        c_0, c_dot, length = np.array(self.to), np.array(self.velocity), self.length
+        tracked, away = PointOfObject(self.point, start.chain.n), np.zeros(3)
+
+        def measure(state: State) -> float:
+            """The distance; leaves the direction in ``away``."""
+            tracked.update(state)
+            np.multiply(c_dot, -state.t, away)
+            np.subtract(away, c_0, away)
+            np.add(away, tracked.p, away)
+            x, y, z = away.tolist()
+            distance = math.hypot(x, y, z)
+            if distance > TINY:
+                np.multiply(away, 1.0 / distance, away)
+            else:
+                away[:] = 1.0, 0.0, 0.0
+            return distance
+
+        approach = Approach(self.profile, [measure(start) - length])
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[0] = measure(state) - length
+            rows.rate[0] = away.dot(c_dot)
+            away.dot(tracked.J, rows.J[0])
+            approach.shift(state.t, rows.e, rows.rate)
+
+        return evaluate

@@ -1,0 +1,86 @@
+"""A line of the object goes onto a line in space: two offsets and two angles, four rows.
+
+The object's line goes through the point p along the axis a, the one in space through c along the
+unit vector d; that may move, c_dot, and turn about an axis through c, omega. With T = [t_1 t_2] a
+basis of the plane normal to d that turns with the line and h(t) the reference offset, which shrinks
+from the start to 0:
+
+    e = [T'(p - c) - h; theta u]
+
+with theta the angle between the axis and its wished direction, which goes from the start to d on
+the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
+the motion of the line; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the axis points the opposite way. Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, Vector3, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class LineOnLine(Task):
+    """A line of the object goes onto a line (4 rows); it may slide along and spin."""
+
+    direction: Direction
+    """Of the line at the start, in the world; any length."""
+    through: Vector3
+    """A point of the line at the start, in the world [m]."""
+    axis: Direction
+    """Of the object's line, in the object frame; any length."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """A point of the object's line, in the object frame [m]."""
+    either_way: bool = False
+    """Whether the axis may also end against the direction; then it goes the shorter way."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the line itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the line during the motion."""
+    profile: Profile = Profile()
+    """How offset and angle go to zero."""
+    tolerance_angle: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The point's offset along two directions normal to the line, and how the axis leans."""
+        return ("across_1", "across_2", "lean_1", "lean_2")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Offset and angle."""
+        return (
+            Part("position", 2, "m", self.tolerance),
+            Part("orientation", 2, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the lines shall coincide and the one in space has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """Offset and angle shrink from what they are now."""
+        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        seen = PointInReference(self.point, line, start.chain.n)
+        line.update(start.t)
+        seen.update(start)
+        against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
+        axis = tuple(-np.array(self.axis)) if against else self.axis
+        alignment = Alignment(axis, line, self.profile, start)
+        approach = Approach(self.profile, seen.x[:2])
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            e, J, rate = rows.e, rows.J, rows.rate
+            line.update(state.t)
+            seen.update(state)
+            e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
+            approach.shift(state.t, e[:2], rate[:2])
+            alignment.fill(state, e[2:], J[2:], rate[2:])
+
+        return evaluate

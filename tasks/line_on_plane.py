@@ -1,0 +1,92 @@
+"""A line of the object goes into a plane in space: a height and an angle, two rows.
+
+The line goes through the point p along the axis a of the object. The plane goes through c with
+unit normal n; it may move, c_dot, and turn about an axis through c, omega. With beta the angle
+between line and plane, w the unit vector along n x a and h(t) the reference, which shrinks from
+the start to 0:
+
+    e = [n'(p - c); beta] - h,   sin beta = n'a,   J = [n' J_p; -w' J_omega]
+
+    rate = [n'(c_dot + omega x (p - c)); -w' omega] + h_dot
+
+Where the line is normal to the plane it may fall any way; there w is normal to the first of the
+plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end, polar
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, Vector3, spec, unit
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class LineOnPlane(Task):
+    """A line of the object goes into a plane (2 rows); four motions stay free."""
+
+    normal: Direction
+    """Of the plane at the start, in the world; any length."""
+    through: Vector3
+    """A point of the plane at the start, in the world [m]."""
+    axis: Direction
+    """Of the object's line, in the object frame; any length."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """A point of the object's line, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the plane itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the plane during the motion."""
+    profile: Profile = Profile()
+    """How height and angle go to zero."""
+    tolerance_angle: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The point's height above the plane and the line's angle to it."""
+        return ("normal", "angle")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Height and angle."""
+        return (
+            Part("position", 1, "m", self.tolerance),
+            Part("orientation", 1, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the line shall be in the plane and the plane has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """Height and angle shrink from what they are now."""
+        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        seen, a_O = PointInReference(self.point, plane, start.chain.n), unit(self.axis)
+        aside, across = np.zeros(3), np.zeros(3)  # -w in the plane's axes and in the world's
+
+        def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+            plane.update(state.t)
+            seen.update(state)
+            line = polar(plane.RT.dot(state.R_WO.dot(a_O)))
+            aside[0], aside[1] = line.way[1], -line.way[0]
+            aside.dot(plane.RT, across)
+            e[0], e[1] = seen.x[2], 0.5 * math.pi - line.angle
+
+        e_start = np.zeros(2)
+        measure(start, e_start)
+        approach = Approach(self.profile, e_start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            measure(state, rows.e)
+            rows.J[0], rows.rate[0] = seen.J[2], seen.rate[2]
+            across.dot(state.J_task[3:], rows.J[1])
+            rows.rate[1] = across.dot(plane.omega)
+            approach.shift(state.t, rows.e, rows.rate)
+
+        return evaluate

@@ -1,0 +1,136 @@
+"""The object keeps able to move every way: Yoshikawa's manipulability, with the loops closed.
+
+With J the rows of the object's translation, C = J_rel the loop rows and P = I - C^+ C the joint
+motions that keep the loops closed,
+
+    m(q) = sqrt(det(J P J')),   phi = m / m_0,   m_0 = (tr(J P J') / k)^(k/2) at the start
+
+so that phi is 1 where the object starts equally able to move in all k directions and 0 where it
+cannot move in one. The joints climb it:
+
+    e = -grad phi,   grad_j m = m tr(G (dJ/dq_j - J C^+ dC/dq_j)),   G = P J' (J P J')^-1
+
+J and C are fixed mixtures of the arms' Jacobians, eq. (30)-(31), whose columns z = (v; w) change as
+
+    dv_k/dq_j = w_j x v_k  if j carries k or is k,   w_k x v_j  if k carries j
+    dw_k/dq_j = w_j x w_k  if j carries k
+
+so the gradient is analytic. Where m = 0 it has no gradient; the rows stay finite there. Yoshikawa
+1985; gradient projection after Dubey and Luh 1988.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.linalg import lapack
+
+from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.spec import NonNegative, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+Array = NDArray[np.float64]
+Axis = Literal["x", "y", "z"]
+
+ALL: tuple[Axis, ...] = ("x", "y", "z")
+
+#: Added to J P J' and C C', as a share of their traces, so that they can be inverted.
+REGULAR = 1e-12
+
+_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+@spec
+class Manipulability(Task):
+    """Joints keep the object able to move every way, with what the tasks leave free."""
+
+    unit: ClassVar[str] = "1/rad"
+    joint_space: ClassVar[bool] = True
+
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=3)] = ALL
+    """Directions in the world that count; for a planar robot those of its plane."""
+    weight: NonNegative = 1e-5
+    """Cost of a squared deviation from Z [s2/rad2]; far below the tasks', so that they win."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The joints."""
+        return chain.joint_names
+
+    def bind(self, start: State) -> Evaluate:
+        """The scale m_0 is that of the start."""
+        climb = _Climb(start.chain, [AXES.index(axis) for axis in dict.fromkeys(self.axes)])
+        m_0 = climb.isotropic(start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            climb.gradient(state, rows.e)
+            np.multiply(rows.e, -1.0 / m_0, rows.e)
+
+        return evaluate
+
+
+class _Climb:
+    """The gradient of the manipulability.
+
+    Args:
+        chain: the closed chain.
+        kept: rows of J_task that count.
+    """
+
+    def __init__(self, chain: ClosedChain, kept: list[int]) -> None:
+        self._kept, self._arms = np.array(kept), len(chain.arms)
+        self._unmix = np.linalg.inv(chain.mixing)
+        self._of_J, self._of_C = chain.mixing[kept], chain.mixing[6:]
+        model = chain.model
+        # carries[i, j, k]: arm i has joints j and k, and j is k or nearer to the base.
+        carries = np.zeros((self._arms, chain.n, chain.n))
+        for i, frame in enumerate(chain.frames):
+            joints = list(model.supports[model.frames[frame].parentJoint])[1:]
+            columns = [model.idx_vs[joint] for joint in joints]
+            carries[np.ix_([i], columns, columns)] = np.triu(np.ones((len(columns),) * 2))
+        self._down = np.ascontiguousarray(carries.transpose(0, 2, 1))
+        self._up = carries - carries * np.eye(chain.n)
+
+    def isotropic(self, state: State) -> float:
+        """(tr(J P J') / k)^(k/2), or 1 where the object cannot move."""
+        k = len(self._kept)
+        _, J_free, failed = self._project(state)
+        mean = float(np.sum(J_free * J_free)) / k
+        return 1.0 if failed or mean <= 0.0 else float(mean ** (0.5 * k))
+
+    def gradient(self, state: State, out: Array) -> None:
+        """Write grad m, shape (n,); zero where it cannot be computed."""
+        to_loops, J_free, failed = self._project(state)
+        factor, G_T, singular = lapack.dposv(_regular(J_free.dot(J_free.T)), J_free)
+        if failed or singular:
+            out[:] = 0.0
+            return
+        m = float(factor.diagonal().prod())
+        mixture = self._of_J - to_loops.T.dot(self._of_C)
+        n = state.chain.n
+        pull = (m * mixture).T.dot(G_T).reshape(self._arms, 2, 3, n)
+        J_arms = self._unmix.dot(state.J_ext).reshape(self._arms, 2, 3, n)
+        v, w, g, h = J_arms[:, 0], J_arms[:, 1], pull[:, 0], pull[:, 1]
+        after = (_cross(v, g) + _cross(w, h)) @ self._down
+        before = _cross(g, w) @ self._up
+        np.sum(w * after + v * before, axis=(0, 1), out=out)
+
+    def _project(self, state: State) -> tuple[Array, Array, int]:
+        """(J C^+)', J P and whether that failed."""
+        J, C = state.J_task[self._kept], state.J_rel
+        _, to_loops, failed = lapack.dposv(_regular(C.dot(C.T)), C.dot(J.T))
+        return to_loops, J - to_loops.T.dot(C), failed
+
+
+def _regular(matrix: Array) -> Array:
+    """The matrix, in place, with a little more on its diagonal."""
+    matrix.flat[:: len(matrix) + 1] += REGULAR * matrix.trace()
+    return matrix
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of the columns, shapes (N, 3, n)."""
+    return np.asarray(a[:, _YZX] * b[:, _ZXY] - a[:, _ZXY] * b[:, _YZX])

@@ -1,0 +1,40 @@
+"""Joints move as little as they can: Z = 0.
+
+    e = 0,   J = I,   rate = 0
+
+so that the least sum of squared joint velocities does what the tasks ask for. The gain is without
+effect.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.spec import NonNegative, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class MinimumVelocity(Task):
+    """Joints move as little as the tasks allow (one row a joint)."""
+
+    unit: ClassVar[str] = "rad"
+    joint_space: ClassVar[bool] = True
+
+    weight: NonNegative = 1e-5
+    """Cost of a squared joint velocity [s2/rad2]; far below the tasks', so that they win."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The joints."""
+        return chain.joint_names
+
+    def bind(self, start: State) -> Evaluate:
+        """Nothing changes: e and rate are zero."""
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[:] = 0.0
+            rows.rate[:] = 0.0
+
+        return evaluate

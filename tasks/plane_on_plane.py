@@ -1,0 +1,80 @@
+"""A plane of the object goes onto a plane in space: a height and two angles, three rows.
+
+The object's plane goes through the point p with normal a, the one in space through c with unit
+normal n; that may move, c_dot, and turn about an axis through c, omega. The normals point the same
+way; to lay the faces against each other turn one round. With h(t) the reference height, which
+shrinks from the start to 0:
+
+    e = [n'(p - c) - h; theta u]
+
+with theta the angle between the axis and its wished direction, which goes from the start to n on
+the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
+the motion of the plane; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the axis points the opposite way. Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, Vector3, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class PlaneOnPlane(Task):
+    """A plane of the object goes onto a plane (3 rows); it may slide and spin there."""
+
+    normal: Direction
+    """Of the plane at the start, in the world; any length."""
+    through: Vector3
+    """A point of the plane at the start, in the world [m]."""
+    axis: Direction
+    """Normal of the object's plane, in the object frame; any length."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """A point of the object's plane, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the plane itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the plane during the motion."""
+    profile: Profile = Profile()
+    """How offset and angle go to zero."""
+    tolerance_angle: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The point's height above the plane and how far the normal leans."""
+        return ("normal", "lean_1", "lean_2")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Offset and angle."""
+        return (
+            Part("position", 1, "m", self.tolerance),
+            Part("orientation", 2, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the planes shall coincide and the one in space has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """Offset and angle shrink from what they are now."""
+        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        seen = PointInReference(self.point, plane, start.chain.n)
+        plane.update(start.t)
+        seen.update(start)
+        alignment = Alignment(self.axis, plane, self.profile, start)
+        approach = Approach(self.profile, seen.x[2:])
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            e, J, rate = rows.e, rows.J, rows.rate
+            plane.update(state.t)
+            seen.update(state)
+            e[:1], J[:1], rate[:1] = seen.x[2], seen.J[2], seen.rate[2]
+            approach.shift(state.t, e[:1], rate[:1])
+            alignment.fill(state, e[1:], J[1:], rate[1:])
+
+        return evaluate

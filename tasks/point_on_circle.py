@@ -1,0 +1,79 @@
+"""A point of the object goes to a circle in space: its radius and its height, two rows.
+
+The circle has center c, unit normal n and radius r; it may move, c_dot, and turn about an axis
+through c, omega. With x = (x_1, x_2, x_3) the point in axes that turn with the circle, the third
+along n, u = (x_1, x_2) / |(x_1, x_2)| and h(t) the reference, which shrinks from the start to 0:
+
+    e = [|(x_1, x_2)| - r; x_3] - h,   J = [u' 0; 0 0 1] J_x
+
+On the circle's axis, where no way out is shortest, u is the first of the circle's axes: the rows
+stay finite and the point leaves the axis.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, Vector3, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class PointOnCircle(Task):
+    """A point of the object goes to a circle (2 rows); it may go round and turn."""
+
+    center: Vector3
+    """Of the circle at the start, in the world [m]."""
+    normal: Direction
+    """Of the circle's plane at the start, in the world; any length."""
+    radius: Positive
+    """[m]"""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point that goes there, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the circle itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the circle during the motion, about an axis through its center."""
+    profile: Profile = Profile()
+    """How the point's offset from the circle goes to zero."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The distance from the circle's axis and the height above its plane."""
+        return ("radius", "normal")
+
+    @property
+    def end(self) -> float:
+        """When the point shall be on the circle and the circle has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """The offset shrinks from what it is now."""
+        circle = Reference(self.center, self.normal, self.velocity, self.turn)
+        seen, radius = PointInReference(self.point, circle, start.chain.n), self.radius
+        outward = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+        def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+            circle.update(state.t)
+            seen.update(state)
+            x, y, z = seen.x.tolist()
+            away = math.hypot(x, y)
+            outward[0, :2] = (x / away, y / away) if away > TINY else (1.0, 0.0)
+            e[0], e[1] = away - radius, z
+
+        e_start = np.zeros(2)
+        measure(start, e_start)
+        approach = Approach(self.profile, e_start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            measure(state, rows.e)
+            outward.dot(seen.J, rows.J)
+            outward.dot(seen.rate, rows.rate)
+            approach.shift(state.t, rows.e, rows.rate)
+
+        return evaluate

@@ -1,0 +1,62 @@
+"""A point of the object goes to a line in space: two rows across the line.
+
+The line goes through c along the unit vector d; it may move, c_dot, and turn about an axis through
+c, omega. T = [t_1 t_2] is a basis of the plane normal to d that turns with the line. With p the
+point and h(t) the reference offset, which shrinks from where the point starts to 0:
+
+    e = T'(p - c) - h,   J = T' J_p,   rate = T'(c_dot + omega x (p - c)) + h_dot
+
+One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Vector3, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class PointOnLine(Task):
+    """A point of the object goes to a line (2 rows); it may slide along and turn."""
+
+    direction: Direction
+    """Of the line at the start, in the world; any length."""
+    through: Vector3
+    """A point of the line at the start, in the world [m]."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point that goes there, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the line itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the line during the motion."""
+    profile: Profile = Profile()
+    """How the point's offset from the line goes to zero."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The offset along two directions normal to the line."""
+        return ("across_1", "across_2")
+
+    @property
+    def end(self) -> float:
+        """When the point shall be on the line and the line has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """The offset shrinks from what it is now."""
+        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        seen = PointInReference(self.point, line, start.chain.n)
+        line.update(start.t)
+        seen.update(start)
+        approach = Approach(self.profile, seen.x[:2])
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            line.update(state.t)
+            seen.update(state)
+            rows.e[:], rows.J[:], rows.rate[:] = seen.x[:2], seen.J[:2], seen.rate[:2]
+            approach.shift(state.t, rows.e, rows.rate)
+
+        return evaluate

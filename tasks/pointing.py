@@ -1,0 +1,61 @@
+"""An axis of the object points along a direction in space: two rows.
+
+The direction d may turn. The wished direction goes from where the axis a points at the start to d
+on the shortest way. With theta the angle between the axis and the wished direction and u the way
+the axis leans from it, in a basis normal to it that turns with it,
+
+    e = theta u,   |e| = theta
+
+J and rate follow from a_dot = omega x a; :class:`coopqp.geometry.Alignment` has them, and says what
+happens where the axis points the opposite way.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Alignment, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class Pointing(Task):
+    """An axis of the object points along a direction (2 rows); it may spin and go anywhere."""
+
+    unit: ClassVar[str] = "rad"
+
+    direction: Direction
+    """At the start, in the world; any length."""
+    axis: Direction
+    """The axis that points there, in the object frame; any length."""
+    turn: Turn | None = None
+    """Turn of the direction during the motion."""
+    profile: Profile = Profile()
+    """How the axis turns from the start to the direction."""
+    tolerance: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """How far the axis leans two ways normal to the direction."""
+        return ("lean_1", "lean_2")
+
+    @property
+    def end(self) -> float:
+        """When the axis shall point there and the direction has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """The wished direction sets out from where the axis points now."""
+        reference = Reference(direction=self.direction, turn=self.turn)
+        reference.update(start.t)
+        alignment = Alignment(self.axis, reference, self.profile, start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            reference.update(state.t)
+            alignment.fill(state, rows.e, rows.J, rows.rate)
+
+        return evaluate

@@ -1,0 +1,96 @@
+"""The object is brought onto a slide in space: turned as it shall be, a point on a line, five rows.
+
+The line goes through c along the unit vector d; it may move, c_dot, and turn about an axis through
+c, omega, and then the object turns with it. What stays free is a virtual prismatic joint. With
+R the line's axes, the third along d, T the first two, Q = R' R_WO how the object is turned to
+them, Q_r = exp(s phi) Q_start, Q_e = Q Q_r' and h(t) the reference offset, which shrinks from the
+start to 0:
+
+    e = [T'(p - c) - h; log Q_e],   J = [T' J_p; Jl^-1 R' J_omega]
+
+    rate = [T'(c_dot + omega x (p - c)) + h_dot; Jl^-1 (R' omega + Q_e s_dot phi)]
+
+Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Approach, PointInReference, Reference, RotationError, Turn, last_end
+from coopqp.grasp import pose_matrix
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Pose, Positive, Vector3, one_angle, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class Prismatic(Task):
+    """A point of the object goes to a line and it keeps its orientation (5 rows); it may slide."""
+
+    direction: Direction
+    """Of the line at the start, in the world; any length."""
+    through: Vector3
+    """A point of the line at the start, in the world [m]."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point that goes there, in the object frame [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw of the object, before the line turns [rad]; as at the start if omitted."""
+    rpy_deg: Vector3 | None = None
+    """Roll, pitch, yaw [degrees]; instead of rpy."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the line itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the line, and of the object with it, during the motion."""
+    profile: Profile = Profile()
+    """How offset and angle go to zero."""
+    tolerance_angle: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def __post_init__(self) -> None:
+        one_angle("rpy", self.rpy, self.rpy_deg)
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The offset normal to the line and rotation about the same directions and the line."""
+        return ("across_1", "across_2", "rot_1", "rot_2", "rot_along")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Offset and orientation."""
+        return (
+            Part("position", 2, "m", self.tolerance),
+            Part("orientation", 3, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the object shall be on the slide and the line has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """Offset and angle shrink from what they are now."""
+        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        seen = PointInReference(self.point, line, start.chain.n)
+        R_goal = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+        if self.rpy is None and self.rpy_deg is None:
+            R_goal = start.R_WO
+        Q_goal = line.RT @ R_goal
+        line.update(start.t)
+        seen.update(start)
+        rotation = RotationError(Q_goal, self.profile, line.RT @ start.R_WO)
+        approach = Approach(self.profile, seen.x[:2])
+        Q = np.zeros((3, 3))
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            e, J, rate = rows.e, rows.J, rows.rate
+            line.update(state.t)
+            seen.update(state)
+            e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
+            approach.shift(state.t, e[:2], rate[:2])
+            line.RT.dot(state.R_WO, Q)
+            rotation.fill(state.t, Q, line.RT, state.J_task[3:], (e[2:], J[2:], rate[2:]))
+            if line.moves:
+                rate[2:] += rotation.rows.dot(line.omega)
+
+        return evaluate

@@ -1,0 +1,110 @@
+"""One arm carries its object frame to a pose relative to that of the first arm: six rows.
+
+For arms whose loop is open, such as two hands about to meet, or a screwdriver and a screw. 0 is the
+first arm, i the other, X_0i = (x, Q) the pose of i's object frame in 0's, at the identity where the
+hands hold the object together:
+
+    x = R_0'(p_i - p_0),   x_r = x_start + s (x_goal - x_start)
+    Q = R_0' R_i,          Q_r = exp(s phi) Q_start,   Q_e = Q Q_r'
+
+    e = [x - x_r; log Q_e]
+    J = [R_0'(J_v,rel + [p_i - p_0]x J_omega,0); Jl^-1 R_0' J_omega,rel]
+    rate = [x_r_dot; Jl^-1 Q_e s_dot phi]
+
+J_rel = J_i - J_0 are the relative rows of eq. (29), Jl is the left Jacobian of SO(3) at log Q_e. A
+loop that is closed contradicts every goal but the identity. Relative variables after Chiacchio,
+Chiaverini and Siciliano 1996.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import UnknownNameError
+from coopqp.geometry import Approach, RotationError
+from coopqp.grasp import pose_matrix
+from coopqp.profile import Profile
+from coopqp.spec import Pose, Positive, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class RelativeMotion(Task):
+    """An arm's object frame goes to a pose relative to the first arm's (6 rows); loop open."""
+
+    goal: Pose = Pose()
+    """Of the arm's object frame in the first arm's; together as grasped if omitted."""
+    arm: str | None = None
+    """Which arm; the second if omitted."""
+    profile: Profile = Profile()
+    """How the reference moves from the start to the goal."""
+    tolerance_angle: Positive = 5e-3
+    """Orientation error at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Translation along and rotation about the axes of the first arm's object frame."""
+        return ("x", "y", "z", "rot_x", "rot_y", "rot_z")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Position and orientation."""
+        return (
+            Part("position", 3, "m", self.tolerance),
+            Part("orientation", 3, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the reference arrives [s]."""
+        return self.profile.end
+
+    def bind(self, start: State) -> Evaluate:
+        """The reference sets out from the relative pose now.
+
+        Raises:
+            UnknownNameError: no such arm, or the first one.
+        """
+        chain, at = start.chain, 6 * self._loop(start.chain)
+        # Rows of J_0 = J_task - sum alpha_i J_rel,i; R_0 follows from R_WO in the same way.
+        alpha, first = chain.alpha[1:], np.linalg.inv(chain.mixing)[3:6]
+        goal = pose_matrix(self.goal)
+        p_goal = goal.translation.copy()
+        R_0, Q, gap = np.eye(3), np.eye(3), np.zeros(3)
+        J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
+
+        def look(state: State) -> None:
+            errors = state.loop_error.reshape(-1, 6)
+            pin.exp3(-alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
+            gap[:] = state.loop_error[at : at + 3]
+            turned = pin.exp3(state.loop_error[at + 3 : at + 6])  # R_i R_0'
+            R_0.T.dot(turned.dot(R_0), Q)
+
+        look(start)
+        rotation = RotationError(goal.rotation, self.profile, Q)
+        approach = Approach(self.profile, R_0.T @ gap - p_goal)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            look(state)
+            e, J, rate, J_rel = rows.e, rows.J, rows.rate, state.J_rel[at : at + 6]
+            R_0.T.dot(gap, e[:3])
+            e[:3] -= p_goal
+            first.dot(state.J_ext, J_omega_0)
+            pin.skew(gap).dot(J_omega_0, J_gap)
+            np.add(J_gap, J_rel[:3], J_gap)
+            R_0.T.dot(J_gap, J[:3])
+            rate[:3] = 0.0
+            approach.shift(state.t, e[:3], rate[:3])
+            rotation.fill(state.t, Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
+
+        return evaluate
+
+    def _loop(self, chain: ClosedChain) -> int:
+        """Number of the loop that the arm closes with the first."""
+        others = [arm.name for arm in chain.arms[1:]]
+        if self.arm is None:
+            return 0
+        if self.arm not in others:
+            raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ")
+        return others.index(self.arm)

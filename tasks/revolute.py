@@ -1,0 +1,79 @@
+"""The object is brought onto a hinge in space: point on point, axis on axis, five rows.
+
+The object's point p goes to c and its axis a to the unit vector d; the hinge may move, c_dot, and
+turn about an axis through c, omega. What stays free is a virtual revolute joint. With R the hinge's
+axes, the third along d, and h(t) the reference offset, which shrinks from the start to 0:
+
+    e = [R'(p - c) - h; theta u]
+
+with theta the angle between the axis and its wished direction, which goes from the start to d on
+the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
+the motion of the hinge; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the axis points the opposite way. Khalil and Dombre 2004.
+"""
+
+from __future__ import annotations
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.profile import Profile
+from coopqp.spec import Direction, Positive, Vector3, spec
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+
+@spec
+class Revolute(Task):
+    """A point and an axis of the object go onto a hinge in space (5 rows); it may spin there."""
+
+    direction: Direction
+    """Of the hinge at the start, in the world; any length."""
+    through: Vector3
+    """Where the point goes, a point of the hinge at the start, in the world [m]."""
+    axis: Direction
+    """The axis that goes onto the hinge, in the object frame; any length."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point that goes there, in the object frame [m]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the hinge itself, in the world [m/s]."""
+    turn: Turn | None = None
+    """Turn of the hinge during the motion."""
+    profile: Profile = Profile()
+    """How offset and angle go to zero."""
+    tolerance_angle: Positive = 5e-3
+    """Angle at the end that still counts as reached [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The point's offset across and along the hinge and how the axis leans."""
+        return ("across_1", "across_2", "along", "lean_1", "lean_2")
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Offset and angle."""
+        return (
+            Part("position", 3, "m", self.tolerance),
+            Part("orientation", 2, "rad", self.tolerance_angle),
+        )
+
+    @property
+    def end(self) -> float:
+        """When the object shall be on the hinge and the hinge has turned [s]."""
+        return last_end(self.profile, self.turn)
+
+    def bind(self, start: State) -> Evaluate:
+        """Offset and angle shrink from what they are now."""
+        hinge = Reference(self.through, self.direction, self.velocity, self.turn)
+        seen = PointInReference(self.point, hinge, start.chain.n)
+        hinge.update(start.t)
+        seen.update(start)
+        alignment = Alignment(self.axis, hinge, self.profile, start)
+        approach = Approach(self.profile, seen.x)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            e, J, rate = rows.e, rows.J, rows.rate
+            hinge.update(state.t)
+            seen.update(state)
+            e[:3], J[:3], rate[:3] = seen.x, seen.J, seen.rate
+            approach.shift(state.t, e[:3], rate[:3])
+            alignment.fill(state, e[3:], J[3:], rate[3:])
+
+        return evaluate

@@ -1,0 +1,89 @@
+"""The object moves at a velocity, as from a joystick: a row for each component that is given.
+
+    e = 0,   J = the rows of J_O given,   rate = s(t) times the velocity commanded
+
+J_O is the Jacobian of a point of the object, (v; omega), in the world's or the object's own axes.
+The share s grows from 0 to 1 with the profile, so that the object sets off without a jerk. There is
+no position to come back to, so the error is zero and the gain without effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
+
+from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.profile import Profile
+from coopqp.spec import Positive, Vector3, spec
+from coopqp.state import PointOfObject, State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+
+Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
+Command = Callable[[float], Sequence[float]]
+
+
+@spec
+class Twist(Task):
+    """The object moves at a velocity (a row for each component given); for teleoperation."""
+
+    velocity: Annotated[dict[Axis, float], Field(min_length=1)]
+    """Of some of x, y, z, rot_x, rot_y, rot_z [m/s, rad/s]; zero holds still, left out is free."""
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """The point whose velocity x, y and z are, in the object frame [m]."""
+    axes: Literal["world", "object"] = "world"
+    """Along whose axes."""
+    profile: Profile = Profile(duration=0.2)
+    """How the velocity grows from zero to what is commanded."""
+    command: SkipJsonSchema[Command | None] = None
+    """In Python: time [s] to the components of ``velocity``, in their order here, instead of it."""
+    tolerance_angle: Positive = 5e-3
+    """Without effect: the error is zero [rad]."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The components given, translation first."""
+        return tuple(axis for axis in AXES if axis in self.velocity)
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Translation and rotation, as far as given."""
+        turns = sum(axis.startswith("rot") for axis in self.velocity)
+        parts = (
+            Part("position", len(self.velocity) - turns, "m", self.tolerance),
+            Part("orientation", turns, "rad", self.tolerance_angle),
+        )
+        return tuple(part for part in parts if part.rows)
+
+    @property
+    def end(self) -> float:
+        """When the velocity is what is commanded [s]."""
+        return self.profile.end
+
+    def bind(self, start: State) -> Evaluate:
+        """The velocity grows from zero."""
+        names = self.rows(start.chain)
+        chosen = np.array([AXES.index(name) for name in names])
+        constant = np.array([self.velocity[name] for name in names])  # type: ignore[index]
+        order = [list(self.velocity).index(name) for name in names]  # type: ignore[arg-type]
+        tracked, profile, command = (
+            PointOfObject(self.point, start.chain.n),
+            self.profile,
+            self.command,
+        )
+        turned, J = self.axes == "object", np.zeros((6, start.chain.n))
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            share, _ = profile.at(state.t)
+            tracked.update(state)
+            if turned:
+                state.R_WO.T.dot(tracked.J, J[:3])
+                state.R_WO.T.dot(state.J_task[3:], J[3:])
+            else:
+                J[:3], J[3:] = tracked.J, state.J_task[3:]
+            np.take(J, chosen, axis=0, out=rows.J, mode="clip")
+            wanted = constant if command is None else np.asarray(command(state.t))[order]
+            np.multiply(wanted, share, rows.rate)
+
+        return evaluate
