@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from coopqp.state import State
 from coopqp.task import Task
 
 Array = NDArray[np.float64]
+OnInfeasible = Literal["scale", "hold", "stop"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,9 @@ class ControlProblem:
             removes the linearisation error of each step in the next.
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
+        on_infeasible: what to do in a tick in which not everything can hold: "scale" gives up, in
+            this order, hard and scaled tasks, acceleration limits, the drift correction; "hold"
+            stands still for the tick; "stop" stands still from then on.
     """
 
     chain: ClosedChain
@@ -45,6 +49,7 @@ class ControlProblem:
     dt: float = 0.01
     kappa: float = 0.0
     budget: Budget = field(default_factory=Budget)
+    on_infeasible: OnInfeasible = "scale"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < np.inf:
@@ -73,12 +78,14 @@ class Command:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
         tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
         status: what became of the tick; not usable means v = 0, or torques that only hold.
+        scale: least share of its speed at which a scaled task runs; 1 without scaled tasks.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
         self.v = np.zeros(n)
         self.tau = np.zeros(n) if torques else None
         self.status = Status.OPTIMAL
+        self.scale = 1.0
 
     def copy(self) -> Command:
         """The same, in arrays of its own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -41,9 +41,15 @@ class Limit:
 
     constant: ClassVar[bool] = False
     """Whether the bounds are the same in every tick, so that they are asked for once."""
+    sacrificed_first: ClassVar[bool] = False
+    """Whether it may be given up before the drift correction when not everything can hold."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """A name for each inequality row beside the bounds; none for most limits."""
+        """A name for each inequality row beside the bounds; none for most limits.
+
+        Raises:
+            CoopqpError: the limit cannot be used with this chain.
+        """
         return ()
 
     @abstractmethod
@@ -55,3 +61,63 @@ class Limit:
             dt: control period [s].
         """
         raise NotImplementedError
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+        """How far a run stayed away from this limit, for the audit.
+
+        Args:
+            chain: what is limited.
+            q: configurations, shape (T + 1, n) [rad, m]; row k + 1 is after tick k.
+            v: velocities of the ticks, shape (T, n) [rad/s, m/s].
+            dt: control period [s].
+
+        Returns:
+            By name, such as "limit.position[RElbowRoll].upper" or "limit." and the row's name,
+            shape (T,); negative where the limit is broken. Sides without a limit are left out.
+        """
+        return {}
+
+
+def states_along(chain: ClosedChain, q: Array) -> Iterator[State]:
+    """The state at each row of q; one object that is reused.
+
+    Args:
+        chain: the closed chain.
+        q: shape (T, n).
+    """
+    state = State(chain)
+    for row in q:
+        state.q[:] = row
+        state.update()
+        yield state
+
+
+def joint_margins(kind: str, chain: ClosedChain, below: Array, above: Array) -> dict[str, Array]:
+    """Margins of all joints by name, "limit.KIND[JOINT].lower" and ".upper".
+
+    Args:
+        kind: what is limited, such as "position".
+        chain: the closed chain.
+        below: distance to the lower limit, shape (T, n); infinite where there is none.
+        above: distance to the upper limit, shape (T, n).
+    """
+    sides = {"lower": below, "upper": above}
+    return {
+        f"limit.{kind}[{joint}].{side}": margin[:, i]
+        for i, joint in enumerate(chain.joint_names)
+        for side, margin in sides.items()
+        if np.isfinite(margin[:, i]).all()
+    }
+
+
+def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:
+    """Which joints move the body that a joint carries: 1 or 0, shape (len(joints), n).
+
+    Args:
+        chain: the closed chain.
+        joints: ids into chain.model.joints; 0 is the base, which nothing moves.
+    """
+    moved = np.zeros((len(joints), chain.n))
+    for row, joint in zip(moved, joints, strict=True):
+        row[[chain.model.idx_vs[i] for i in chain.model.supports[joint] if i]] = 1.0
+    return moved

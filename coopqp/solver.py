@@ -17,10 +17,25 @@ Array = NDArray[np.float64]
 
 
 class Status(enum.Enum):
-    """What became of a tick; the value is the message."""
+    """What became of a tick; the value is the message.
 
-    OPTIMAL = "optimal"
-    INACCURATE = "feasible, but not optimal to the declared accuracy"
+    Attributes:
+        usable: whether the velocity may be used.
+        fallback: whether something was given up to have an answer.
+    """
+
+    usable: bool
+    fallback: bool
+
+    def __new__(cls, message: str, usable: bool = False, fallback: bool = False) -> Status:
+        """A member whose value is the message alone."""
+        status = object.__new__(cls)
+        status._value_ = message
+        status.usable, status.fallback = usable, fallback
+        return status
+
+    OPTIMAL = "optimal", True
+    INACCURATE = "feasible, but not optimal to the declared accuracy", True
     INFEASIBLE = "the solver found the constraints infeasible"
     UNBOUNDED = "the solver found the problem unbounded"
     ITERATION_LIMIT = "the solver ran out of iterations"
@@ -28,11 +43,11 @@ class Status(enum.Enum):
     NOT_FINITE = "the answer has NaN or infinite values"
     EQUALITY_RESIDUAL = "the answer breaks the loop closure"
     BOUND_RESIDUAL = "the answer breaks a limit"
-
-    @property
-    def usable(self) -> bool:
-        """Whether the velocity may be used."""
-        return self in (Status.OPTIMAL, Status.INACCURATE)
+    TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
+    ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
+    DRIFT_GIVEN_UP = "the drift correction was given up: it left no motion", True, True
+    STEP_SHORTENED = "the step was shortened: it would have opened a loop too far", True, True
+    RECOVERING = "a joint outside its limits is on its way back", True, True
 
 
 class Solution:
@@ -90,6 +105,10 @@ class Budget:
     """Largest overrun of a bound before it is clipped to the bound [rad/s, m/s]."""
     accuracy: Positive = 1e-6
     """Largest estimated distance from the optimum [rad/s]; beyond it a tick is inaccurate."""
+    loop_position: Positive = 1e-3
+    """Largest loop error after the step [m]; a step that opens it farther is shortened."""
+    loop_orientation: Positive = 1e-2
+    """The same for orientations [rad]."""
 
 
 class Verifier:

@@ -14,10 +14,11 @@ import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.spec import NonNegative, Positive, spec
@@ -78,6 +79,10 @@ class Task:
     """Cost of a squared error in J v [s2/unit2]."""
     tolerance: Positive = 5e-4
     """Error at the end that still counts as reached [unit]."""
+    mode: Literal["soft", "hard", "scaled"] = "soft"
+    """soft: as well as it can; hard: exactly; scaled: in its direction, as fast as it can."""
+    priority: Annotated[int, Field(ge=0, le=9)] = 0
+    """Strict level of a soft task, 0 first; weights count within a level."""
 
     @abstractmethod
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
@@ -112,7 +117,7 @@ class TaskStack:
 
     Attributes:
         names: of the rows, such as "task[reach].z".
-        slices: of each task's rows.
+        slices: of each task's rows. sizes: their numbers.
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
         weights: of the rows.
@@ -131,6 +136,7 @@ class TaskStack:
         self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
         self.e, self.rate, self.wanted = np.zeros(k), np.zeros(k), np.zeros(k)
         self.J = np.zeros((k, n))
+        self.sizes = tuple(sizes)
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
         self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
         self._evaluate: list[tuple[Evaluate, TaskRows]] = []

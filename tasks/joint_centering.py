@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import NonNegative, spec
+from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -24,9 +24,6 @@ class JointCentering(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
-
-    weight: NonNegative = 1e-5
-    """Cost of a squared deviation from Z [s2/rad2]; far below the tasks', so that they win."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

@@ -29,7 +29,7 @@ from pydantic import Field
 from scipy.linalg import lapack
 
 from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.spec import NonNegative, spec
+from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -53,8 +53,6 @@ class Manipulability(Task):
 
     axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=3)] = ALL
     """Directions in the world that count; for a planar robot those of its plane."""
-    weight: NonNegative = 1e-5
-    """Cost of a squared deviation from Z [s2/rad2]; far below the tasks', so that they win."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

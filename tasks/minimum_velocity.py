@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import NonNegative, spec
+from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -22,9 +22,6 @@ class MinimumVelocity(Task):
 
     unit: ClassVar[str] = "rad"
     joint_space: ClassVar[bool] = True
-
-    weight: NonNegative = 1e-5
-    """Cost of a squared joint velocity [s2/rad2]; far below the tasks', so that they win."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

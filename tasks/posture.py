@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.profile import Profile
-from coopqp.spec import NonNegative, spec
+from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -34,8 +34,6 @@ class Posture(Task):
     """Values by arm (base first) or joint, or all of them in the order of the joints [rad, m]."""
     profile: Profile = Profile()
     """How the reference moves from the start to the goal."""
-    weight: NonNegative = 1e-5
-    """Cost of a squared deviation in velocity [s2/rad2]; far below the tasks', so that they win."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

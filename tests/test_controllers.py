@@ -136,17 +136,17 @@ def test_qp_tends_to_the_pseudoinverse_in_proportion_to_its_damping(chain: Close
     assert off[0] / off[1] == pytest.approx(100, rel=0.05)
 
 
-def test_qp_with_a_faint_secondary_is_the_null_space_law(
+def test_qp_with_a_strictly_secondary_objective_is_the_null_space_law(
     chain: ClosedChain, closed_loop_walk: Walk
 ) -> None:
-    """Weights: task 1e4, centering 1e-6, damping 1e-12, each far below the one before."""
-    task = PointOnPoint(goal=NEAR, profile=STEP, weight=1e4)
-    budget = Budget(accuracy=1e-4)  # what residuals prove at this weight; the answer is nearer
-    given = problem(chain, task, secondary=[JointCentering(weight=1e-6)], budget=budget)
+    """With strict levels only the damping, far below both weights, tells them apart."""
+    task = PointOnPoint(goal=NEAR, profile=STEP, weight=1e3)
+    budget = Budget(accuracy=1e-2)  # what residuals prove at this weight; the answer is nearer
+    given = problem(chain, task, secondary=[JointCentering()], budget=budget)
     for q in closed_loop_walk(chain, 5):
         null_space = command(PseudoinverseNullSpace(), given, q)
         assert np.abs(null_space - command(Pseudoinverse(), given, q)).max() > 1e-2
-        qp = command(QPController(damping=1e-12), given, q)
+        qp = command(QPController(damping=1e-10), given, q)
         assert np.abs(qp - null_space).max() < 1e-6 * max(1.0, np.abs(null_space).max())
 
 
@@ -242,7 +242,8 @@ def test_qp_stays_within_all_limits_on_the_way_to_a_goal_out_of_reach(
 
 def test_exact_answers_at_the_limits_count_as_optimal(reach_too_far: ControlProblem) -> None:
     """DAQP's answers lie within 3e-10 of the optimum of its active set in every such tick."""
-    assert run(QPController(), reach_too_far, 200, UNREACHABLE).statuses == {Status.OPTIMAL}
+    statuses = run(QPController(), reach_too_far, 200, UNREACHABLE).statuses
+    assert statuses <= {Status.OPTIMAL, Status.STEP_SHORTENED}
 
 
 @pytest.mark.parametrize("controller", [Pseudoinverse(), PseudoinverseNullSpace()], ids=str)
@@ -327,19 +328,24 @@ def test_qp_minimises_what_its_docstring_says(
     assert isinstance(law, QPLaw)
     span = chain.upper - chain.lower
 
-    def cost(state: State, v: Array) -> float:
+    def task_cost(state: State, v: Array) -> float:
         missed = state.J_task[:3] @ v + 4.0 * (state.p_WO - NEAR)
+        return float(3.0 * missed @ missed + 0.01 * v @ v)
+
+    def centring_cost(state: State, v: Array) -> float:
         slope = 2 * (state.q - 0.5 * (chain.lower + chain.upper)) / span**2
         pull = v + 7.0 * slope
-        return float(3.0 * missed @ missed + 0.2 * pull @ pull + 0.01 * v @ v)
+        return float(0.2 * pull @ pull + 0.01 * v @ v)
 
     for q in closed_loop_walk(chain, 3):
-        state, qp = State(chain, q), law.qp
-        law.assemble(state)
-        for v in rng.normal(size=(5, chain.n)):
-            stated = 0.5 * v @ qp.P @ v + qp.q @ v
-            assert 2 * stated == pytest.approx(cost(state, v) - cost(state, np.zeros(chain.n)))
-        np.testing.assert_allclose(qp.P, qp.P.T, atol=1e-16)
+        state = State(chain, q)
+        law.tick(state)
+        for level, cost in zip(law.levels, (task_cost, centring_cost), strict=True):
+            qp = level.qp
+            for v in rng.normal(size=(5, chain.n)):
+                stated = 0.5 * v @ qp.P @ v + qp.q @ v
+                assert 2 * stated == pytest.approx(cost(state, v) - cost(state, np.zeros(chain.n)))
+            np.testing.assert_allclose(qp.P, qp.P.T, atol=1e-16)
 
 
 def test_qp_names_its_variables_and_rows(reach_too_far: ControlProblem, chain: ClosedChain) -> None:

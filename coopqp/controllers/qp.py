@@ -1,120 +1,314 @@
 """The QP law: tasks as objectives, loop closure and limits as hard constraints.
 
-minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2
-          + sum_s w_s |v - Z_s|^2 + damping |v|^2
-subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
+    minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2 + damping |v|^2      soft tasks
+    subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h                    always
+                J_j v = rate_j - gain_j e_j                                      hard tasks
+                J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
+
+Soft tasks of a later priority, and the secondary objectives after them all, are solved in what the
+earlier ones leave free (:mod:`coopqp.hierarchy`).
+
+When not everything can hold, this is given up, in this order, and said: hard and scaled tasks
+become soft, acceleration limits, the drift correction. Never the loop rows, never position and
+velocity limits. Standing still is feasible from any state inside the limits, so there is always an
+answer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.limit import LimitRows, Tighten
-from coopqp.qp import QP, RowNames
-from coopqp.solver import Solution, Verifier
+from coopqp.hierarchy import Bounds, Decided, Level, generic_rank, limit_names
+from coopqp.qp import QP
+from coopqp.solver import Solution, Status
 from coopqp.spec import Positive, spec
 from coopqp.state import State
-from coopqp.task import TaskStack
+from coopqp.task import Task, TaskStack
+
+Array = NDArray[np.float64]
+
+SHORTEN = 0.5  # a step that opens a loop too far is halved ...
+SHORTEST = 2.0**-10  # ... down to this share, and then not made
 
 
 class QPLaw(Law):
-    """The QP of one problem, with its arrays.
+    """The QPs of one problem, with their arrays.
 
     Args:
         problem: what to control.
         damping: cost of |v|^2.
 
     Attributes:
-        qp: the last tick's program.
-        solution: its answer.
+        first: the level that holds the loops and the first soft tasks.
+        levels: all of them.
+        memory_size: 1; the memory is 1 after a stop.
     """
+
+    memory_size = 1
 
     def __init__(self, problem: ControlProblem, damping: float) -> None:
         super().__init__(problem)
-        chain, start = problem.chain, State(problem.chain)
-        self._tasks = TaskStack(problem.tasks, start)
-        self._secondary = TaskStack(problem.secondary, start)
-        rows = [limit.rows(chain) for limit in problem.limits]
-        self.qp = QP(
-            RowNames(
-                variables=chain.joint_names,
-                inequalities=tuple(name for r in rows for name in r),
-                equalities=chain.loops.solver_names,
-            )
-        )
-        self.solution = Solution(self.qp)
-        self._bind_limits(start)
-        self._minus_weights = -self._tasks.weights[:, None]
-        self._weighted_J = np.zeros_like(self._tasks.J)
-        secondary = self._secondary.weights.reshape(-1, chain.n)
-        diagonal = damping + secondary.sum(axis=0)
-        self._diagonal = np.diag(diagonal)
-        self._pull = np.zeros_like(self._secondary.e)
+        start = State(problem.chain)
+        self._exact = _ExactTasks(problem, start)
+        groups = _groups(problem)
+        loops, names = problem.chain.loops.solver_names, limit_names(problem)
+        rows = (*loops, *self._exact.names)
+        scaled = tuple(task.name for task in self._exact.scaled.tasks)
+        self.first = Level(problem, start, groups[0], rows, names, damping, scaled)
+        self._bounds = Bounds(problem, start, self.first.qp)
+        self._scales = bool(scaled)
         self._minus_kappa = np.full_like(start.e_loop, -problem.kappa)
-        self._verifier = Verifier(self.qp, self.solution, problem.budget, float(diagonal.min()))
-        self._solve = problem.solver.open(self.qp, self.solution)
+        self._later = [
+            _LaterLevel(problem, start, groups[: i + 1], group, names, damping, self._exact)
+            for i, group in enumerate(groups[1:])
+        ]
+        self.levels = (self.first, *(later.level for later in self._later))
+        self._fallback = _Fallback(problem, start, damping)
+        self._probe = LoopProbe(problem)
+        self._recovers = _can_start_outside(problem)
+
+    @property
+    def qp(self) -> QP:
+        """The first level's program of the last tick."""
+        return self.first.qp
+
+    @property
+    def solution(self) -> Solution:
+        """Its answer."""
+        return self.first.solution
 
     def tick(self, state: State) -> Command:
-        """Assemble, solve, verify; an answer that fails the check is not used: v = 0."""
-        self.assemble(state)
-        self._solve()
-        status = self._verifier.check()
-        self.solution.status = status
+        """Assemble, solve, verify, level by level; the command is safe whatever happened."""
         command = self.command
-        command.status = status
+        if state.memory.size and state.memory[0]:
+            return self._stand_still(Status.INFEASIBLE)
+        self.assemble(state)
+        status, v = self.first.solve(), self.first.v
+        if self._scales:
+            command.scale = self.first.scale
         if status.usable:
-            command.v[:] = self.solution.v
-        else:
-            command.v[:] = 0.0
-            self.solution.v[:] = 0.0
+            for later in self._later:
+                status, v = later.solve(state, self._bounds, v, status)
+        elif self.problem.on_infeasible == "scale":
+            command.scale = 0.0 if self._scales else 1.0
+            status, v = self._fallback.solve(state, status)
+        elif self.problem.on_infeasible == "stop" and state.memory.size:
+            state.memory[0] = 1.0
+        if not status.usable:
+            return self._stand_still(status)
+        command.v[:] = v
+        command.status = status
+        self._shorten(state, command)
+        if self._recovers and _outside(state):
+            command.status = Status.RECOVERING
         return command
 
     def assemble(self, state: State) -> None:
-        """Fill the QP for a state."""
-        qp = self.qp
-        self._fill_objective(state)
-        qp.A[:] = state.J_loop
-        np.multiply(state.e_loop, self._minus_kappa, qp.b)
+        """Fill the first level's QP for a state."""
+        self._bounds.update(state)
+        self.first.assemble(state, self._bounds)
+        qp, m = self.first.qp, len(state.e_loop)
+        if qp.m == m and qp.n == len(state.q):
+            qp.A[:] = state.J_loop
+        else:
+            qp.A[:m, : len(state.q)] = state.J_loop
+            self._exact.fill(state, qp.A[m:], qp.b[m:])
+        np.multiply(state.e_loop, self._minus_kappa, qp.b[:m])
         qp.seal()
-        qp.lb[:], qp.ub[:] = self._constant_lb, self._constant_ub
-        for tighten, rows in self._limits:
-            tighten(state, rows)
 
-    def _fill_objective(self, state: State) -> None:
-        qp, tasks = self.qp, self._tasks
-        tasks.update(state)
-        np.multiply(tasks.J, self._minus_weights, self._weighted_J)
-        self._weighted_J.T.dot(tasks.J, qp.P)
-        np.subtract(self._diagonal, qp.P, qp.P)
-        tasks.wanted.dot(self._weighted_J, qp.q)
-        if self._secondary.tasks:
-            self._fill_secondary(state)
+    def _stand_still(self, status: Status) -> Command:
+        self.command.v[:] = 0.0
+        self.command.status = status
+        return self.command
 
-    def _fill_secondary(self, state: State) -> None:
-        secondary, q = self._secondary, self.qp.q
-        secondary.update(state)
-        np.multiply(secondary.weights, secondary.wanted, self._pull)
-        for part in secondary.slices:
-            np.subtract(q, self._pull[part], q)
+    def _shorten(self, state: State, command: Command) -> None:
+        """Halve the step until the loops stay within the budget after it."""
+        share = 1.0
+        while not self._probe.within(state, command.v):
+            share *= SHORTEN
+            if share < SHORTEST:
+                command.v[:] = 0.0
+                command.status = Status.STEP_SHORTENED
+                return
+            command.v *= SHORTEN
+            command.status = Status.STEP_SHORTENED
 
-    def _bind_limits(self, start: State) -> None:
-        """Ask the constant limits now, keep the others for each tick."""
-        problem, qp = self.problem, self.qp
-        self._limits: list[tuple[Tighten, LimitRows]] = []
-        at = 0
-        for limit in problem.limits:
-            end = at + len(limit.rows(problem.chain))
-            rows = LimitRows(qp.lb, qp.ub, qp.G[at:end], qp.h[at:end])
-            at = end
-            tighten = limit.bind(problem.chain, problem.dt)
-            if limit.constant:
-                tighten(start, rows)
-            else:
-                self._limits.append((tighten, rows))
-        self._constant_lb, self._constant_ub = qp.lb.copy(), qp.ub.copy()
+
+class _ExactTasks:
+    """The hard and scaled tasks: equality rows of the first level."""
+
+    def __init__(self, problem: ControlProblem, start: State) -> None:
+        tasks = [task for task in problem.tasks if task.mode != "soft"]
+        self.hard = TaskStack([task for task in tasks if task.mode == "hard"], start)
+        self.scaled = TaskStack([task for task in tasks if task.mode == "scaled"], start)
+        self.names = (*self.hard.names, *self.scaled.names)
+        self._n = problem.chain.n
+
+    def fill(self, state: State, A: Array, b: Array) -> None:
+        """Write the rows, shapes (k, n + shares) and (k,)."""
+        if not self.names:
+            return
+        n, k = self._n, len(self.hard.e)
+        self.hard.update(state)
+        self.scaled.update(state)
+        A[:k, :n], b[:k] = self.hard.J, self.hard.wanted
+        A[k:, :n], b[k:] = self.scaled.J, 0.0
+        for share, part in enumerate(self.scaled.slices):
+            A[k + part.start : k + part.stop, n + share] = -self.scaled.wanted[part]
+
+
+class _LaterLevel:
+    """A level after the first, within what all levels before it have decided."""
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        start: State,
+        before: Sequence[Sequence[Task]],
+        tasks: Sequence[Task],
+        inequalities: tuple[str, ...],
+        damping: float,
+        exact: _ExactTasks,
+    ) -> None:
+        self._before = TaskStack([task for group in before for task in group], start)
+        self._exact = exact
+        self._before.update(start)
+        exact.hard.update(start)
+        exact.scaled.update(start)
+        blocks = (self._before.J, exact.hard.J, exact.scaled.J)
+        rank = generic_rank(start, *blocks)
+        rows = sum(len(block) for block in (start.J_loop, *blocks))
+        self._decided = Decided(problem.chain.n, rows, rank)
+        names = tuple(f"decided[{i}]" for i in range(rank))
+        self._full = rank == problem.chain.n
+        self.level = Level(problem, start, tasks, names, inequalities, damping)
+
+    def solve(self, state: State, bounds: Bounds, v: Array, status: Status) -> tuple[Status, Array]:
+        """Improve v where it is still free; keep it when this level fails."""
+        if self._full:
+            return status, v
+        self._before.update(state)
+        Q = self._decided.basis(
+            state.J_loop, self._before.J, self._exact.hard.J, self._exact.scaled.J
+        )
+        level = self.level
+        level.assemble(state, bounds)
+        level.qp.A[:] = Q
+        Q.dot(v, level.qp.b)
+        level.qp.seal()
+        own = level.solve()
+        if not own.usable:
+            return Status.INACCURATE, v
+        return (status if own is Status.OPTIMAL else own), level.v
+
+
+class _Fallback:
+    """The declared order of sacrifice, from the least to the most."""
+
+    def __init__(self, problem: ControlProblem, start: State, damping: float) -> None:
+        tasks, loops = list(problem.tasks), problem.chain.loops.solver_names
+        self._soft = Level(problem, start, tasks, loops, limit_names(problem), damping)
+        self._free = Level(problem, start, tasks, loops, limit_names(problem, skip=True), damping)
+        self._bounds = Bounds(problem, start, self._soft.qp)
+        self._slack = Bounds(problem, start, self._free.qp, skip=True)
+        self._minus_kappa = -problem.kappa
+        self._has_exact = any(task.mode != "soft" for task in tasks)
+        self._has_sacrifice = any(limit.sacrificed_first for limit in problem.limits)
+
+    def solve(self, state: State, failed: Status) -> tuple[Status, Array]:
+        """The first attempt that has an answer, and what it gave up; else the first failure."""
+        attempts = (
+            (self._has_exact, self._soft, self._bounds, 1.0, Status.TASKS_GIVEN_UP),
+            (self._has_sacrifice, self._free, self._slack, 1.0, Status.ACCELERATION_GIVEN_UP),
+            (True, self._free, self._slack, 0.0, Status.DRIFT_GIVEN_UP),
+        )
+        for makes_sense, level, bounds, drift, given_up in attempts:
+            if makes_sense and self._attempt(state, level, bounds, drift).usable:
+                return given_up, level.v
+        return failed, self._free.v
+
+    def _attempt(self, state: State, level: Level, bounds: Bounds, drift: float) -> Status:
+        bounds.update(state)
+        level.assemble(state, bounds)
+        level.qp.A[:] = state.J_loop
+        np.multiply(state.e_loop, drift * self._minus_kappa, level.qp.b)
+        level.qp.seal()
+        return level.solve()
+
+
+class LoopProbe:
+    """Looks ahead whether a step would leave the loops within their budget.
+
+    Args:
+        problem: chain, period and budget.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        chain, budget = problem.chain, problem.budget
+        self._model, self._data = chain.model, chain.model.createData()
+        self._frames = chain.frames
+        self._dt = np.full(chain.n, problem.dt)
+        self._q = np.zeros(chain.n)
+        self._gap, self._turn = budget.loop_position**2, budget.loop_orientation**2
+        pin.framesForwardKinematics(self._model, self._data, chain.q_start)
+        X_0, *others = (self._data.oMf[frame] for frame in chain.frames)
+        self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
+        self._others = [(X.translation, X.rotation) for X in others]
+        self._error = np.zeros(3)
+
+    def within(self, state: State, v: Array) -> bool:
+        """Whether the loops are within budget after a step v dt, or no worse than before it."""
+        np.multiply(v, self._dt, self._q)
+        np.add(self._q, state.q, self._q)
+        pin.forwardKinematics(self._model, self._data, self._q)
+        for frame in self._frames:
+            pin.updateFramePlacement(self._model, self._data, frame)
+        for p, R in self._others:
+            error = np.subtract(p, self._p_0, self._error)
+            if error.dot(error) > self._gap:
+                return self._no_worse(state)
+            turn = pin.log3(R.dot(self._R_0T))
+            if turn.dot(turn) > self._turn:
+                return self._no_worse(state)
+        return True
+
+    def _no_worse(self, state: State) -> bool:
+        """A loop that is open already may be closed by steps that leave it open for now."""
+        before = np.abs(state.loop_error.reshape(-1, 2, 3)).sum(axis=2)
+        after = []
+        for p, R in self._others:
+            after.append([np.abs(p - self._p_0).sum(), np.abs(pin.log3(R.dot(self._R_0T))).sum()])
+        return bool(np.all(np.array(after) <= before + 1e-12))
+
+
+def _groups(problem: ControlProblem) -> list[list[Task]]:
+    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty."""
+    soft = [task for task in problem.tasks if task.mode == "soft"]
+    first = min((task.priority for task in soft), default=0)
+    main = [
+        [k for k in soft if k.priority == p] for p in sorted({first, *(k.priority for k in soft)})
+    ]
+    later = [
+        [k for k in problem.secondary if k.priority == p]
+        for p in sorted({k.priority for k in problem.secondary})
+    ]
+    return [*main, *later]
+
+
+def _can_start_outside(problem: ControlProblem) -> bool:
+    q = problem.chain.q_start
+    return bool(((q < problem.chain.lower) | (q > problem.chain.upper)).any())
+
+
+def _outside(state: State) -> bool:
+    q, chain = state.q, state.chain
+    return bool(((q < chain.lower) | (q > chain.upper)).any())
 
 
 @spec
@@ -127,5 +321,5 @@ class QPController(Controller):
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Preallocate the QP and open the solver on it."""
+        """Preallocate the QPs and open the solver on them."""
         return QPLaw(problem, self.damping)
