@@ -134,6 +134,11 @@ class ClosedChain:
         self.loops = self._independent_rows()
 
     @property
+    def starts_inside(self) -> bool:
+        """Whether every joint starts within its position limits."""
+        return bool(((self.lower <= self.q_start) & (self.q_start <= self.upper)).all())
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])

@@ -61,6 +61,24 @@ class Shape:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """A body that must not hit others: all points within a radius of a segment.
+
+    Attributes:
+        name: as used in limits, such as "RForearm".
+        joint: name of the joint that carries it; None for the base.
+        start, end: of the segment, in the joint's frame, shape (3,) [m]; may be one point.
+        radius: [m].
+    """
+
+    name: str
+    joint: str | None
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotModel:
     """A robot ready to take hold of something.
 
@@ -70,6 +88,8 @@ class RobotModel:
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
         shapes: how the links look; a link without shapes is drawn as a capsule.
+        capsules: the bodies that self-collision watches, base first on each arm; see
+            :class:`coopqp.limits.SelfCollision`.
         warnings: what was left out when the robot was read, one sentence each.
     """
 
@@ -77,6 +97,7 @@ class RobotModel:
     model: pin.Model
     arms: tuple[Arm, ...]
     shapes: tuple[Shape, ...] = ()
+    capsules: tuple[Capsule, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -89,6 +110,10 @@ class RobotModel:
             if not self.model.existFrame(arm.tip):
                 frames = [frame.name for frame in self.model.frames]
                 raise UnknownNameError("frame", arm.tip, frames, f"arm {arm.name}: ")
+        for capsule in self.capsules:
+            if capsule.joint is not None and capsule.joint not in self.joint_names:
+                where = f"capsule {capsule.name}: "
+                raise UnknownNameError("joint", capsule.joint, self.joint_names, where)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -112,9 +137,11 @@ class RobotModel:
 
         Raises:
             UnknownNameError: a key is neither an arm nor a joint.
-            InvalidValueError: wrong number of values, or a value that is not finite.
+            InvalidValueError: wrong number of values, a value that is not finite, or arms that
+                give a joint they share different values.
         """
         q = np.array(pin.neutral(self.model))
+        by_arm: dict[str, tuple[str, float]] = {}
         arms = {arm.name: self.arm_joints(arm) for arm in self.arms}
         for key, value in values.items():
             if key not in arms and key not in self.joint_names:
@@ -128,5 +155,13 @@ class RobotModel:
             if not np.isfinite(numbers).all():
                 raise InvalidValueError(f"{key}: found {numbers.tolist()}, needs finite numbers")
             for joint, number in zip(joints, numbers, strict=True):
+                other, same = by_arm.get(joint, (key, number))
+                if number != same:
+                    raise InvalidValueError(
+                        f"{key}: found {number:g} for {joint}, which {other} shares and puts at "
+                        f"{same:g}; give both the same value"
+                    )
+                if key in arms:
+                    by_arm[joint] = (key, number)
                 q[self.model.idx_qs[self.model.getJointId(joint)]] = number
         return q

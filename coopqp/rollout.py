@@ -59,6 +59,7 @@ def rollout(
         recorder.tick_us[k] = 1e-3 * (after - before)
         if command.status is not Status.OPTIMAL:
             recorder.note(k, command.status)
+        recorder.scale[k] = command.scale
         plant.step(state, command)
         if command.tau is not None:
             recorder.v[k] = state.v
@@ -89,6 +90,8 @@ class _Recorder:
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
+        self.status = [Status.OPTIMAL.name] * ticks
+        self.scale = np.ones(ticks)
         self.failures: list[Failure] = []
         self.signals = {
             name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
@@ -110,11 +113,20 @@ class _Recorder:
 
     def note(self, k: int, status: Status) -> None:
         """Keep why tick k is not optimal."""
-        if status.usable:
+        self.status[k] = status.name
+        if status is Status.INACCURATE:
             self.inaccurate[k] = True
-        else:
+        elif not status.usable:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value))
+
+    def _margins(self) -> dict[str, Array]:
+        """What every limit had left after each tick."""
+        problem = self._law.problem
+        found: dict[str, Array] = {}
+        for limit in problem.limits:
+            found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
+        return found
 
     def trace(self, controller: str, solver: str | None) -> Trace:
         """Everything recorded, frozen."""
@@ -141,6 +153,9 @@ class _Recorder:
             task_error=self.task_error,
             usable=self.usable,
             inaccurate=self.inaccurate,
+            status=tuple(self.status),
+            scale=self.scale,
+            margins=self._margins(),
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             failures=tuple(self.failures),

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Controller, ControlProblem
+from coopqp.controller import Controller, ControlProblem, OnInfeasible
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
@@ -50,6 +50,8 @@ class Scenario:
         plant, disturbance: what is controlled, and what the controllers are not told of it.
         solver, solver_name, budget: how QPs are solved.
         dt, duration: [s]. kappa: drift correction [1/s]. seed: of everything random.
+        on_infeasible: see :class:`coopqp.controller.ControlProblem`.
+        source: text of the file it was read from.
     """
 
     name: str
@@ -72,6 +74,8 @@ class Scenario:
     dt: float = 0.01
     kappa: float = 0.0
     seed: int = 0
+    on_infeasible: OnInfeasible = "scale"
+    source: str = ""
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
@@ -105,6 +109,7 @@ class Scenario:
             kappa=self.kappa,
             solver=self.solver,
             budget=self.budget,
+            on_infeasible=self.on_infeasible,
         )
 
 
@@ -169,6 +174,8 @@ class _Reader:
             duration=read.duration,
             kappa=read.kappa,
             seed=read.seed,
+            on_infeasible=read.on_infeasible,
+            source=self._file.path.read_text(encoding="utf-8"),
         )
         self._check_times(scenario)
         for name in scenario.grasp_of:
@@ -243,10 +250,15 @@ def _check_start(file: YamlFile, scenario: Scenario) -> None:
     key = "start" if "start" in file.data else "start_deg"
     robot = _built(file, ["robot"], lambda: scenario.robot_model)
     q = _built(file, [key], lambda: robot.configuration(scenario.start))
-    faults = [
-        Fault(file.place(location), message)
-        for location, message in outside_limits(robot, scenario.start, q, key)
-    ]
+    allowed = file.data.get("start_outside", False)
+    faults = (
+        []
+        if allowed
+        else [
+            Fault(file.place(location), message)
+            for location, message in outside_limits(robot, scenario.start, q, key)
+        ]
+    )
     if faults:
         raise ScenarioError(faults)
     _built(file, ["grasps" if "grasps" in file.data else "grasp"], lambda: scenario.chain)
@@ -274,7 +286,7 @@ def _outside(joint: str, value: float, low: float, high: float, *, in_degrees: b
     scale, unit = (math.degrees(1.0), "degrees") if in_degrees else (1.0, "rad")
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
-        f"{low * scale:.6g} to {high * scale:.6g}"
+        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
     )
 
 

@@ -13,13 +13,23 @@ from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+)
 from pydantic_core import ErrorDetails
 
 from coopqp.catalog import Catalog
+from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
 from coopqp.errors import Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
+from coopqp.robot import Robot
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 from coopqp.spec import NonNegative, Positive
@@ -149,6 +159,14 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             NonNegative,
             Field(default=0.0, description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt."),
         ),
+        "on_infeasible": (
+            OnInfeasible,
+            Field(default="scale", description="scale, hold or stop when not all can hold."),
+        ),
+        "start_outside": (
+            bool,
+            Field(default=False, description="Whether joints may start outside their limits."),
+        ),
         "seed": (
             Annotated[int, Field(ge=0)],
             Field(default=0, description="Of everything random."),
@@ -163,12 +181,35 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
     Raises:
         ScenarioError: with every fault and its line.
     """
+    robot: TypeAdapter[Any] = TypeAdapter(_slot(model, "robot"))
+
+    def read_robot(value: Any) -> Any:
+        """A robot inside a robot, such as one of several."""
+        return chosen(robot.validate_json(json.dumps(value), context=context))[1]
+
+    context = {"folder": file.path.parent, "robot": read_robot}
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
-        return model.model_validate_json(json.dumps(file.data))
+        return model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        faults = [_fault(file, model, detail) for detail in error.errors(include_url=False)]
+        details = error.errors(include_url=False)
+        faults = [
+            _fault(file, model, detail) for detail in details if not _follows(detail, details)
+        ]
         raise ScenarioError(list(dict.fromkeys(faults))) from None
+
+
+def _slot(model: type[BaseModel], key: str) -> Any:
+    """Type of a key of the file."""
+    return typing.get_type_hints(model, include_extras=True)[key]
+
+
+def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:
+    """Whether a list counts as too short only because one of its values is wrong."""
+    place = detail["loc"]
+    return detail["type"] == "too_short" and any(
+        other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in others
+    )
 
 
 def _fault(file: YamlFile, model: type[BaseModel], detail: ErrorDetails) -> Fault:
@@ -179,7 +220,9 @@ def _fault(file: YamlFile, model: type[BaseModel], detail: ErrorDetails) -> Faul
         known = _keys(model, location[:-1])
         return Fault(file.place(location), unknown_name("key", key, known))
     if kind.startswith("missing"):
-        return Fault(file.place(location), "is missing")
+        needed = detail["loc"][-1]
+        there = location and location[-1] == needed
+        return Fault(file.place(location), "is missing" if there else f"needs the key '{needed}'")
     needs = detail["msg"].removeprefix("Value error, ")
     for wordy in ("Input should be ", "Input should "):
         needs = needs.replace(wordy, "needs ")
@@ -208,9 +251,11 @@ def _in_file(data: Any, location: tuple[str | int, ...]) -> tuple[str | int, ...
 
 def _keys(model: Any, location: tuple[str | int, ...]) -> list[str]:
     """Keys allowed at a location of the file."""
+    robot = _bare(_slot(model, "robot"))
     for part in location:
         hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
         model = _bare(hints.get(str(part), model))
+        model = robot if model is Robot else model
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(model.model_fields)
     return [field.name for field in fields(model)] if is_dataclass(model) else []

@@ -37,6 +37,9 @@ class State:
         J_rel: the other 6 L rows.
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop.
+        J_joints: what each joint does to a body that it moves, shape (6, n), world axes: velocity
+            of the body's point that is at the world's origin, then angular velocity. A point p
+            of the body goes along a direction d at [d; p x d]' J_joints v.
         J_loop, e_loop: the independent rows of J_rel and loop_error, for the solvers.
     """
 
@@ -58,6 +61,7 @@ class State:
         self.loop_error = np.zeros(6 * (arms - 1))
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
+        self.J_joints: Array = self._data.J
         self._J_arms = np.zeros((6 * arms, n))
         self._skew, self._lever_J = np.zeros((3, 3)), np.zeros((3, n))
         self._mean = np.zeros(6)
@@ -105,6 +109,23 @@ class State:
             p_O: the point in the object frame, shape (3,) [m].
         """
         return self.p_WO + self.R_WO @ p_O
+
+    def joint_pose(self, joint: int) -> pin.SE3:
+        """Pose of the frame of a joint in the world, up to date.
+
+        Args:
+            joint: id into chain.model.joints; 0 is the world.
+        """
+        return self._data.oMi[joint]
+
+    def place(self, geometry: pin.GeometryModel, placed: pin.GeometryData) -> None:
+        """Put bodies that are fixed to the chain's joints where they are now.
+
+        Args:
+            geometry: the bodies.
+            placed: written.
+        """
+        pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
 
     def point_jacobian(self, lever: Array, out: Array) -> None:
         """Jacobian of the velocity of a point of the object: J_v - [lever]x J_omega.

@@ -54,6 +54,9 @@ class Trace:
         task_error: Euclidean norm of each task's error, shape (T + 1, K) [the task's unit].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
+        status: what became of each tick, names of :class:`coopqp.solver.Status`, shape (T,).
+        scale: least share of its speed at which a scaled task ran, shape (T,).
+        margins: of every limit after each tick, by name, shape (T,); negative when violated.
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         failures: ticks that held still, and why.
@@ -80,6 +83,9 @@ class Trace:
     task_error: Array
     usable: NDArray[np.bool_]
     inaccurate: NDArray[np.bool_]
+    status: tuple[str, ...]
+    scale: Array
+    margins: dict[str, Array]
     tick_us: Array
     points: dict[str, Array]
     failures: tuple[Failure, ...]

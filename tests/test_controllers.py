@@ -437,7 +437,7 @@ def test_standing_still_while_the_goal_is_away_is_no_optimum(chain: ClosedChain)
 
 def test_law_stops_for_a_tick_that_fails_and_then_goes_on_as_before(chain: ClosedChain) -> None:
     law = QPController().build(problem(chain, PointOnPoint(goal=NEAR, profile=STEP), limits=LIMITS))
-    good, bad = law.start(), law.start(chain.upper + 1.0)
+    good, bad = law.start(), law.start(np.full(chain.n, np.nan))
     before = law.tick(good).v.copy()
     assert not law.tick(bad).status.usable
     np.testing.assert_array_equal(law.command.v, np.zeros(chain.n))

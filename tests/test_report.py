@@ -176,7 +176,8 @@ def test_write_gives_three_files_and_leaves_nothing_else(
     comparison: Comparison, tmp_path: Path
 ) -> None:
     written = files.write(comparison, tmp_path / "new" / "folder")
-    assert [path.name for path in written] == ["report.html", "metrics.json", "trace.csv"]
+    names = ["report.html", "metrics.json", "trace.csv", "scenario.yaml"]
+    assert [path.name for path in written] == names
     assert sorted(written) == sorted((tmp_path / "new" / "folder").iterdir())
 
 

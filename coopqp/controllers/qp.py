@@ -71,7 +71,7 @@ class QPLaw(Law):
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = _Fallback(problem, start, damping)
         self._probe = LoopProbe(problem)
-        self._recovers = _can_start_outside(problem)
+        self._recovery = None if problem.chain.starts_inside else Recovery(problem)
 
     @property
     def qp(self) -> QP:
@@ -105,7 +105,7 @@ class QPLaw(Law):
         command.v[:] = v
         command.status = status
         self._shorten(state, command)
-        if self._recovers and _outside(state):
+        if self._recovery and self._recovery.active:
             command.status = Status.RECOVERING
         return command
 
@@ -113,6 +113,8 @@ class QPLaw(Law):
         """Fill the first level's QP for a state."""
         self._bounds.update(state)
         self.first.assemble(state, self._bounds)
+        if self._recovery:
+            self._recovery.pull(state, self.first.qp)
         qp, m = self.first.qp, len(state.e_loop)
         if qp.m == m and qp.n == len(state.q):
             qp.A[:] = state.J_loop
@@ -301,14 +303,37 @@ def _groups(problem: ControlProblem) -> list[list[Task]]:
     return [*main, *later]
 
 
-def _can_start_outside(problem: ControlProblem) -> bool:
-    q = problem.chain.q_start
-    return bool(((q < problem.chain.lower) | (q > problem.chain.upper)).any())
+class Recovery:
+    """Pulls joints that are outside their limits back, before anything else.
+
+    Args:
+        problem: dt and limits.
+
+    Attributes:
+        active: whether a joint was outside in the last tick.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        chain = problem.chain
+        self._lower, self._upper, self._rate = chain.lower, chain.upper, 1.0 / problem.dt
+        self.active = False
+
+    def pull(self, state: State, qp: QP) -> None:
+        """Add the wish to be back at the limit with the next step; the bounds slow it down."""
+        n = len(state.q)
+        back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
+        outside = back != 0.0
+        self.active = bool(outside.any())
+        if not self.active:
+            return
+        wish = np.minimum(np.maximum(back * self._rate, qp.lb[:n]), qp.ub[:n])
+        weight = RECOVERY_WEIGHT * outside
+        qp.P.reshape(-1)[: n * qp.n : qp.n + 1] += weight
+        qp.q[:n] -= weight * wish
 
 
-def _outside(state: State) -> bool:
-    q, chain = state.q, state.chain
-    return bool(((q < chain.lower) | (q > chain.upper)).any())
+#: Cost of not coming back, far above any task [s2/rad2].
+RECOVERY_WEIGHT = 1e3
 
 
 @spec

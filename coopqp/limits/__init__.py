@@ -1,6 +1,17 @@
 """The limits: one file each, the YAML name is the file's name."""
 
+from coopqp.limits.joint_acceleration import JointAcceleration
 from coopqp.limits.joint_position import JointPosition
 from coopqp.limits.joint_velocity import JointVelocity
+from coopqp.limits.object_speed import ObjectSpeed
+from coopqp.limits.self_collision import SelfCollision
+from coopqp.limits.workspace import Workspace
 
-__all__ = ["JointPosition", "JointVelocity"]
+__all__ = [
+    "JointAcceleration",
+    "JointPosition",
+    "JointVelocity",
+    "ObjectSpeed",
+    "SelfCollision",
+    "Workspace",
+]

@@ -1,16 +1,21 @@
 """Joints stay within their range: (lower - q)/dt <= v <= (upper - q)/dt.
 
-A joint outside its range is sent back at the speed that the limits before this one allow.
+A joint outside its range must not go farther out, and comes back no faster than recovery_speed; so
+standing still is always allowed. What brings it back is the controller.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.spec import NonNegative, spec
+from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
+
+Array = NDArray[np.float64]
+ZERO = np.zeros(1)
 
 
 @spec
@@ -19,10 +24,12 @@ class JointPosition(Limit):
 
     margin: NonNegative = 0.0
     """Kept free at both ends [rad or m]."""
+    recovery_speed: Positive = 0.5
+    """Fastest way back for a joint that starts outside [rad/s or m/s]."""
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds that no step of length dt can overrun."""
-        ends = np.vstack([chain.lower + self.margin, chain.upper - self.margin])
+        ends = self._ends(chain)
         # An array times an array is twice as fast as an array times a number.
         room, rate = np.zeros_like(ends), np.full_like(ends, 1.0 / dt)
         below, above = room
@@ -30,12 +37,27 @@ class JointPosition(Limit):
         def tighten(state: State, rows: LimitRows) -> None:
             np.subtract(ends, state.q, room)
             np.multiply(room, rate, room)
-            # Clipped into what the other limits leave: outside its range a joint comes back as
-            # fast as it may, and the bounds never cross.
-            np.maximum(rows.lb, below, out=below)
-            np.minimum(rows.ub, above, out=above)
-            np.maximum(rows.lb, above, out=above)
-            np.minimum(rows.ub, below, out=rows.lb)
-            rows.ub[:] = above
+            # Outside its range a joint may stand still, but not go farther out.
+            np.minimum(below, ZERO, out=below)
+            np.maximum(above, ZERO, out=above)
+            np.maximum(rows.lb, below, out=rows.lb)
+            np.minimum(rows.ub, above, out=rows.ub)
 
-        return tighten
+        if chain.starts_inside:
+            return tighten
+
+        def tighten_outside(state: State, rows: LimitRows) -> None:
+            tighten(state, rows)
+            too_low, too_high = state.q < ends[0], state.q > ends[1]
+            np.minimum(rows.ub, self.recovery_speed, out=rows.ub, where=too_low)
+            np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=too_high)
+
+        return tighten_outside
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+        """Distance to both ends after each tick [rad, m]."""
+        lower, upper = self._ends(chain)
+        return joint_margins("position", chain, q[1:] - lower, upper - q[1:])
+
+    def _ends(self, chain: ClosedChain) -> Array:
+        return np.vstack([chain.lower + self.margin, chain.upper - self.margin])

@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
 from coopqp.spec import spec
 from coopqp.state import State
+
+Array = NDArray[np.float64]
 
 
 @spec
@@ -32,3 +35,8 @@ class JointVelocity(Limit):
             np.minimum(rows.ub, upper, out=rows.ub)
 
         return tighten
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+        """Speed left in each tick [rad/s, m/s]."""
+        most = self.scale * chain.velocity
+        return joint_margins("velocity", chain, most + v, most - v)

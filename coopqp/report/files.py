@@ -41,6 +41,8 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         "metrics.json": metrics_json(comparison),
         "trace.csv": trace_csv(comparison),
     }
+    if comparison.scenario.source:
+        contents["scenario.yaml"] = comparison.scenario.source  # for explain and replay
     try:
         return _replace_all(contents, folder)
     except OSError as error:
@@ -128,7 +130,7 @@ def _header(joints: list[str], trace: Trace) -> list[str]:
         *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
         *("loop_position", "loop_orientation"),
         *(f"error[{task.name}]" for task in trace.tasks),
-        *("usable", "inaccurate", "tick_us"),
+        *("status", "scale", "tick_us"),
     ]
 
 
@@ -145,9 +147,9 @@ def _rows(name: str, trace: Trace, joints: list[str]) -> Iterator[list[Any]]:
     ).tolist()
     q, v = _by_joint(trace.q, trace, joints), _by_joint(trace.v, trace, joints)
     tau = _by_joint(trace.signals.get("tau", np.zeros((trace.ticks, 0))), trace, joints)
-    t, us = trace.t.tolist(), trace.tick_us.tolist()
+    t, us, scale = trace.t.tolist(), trace.tick_us.tolist(), trace.scale.tolist()
     for k in range(trace.ticks):
-        flags = [int(trace.usable[k]), int(trace.inaccurate[k]), us[k]]
+        flags = [trace.status[k], scale[k], us[k]]
         yield [name, k, t[k], *q[k], *v[k], *tau[k], *after[k], *flags]
     end, nothing = trace.ticks, [""] * (2 * len(joints))
     yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", ""]

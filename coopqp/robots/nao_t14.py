@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import pinocchio as pin
+
 from coopqp import mdh
-from coopqp.robot import Arm, Robot, RobotModel
+from coopqp.robot import Arm, Capsule, Robot, RobotModel
 from coopqp.spec import spec
 
 B1, R1, D3, R3, R5 = 0.100, 0.098, 0.015, 0.105, 0.05595  # [m], Table 1
@@ -43,6 +46,20 @@ LINKS = (
     (0.18533, (0.03434, 0.00088, 0.00308),
      (6.86477e-05, 1.13165e-05, -2.87254e-06, 1.35756e-04, 3.68003e-06, 1.33228e-04)),
 )  # fmt: skip
+
+#: Right arm, base axes at the zero pose: body, joint, start, end, radius [m]. Radii enclose the
+#: covers of NAO's links but for the fingers.
+BODIES = (
+    ("UpperArm", "ShoulderRoll", (0.0, -R1, B1), (R3, -R1 - D3, B1), 0.03),
+    ("Forearm", "ElbowRoll", (R3, -R1 - D3, B1), (R3 + R5, -R1 - D3, B1), 0.025),
+    ("Hand", "WristYaw", (R3 + R5, -R1 - D3, B1),
+     (R3 + R5 + HAND[0], -R1 - D3, B1 + HAND[2]), 0.03),
+)  # fmt: skip
+
+#: Around the base's z axis, from the hips to the neck [m].
+TORSO = Capsule(
+    name="torso", joint=None, start=(0.0, 0.0, -0.1), end=(0.0, 0.0, 0.12), radius=0.055
+)
 
 
 def arm_table(side: str) -> list[mdh.MdhRow]:
@@ -89,6 +106,27 @@ def _link(
     return mdh.Link(mass=mass, com=com, inertia=inertia, axes="base")
 
 
+def capsules(model: pin.Model) -> tuple[Capsule, ...]:
+    """Torso, upper arms, forearms and hands."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    found = [TORSO]
+    for side, y in (("R", 1.0), ("L", -1.0)):
+        for name, joint, start, end, radius in BODIES:
+            X_WJ = data.oMi[model.getJointId(side + joint)]
+            a, b = (X_WJ.actInv(np.array([p[0], y * p[1], p[2]])).tolist() for p in (start, end))
+            found.append(
+                Capsule(
+                    name=side + name,
+                    joint=side + joint,
+                    start=tuple(a),
+                    end=tuple(b),
+                    radius=radius,
+                )
+            )
+    return tuple(found)
+
+
 @spec
 class NaoT14(Robot):
     """NAO T14: two arms of five joints each, after the paper's Table 1."""
@@ -101,4 +139,4 @@ class NaoT14(Robot):
         }
         model = mdh.build_model("nao_t14", arm_table("R") + arm_table("L"), tips)
         arms = (Arm(name="right", tip="RHand"), Arm(name="left", tip="LHand"))
-        return RobotModel(name="nao_t14", model=model, arms=arms)
+        return RobotModel(name="nao_t14", model=model, arms=arms, capsules=capsules(model))

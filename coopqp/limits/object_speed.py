@@ -1,0 +1,64 @@
+"""The object keeps its speed: every component of its velocity within a bound, in world axes.
+
+J_task v <= bound and -J_task v <= bound. The object's velocity is that of its origin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.limit import Limit, LimitRows, Tighten, states_along
+from coopqp.spec import Positive, spec
+from coopqp.state import State
+
+Array = NDArray[np.float64]
+
+
+@spec
+class ObjectSpeed(Limit):
+    """Bounds on the object's linear and angular velocity, axis by axis."""
+
+    linear: Positive | None = None
+    """Of the object's origin along x, y and z [m/s]; none if omitted."""
+    angular: Positive | None = None
+    """About x, y and z [rad/s]; none if omitted."""
+
+    def __post_init__(self) -> None:
+        if self.linear is None and self.angular is None:
+            raise ValueError("needs linear (m/s), angular (rad/s) or both")
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Upper sides, then lower sides."""
+        axes = AXES[self._part]
+        return tuple(f"object_speed.{axis}.{side}" for side in ("upper", "lower") for axis in axes)
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """Rows of the object's Jacobian with both signs."""
+        part, bounds = self._part, np.tile(self._bounds, 2)
+        k = len(self._bounds)
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            J = state.J_task[part]
+            rows.G[:k] = J
+            np.negative(J, rows.G[k:])
+            rows.h[:] = bounds
+
+        return tighten
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+        """Speed left in each tick, with the Jacobian at its beginning."""
+        states = zip(states_along(chain, q[:-1]), v, strict=True)
+        speed = np.array([state.J_task[self._part] @ v_k for state, v_k in states])
+        left = np.hstack([self._bounds - speed, self._bounds + speed])
+        return {f"limit.{name}": left[:, i] for i, name in enumerate(self.rows(chain))}
+
+    @property
+    def _part(self) -> slice:
+        """Which rows of J_task."""
+        return slice(0 if self.linear else 3, 6 if self.angular else 3)
+
+    @property
+    def _bounds(self) -> Array:
+        return np.array([bound for bound in (self.linear, self.angular) if bound]).repeat(3)

@@ -1,0 +1,133 @@
+"""Points of the object and of the robot stay on one side of a plane, such as a table or a wall.
+
+With n the plane's unit normal, c a point on it and p the point, d = n'(p - c) is its distance and
+the velocity damper d_dot >= -gain d lets it approach no faster than it can stop:
+
+    -n' J_p v <= gain n'(p - c)
+
+A point that starts on the wrong side is asked back at the same rate, so h < 0 there and only there.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.limit import Limit, LimitRows, Tighten, movers, states_along
+from coopqp.spec import Direction, Positive, Vector3, spec, unit
+from coopqp.state import State
+
+Array = NDArray[np.float64]
+
+
+@spec
+class Workspace(Limit):
+    """A half-space that the object, hands or elbows must not leave."""
+
+    name: str = "workspace"
+    """Your name for it in rows and tables, such as "table"; give it when there are several."""
+    normal: Direction
+    """Of the plane, in the world, into the side that is allowed; any length."""
+    through: Vector3
+    """A point on the plane, in the world [m]."""
+    points: tuple[Vector3, ...] | None = None
+    """Points of the object, in the object frame [m]; its eight corners if omitted."""
+    frames: tuple[str, ...] = ()
+    """Frames of the robot whose origins stay inside too, such as RHand."""
+    gain: Positive = 10.0
+    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
+
+    def __post_init__(self) -> None:
+        if self.points == () and not self.frames:
+            raise ValueError("needs points of the object or frames of the robot")
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Points of the object, then frames."""
+        known = [frame.name for frame in chain.model.frames]
+        for frame in self.frames:
+            if frame not in known:
+                raise UnknownNameError("frame", frame, known, f"{self.name}: ")
+        points = (f"{self.name}.object[{i}]" for i in range(len(self._points(chain))))
+        return (*points, *(f"{self.name}.{frame}" for frame in self.frames))
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """One row a point; the points' world positions are kept for the distances."""
+        if self.gain * dt > 1.0 + 1e-9:
+            raise InvalidValueError(
+                f"{self.name}: gain {self.gain} 1/s needs at most 1/dt = {1 / dt:g} 1/s; "
+                "more would overshoot"
+            )
+        points = _Points(chain, self._points(chain), self.frames)
+        n, distances, offset = self._plane()
+        gain, k = np.full(len(points.p), self.gain), points.of_object
+        d, turning, S = np.zeros(len(points.p)), np.zeros((len(points.p), 3)), _cross(-n)
+        G, any_frames = np.zeros((len(points.p), chain.n)), bool(self.frames)
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            points.update(state)
+            distances(points.p, d)
+            np.multiply(np.subtract(d, offset, d), gain, rows.h)
+            # d_dot = n'(J_v + J_omega x arm); the object's points turn about its origin.
+            points.arms.dot(S, turning)
+            turning[:k].dot(state.J_task[3:], G[:k])
+            np.subtract(G[:k], n.dot(state.J_task[:3]), rows.G[:k])
+            if any_frames:
+                turning[k:].dot(state.J_joints[3:], G[k:])
+                np.subtract(G[k:], n.dot(state.J_joints[:3]), G[k:])
+                np.multiply(G[k:], points.moved, rows.G[k:])
+
+        return tighten
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+        """Distance of each point from the plane after each tick [m]."""
+        names = self.rows(chain)
+        points = _Points(chain, self._points(chain), self.frames)
+        _, distances, offset = self._plane()
+        d = np.zeros((len(v), len(names)))
+        for state, row in zip(states_along(chain, q[1:]), d, strict=True):
+            points.update(state)
+            distances(points.p, row)
+        return {f"limit.{name}": d[:, i] - offset for i, name in enumerate(names)}
+
+    def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
+        n = unit(self.normal)
+        return n, lambda p, out: p.dot(n, out), float(n @ np.array(self.through))
+
+    def _points(self, chain: ClosedChain) -> Array:
+        """Points of the object, shape (k, 3)."""
+        if self.points is not None:
+            return np.array(self.points, float).reshape(-1, 3)
+        half = 0.5 * np.array(chain.held.size)
+        return np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+
+
+class _Points:
+    """Where points of the object, then origins of frames, are."""
+
+    def __init__(self, chain: ClosedChain, p_O: Array, frames: tuple[str, ...]) -> None:
+        bodies = [chain.model.frames[chain.model.getFrameId(name)] for name in frames]
+        self._p_O, self.of_object = p_O, len(p_O)
+        self._fixed = [(f.parentJoint, np.array(f.placement.translation)) for f in bodies]
+        self.moved = movers(chain, [joint for joint, _ in self._fixed])
+        self.p = np.zeros((len(p_O) + len(frames), 3))
+        #: From what the rows turn about: the object's origin, or the world's for frames.
+        self.arms = np.zeros_like(self.p)
+
+    def update(self, state: State) -> None:
+        """Follow the object and the robot."""
+        k = self.of_object
+        self._p_O.dot(state.R_WO.T, self.arms[:k])
+        np.add(self.arms[:k], state.p_WO, self.p[:k])
+        for i, (joint, p_J) in enumerate(self._fixed, k):
+            self.p[i] = self.arms[i] = state.joint_pose(joint).act(p_J)
+
+
+def _cross(n: Array) -> Array:
+    """S with p S = p x n for rows p."""
+    x, y, z = n
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,26 @@
+"""What every limit had left: least margin, ticks at the bound, share of time."""
+
+from __future__ import annotations
+
+from coopqp.metric import Metric
+from coopqp.spec import spec
+from coopqp.trace import Trace
+
+#: A margin up to this counts as at the bound [rad, rad/s, m ...].
+AT_BOUND = 1e-6
+
+
+@spec
+class LimitsAudit(Metric):
+    """What every limit had left: least margin, ticks at the bound, share of time."""
+
+    def measure(self, trace: Trace) -> dict[str, dict[str, float]]:
+        """By limit and joint or row, such as limit.position[RElbowRoll].upper."""
+        return {
+            name: {
+                "margin_min": float(margin.min(initial=float("inf"))),
+                "ticks_at_bound": int((margin <= AT_BOUND).sum()),
+                "saturated_share": float((margin <= AT_BOUND).mean()) if margin.size else 0.0,
+            }
+            for name, margin in trace.margins.items()
+        }

@@ -1,0 +1,67 @@
+"""A robot by name from the package example-robot-data, such as Baxter, TIAGo, PR2 or Panda.
+
+The package holds files alone: nothing of it is run, and meshes are not read.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from importlib import metadata
+from pathlib import Path
+
+from pydantic import Field
+
+from coopqp.errors import MissingDependencyError, UnknownNameError
+from coopqp.robot import Robot, RobotModel
+from coopqp.robot_file import Arms, JointLimits, Locked, read_urdf, robot_model
+from coopqp.spec import spec
+
+PACKAGE = "example-robot-data"
+FOLDER = "cmeel.prefix/share/example-robot-data/robots"
+
+
+@spec
+class ExampleRobot(Robot):
+    """A robot by name from the package example-robot-data (coopqp[robots])."""
+
+    name: str
+    """Of its URDF file without .urdf, such as baxter, tiago_dual, pr2, panda or ur5_robot."""
+    arms: Arms
+    """Arms by name, each its tip's frame or {tip: frame, joints: [...]}."""
+    free: tuple[str, ...] = ()
+    """Joints that join in besides those of the arms."""
+    locked: Locked = Field(default_factory=dict)
+    """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
+    joint_limits: dict[str, JointLimits] = Field(default_factory=dict)
+    """Limits instead of the file's, by joint or pattern such as left_*."""
+
+    def build(self) -> RobotModel:
+        """The joints of the arms; all others locked."""
+        known = robots()
+        if self.name not in known:
+            raise UnknownNameError("example robot", self.name, known)
+        return robot_model(
+            read_urdf(known[self.name]),
+            arms=self.arms,
+            free=self.free,
+            locked=self.locked,
+            joint_limits=self.joint_limits,
+        )
+
+
+def robots() -> dict[str, Path]:
+    """The package's URDF files by name; by folder and name where a name is there twice.
+
+    Raises:
+        MissingDependencyError: the package is not installed.
+    """
+    try:
+        folder = Path(str(metadata.distribution(PACKAGE).locate_file(FOLDER)))
+    except metadata.PackageNotFoundError:
+        raise MissingDependencyError("robot 'example_robot'", "robots") from None
+    files = sorted(folder.glob("*/*/*.urdf"))
+    count = Counter(file.stem for file in files)
+    return {
+        file.stem if count[file.stem] == 1 else f"{file.parts[-3]}/{file.stem}": file
+        for file in files
+    }

@@ -1,0 +1,167 @@
+"""A robot from the user's own table of modified Denavit-Hartenberg parameters.
+
+Columns after Khalil and Kleinfinger (1986), the paper's eq. (2): see :mod:`coopqp.mdh`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from coopqp import mdh
+from coopqp.robot import Robot, RobotModel
+from coopqp.robot_file import Arms, Description, Locked, robot_model
+from coopqp.spec import NonNegative, Positive, Vector3, numbers, one_angle, spec
+
+SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
+
+
+def _word(value: Any) -> Any:
+    """Sigma as a word; the number of the table is also read."""
+    return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
+
+
+def _name(value: Any) -> Any:
+    """A name; the number j of the table is also read."""
+    return str(value) if type(value) is int else value
+
+
+def _antecedent(value: Any) -> Any:
+    """A name, or None for the base, which is 0 in the table."""
+    return None if type(value) is int and value == 0 else _name(value)
+
+
+def _six(value: Any) -> Any:
+    return numbers(value, 6)
+
+
+Six = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_six)]
+
+
+@spec
+class TableRow:
+    """Row j of the table."""
+
+    name: Annotated[str, BeforeValidator(_name)]
+    """Of the joint, or its number j."""
+    antecedent: Annotated[str | None, BeforeValidator(_antecedent)] = None
+    """a(j): name of the row before it; the base when omitted or 0."""
+    sigma: Annotated[Literal["revolute", "prismatic", "fixed"], BeforeValidator(_word)] = "revolute"
+    """Revolute (0), prismatic (1) or fixed (2)."""
+    gamma: float | None = None
+    """[rad]"""
+    gamma_deg: float | None = None
+    """[degrees]"""
+    b: float = 0.0
+    """[m]"""
+    alpha: float | None = None
+    """[rad]"""
+    alpha_deg: float | None = None
+    """[degrees]"""
+    d: float = 0.0
+    """[m]"""
+    theta: float | None = None
+    """[rad]; of a revolute joint the value that is added to the joint's."""
+    theta_deg: float | None = None
+    """[degrees]"""
+    r: float = 0.0
+    """[m]; of a prismatic joint the value that is added to the joint's."""
+    lower: float | None = None
+    """Position limit [rad or m]; none when omitted."""
+    lower_deg: float | None = None
+    """[degrees]"""
+    upper: float | None = None
+    """Position limit [rad or m]; none when omitted."""
+    upper_deg: float | None = None
+    """[degrees]"""
+    velocity: Positive | None = None
+    """Limit [rad/s or m/s]; none when omitted."""
+    velocity_deg: Positive | None = None
+    """[degrees/s]"""
+    effort: Positive | None = None
+    """Limit [N m or N]; none when omitted."""
+    mass: NonNegative | None = None
+    """Of the link that the joint moves [kg]; massless when omitted."""
+    com: Vector3 = (0.0, 0.0, 0.0)
+    """Its centre of mass, from the row's origin [m]."""
+    inertia: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]."""
+    axes: Literal["joint", "base"] = "joint"
+    """Of com and inertia: the row's own, or the base's at the zero pose."""
+
+    def __post_init__(self) -> None:
+        for key in ("gamma", "alpha", "theta", "lower", "upper", "velocity"):
+            degrees = getattr(self, f"{key}_deg")
+            one_angle(key, getattr(self, key), degrees)
+            if key in ("lower", "upper", "velocity") and degrees and self.sigma == "prismatic":
+                raise ValueError(f"{key}_deg: a prismatic joint has no degrees; give {key} in m")
+        if self.mass is None and any((*self.com, *self.inertia)):
+            raise ValueError("com and inertia need a mass")
+
+    def read(self) -> mdh.MdhRow:
+        """As :mod:`coopqp.mdh` has it."""
+        parameters = mdh.MdhParameters(
+            gamma=self._radians("gamma", 0.0), b=self.b, alpha=self._radians("alpha", 0.0),
+            d=self.d, theta=self._radians("theta", 0.0), r=self.r,
+        )  # fmt: skip
+        link = None
+        if self.mass is not None:
+            link = mdh.Link(mass=self.mass, com=self.com, inertia=self.inertia, axes=self.axes)
+        return mdh.MdhRow(
+            name=self.name,
+            antecedent=self.antecedent,
+            kind=self.sigma,
+            parameters=parameters,
+            lower=self._radians("lower", -math.inf),
+            upper=self._radians("upper", math.inf),
+            velocity=self._radians("velocity", math.inf),
+            effort=math.inf if self.effort is None else self.effort,
+            link=link,
+        )
+
+    def _radians(self, key: str, otherwise: float) -> float:
+        value, degrees = getattr(self, key), getattr(self, f"{key}_deg")
+        if degrees is not None:
+            return math.radians(degrees)
+        return otherwise if value is None else float(value)
+
+
+@spec
+class TableTip:
+    """A hand: a frame fixed to a row, with the base's axes at the zero pose."""
+
+    parent: Annotated[str, BeforeValidator(_name)]
+    """Name of the row."""
+    offset: Vector3 = (0.0, 0.0, 0.0)
+    """From the row's origin, along the base's axes at the zero pose [m]."""
+
+
+@spec
+class MdhTable(Robot):
+    """A robot from its table after Khalil and Kleinfinger (modified Denavit-Hartenberg)."""
+
+    rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
+    """The table, arm by arm, each row after its antecedent."""
+    arms: Arms
+    """Arms by name, each its tip (a row or one of tips) or {tip: frame, joints: [...]}."""
+    tips: dict[str, TableTip] = Field(default_factory=dict)
+    """Frames of the hands, by name: {parent: row, offset: [m]}."""
+    free: tuple[str, ...] = ()
+    """Joints that join in besides those of the arms."""
+    locked: Locked = Field(default_factory=dict)
+    """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
+
+    def build(self) -> RobotModel:
+        """The joints of the arms; all others locked."""
+        tips = {
+            name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
+        }
+        model = mdh.build_model("mdh_table", [row.read() for row in self.rows], tips)
+        return robot_model(
+            Description(name=model.name, model=model),
+            arms=self.arms,
+            free=self.free,
+            locked=self.locked,
+        )

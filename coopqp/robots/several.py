@@ -1,0 +1,101 @@
+"""Two or more robots side by side: one model, names as "left/panda_joint1"."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
+
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.robot import Arm, Capsule, Robot, RobotModel
+from coopqp.robot_file import copy_per_velocity
+from coopqp.spec import Pose, spec
+
+
+def _read(value: Any, info: ValidationInfo) -> Robot:
+    """A robot as it is, or spelled as in a scenario file."""
+    if isinstance(value, Robot):
+        return value
+    read = (info.context or {}).get("robot")
+    if read is None:
+        raise ValueError("needs a robot")
+    robot: Robot = read(value)
+    return robot
+
+
+SPELLING = {"type": ["string", "object"], "description": "One robot by name, with its fields."}
+
+
+@spec
+class Placed(Pose):
+    """A robot and where its base is in the world."""
+
+    robot: Annotated[Robot, PlainValidator(_read), WithJsonSchema(SPELLING)]
+    """Which robot, as under the scenario's key robot."""
+
+    @property
+    def X_WB(self) -> pin.SE3:
+        """Pose of the base in the world."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.angles), np.array(self.position))
+
+
+@spec
+class Several(Robot):
+    """Separate robots placed in one world."""
+
+    robots: Annotated[dict[str, Placed], Field(min_length=1)]
+    """By name: {robot: ..., position: [m], rpy or rpy_deg}."""
+
+    def build(self) -> RobotModel:
+        """All joints, robot by robot; joints, frames and arms have the robot's name in front."""
+        parts = [_part(name, placed) for name, placed in self.robots.items()]
+        model = pin.Model()
+        for (_, placed), part in zip(self.robots.items(), parts, strict=True):
+            model = pin.appendModel(model, part.model, 0, placed.X_WB)
+        for part in parts:  # appendModel forgets the armatures
+            copy_per_velocity(part.model, model)
+        model.name = "several"
+        return RobotModel(
+            name=" + ".join(part.name for part in parts),
+            model=model,
+            arms=tuple(arm for part in parts for arm in part.arms),
+            shapes=tuple(shape for part in parts for shape in part.shapes),
+            capsules=tuple(capsule for part in parts for capsule in part.capsules),
+            warnings=tuple(line for part in parts for line in part.warnings),
+        )
+
+
+def _part(name: str, placed: Placed) -> RobotModel:
+    try:
+        robot = placed.robot.build()
+    except CoopqpError as error:
+        raise InvalidValueError(f"robot {name}: {error}") from error
+    return _renamed(f"{name}/", robot, placed.X_WB)
+
+
+def _renamed(prefix: str, robot: RobotModel, X_WB: pin.SE3) -> RobotModel:
+    """The robot with a prefix to every name, and what is fixed to its base put into the world."""
+    model = robot.model.copy()
+    for j in range(1, model.njoints):
+        model.names[j] = prefix + model.names[j]
+    for frame in model.frames:
+        frame.name = prefix + frame.name
+    return replace(
+        robot,
+        model=model,
+        arms=tuple(Arm(name=prefix + arm.name, tip=prefix + arm.tip) for arm in robot.arms),
+        shapes=tuple(replace(shape, frame=prefix + shape.frame) for shape in robot.shapes),
+        capsules=tuple(_renamed_capsule(prefix, capsule, X_WB) for capsule in robot.capsules),
+        warnings=tuple(prefix.removesuffix("/") + ": " + line for line in robot.warnings),
+    )
+
+
+def _renamed_capsule(prefix: str, capsule: Capsule, X_WB: pin.SE3) -> Capsule:
+    named = replace(capsule, name=prefix + capsule.name)
+    if capsule.joint is not None:
+        return replace(named, joint=prefix + capsule.joint)
+    start, end = (X_WB.act(np.array(point)).tolist() for point in (capsule.start, capsule.end))
+    return replace(named, start=tuple(start), end=tuple(end))
