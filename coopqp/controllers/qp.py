@@ -47,6 +47,7 @@ class QPLaw(Law):
     Attributes:
         first: the level that holds the loops and the first soft tasks.
         levels: all of them.
+        damping: as given.
         memory_size: 1; the memory is 1 after a stop.
     """
 
@@ -54,6 +55,7 @@ class QPLaw(Law):
 
     def __init__(self, problem: ControlProblem, damping: float) -> None:
         super().__init__(problem)
+        self.damping = damping
         start = State(problem.chain)
         self._exact = _ExactTasks(problem, start)
         groups = _groups(problem)

@@ -1,0 +1,87 @@
+"""Reading a written ``trace.csv`` back: which controllers, which ticks, which state."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from coopqp.controllers.qp import QPLaw
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.solver import Status
+from coopqp.state import State
+
+
+def state_from_trace(path: Path, controller: str, tick: int, law: QPLaw) -> State:
+    """The state that a tick of a written trace began with.
+
+    Args:
+        path: of ``trace.csv``.
+        controller: whose.
+        tick: which.
+        law: gives the joints.
+
+    Raises:
+        CoopqpError: no such file, controller or tick.
+    """
+    joints = law.problem.chain.joint_names
+    state = law.start()
+    rows = _rows_of(path, controller)
+    if tick not in rows:
+        last = max(rows, default=0)
+        raise InvalidValueError(
+            f"{path}: controller '{controller}' has no tick {tick}; it has 0 to {last}"
+        )
+    with path.open(encoding="utf-8", newline="") as stream:
+        wanted = {rows[tick]: "now", rows.get(tick - 1, -1): "before"}
+        for i, row in enumerate(csv.DictReader(stream)):
+            role = wanted.get(i)
+            if role == "now":
+                state.t = float(row["t"])
+                state.q[:] = [float(row[f"q[{joint}]"]) for joint in joints]
+            elif role == "before":
+                state.v[:] = [float(row[f"v[{joint}]"]) for joint in joints]
+    state.update()
+    return state
+
+
+def blocked_tick(path: Path, controller: str) -> int:
+    """The tick worth explaining: the first that gave something up or failed, else the last.
+
+    Raises:
+        CoopqpError: no such file or controller.
+    """
+    last = 0
+    with path.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            if row["controller"] != controller or not row.get("status"):
+                continue
+            if row["status"] not in (Status.OPTIMAL.name, Status.INACCURATE.name):
+                return int(row["tick"])
+            last = int(row["tick"])
+    return last
+
+
+def controllers_of(path: Path) -> list[str]:
+    """Names of the controllers in a written trace, in their order.
+
+    Raises:
+        CoopqpError: no such file, or not a trace.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            found = list(dict.fromkeys(row["controller"] for row in csv.DictReader(stream)))
+    except OSError as error:
+        raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
+    except (KeyError, UnicodeDecodeError, csv.Error):
+        raise CoopqpError(f"{path}: is not a trace.csv written by 'coopqp compare --out'") from None
+    return found
+
+
+def _rows_of(path: Path, controller: str) -> dict[int, int]:
+    """Row number of each tick of a controller."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return {
+            int(row["tick"]): i
+            for i, row in enumerate(csv.DictReader(stream))
+            if row["controller"] == controller and row["tick_us"]
+        }
