@@ -129,6 +129,104 @@ def mobility(
 
 
 @main.command()
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option("--tick", type=int, help="Which; the first that gave something up, else the last.")
+@click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
+@click.option("--save", type=click.Path(path_type=Path), help="Keep the whole tick in this file.")
+@TASKS
+@JSON
+def explain(
+    trace: Path,
+    tick: int | None,
+    controller: str | None,
+    save: Path | None,
+    task_folders: tuple[Path, ...],
+    as_json: bool,
+) -> None:
+    """Say why a tick could not do what its tasks asked.
+
+    TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
+    """
+    from dataclasses import asdict
+
+    from coopqp import explanation
+    from coopqp.report import files
+
+    record = _tick(trace, tick, controller, task_folders)
+    found = explanation.explain(record)
+    if save:
+        files.write_one(save, record.text())
+    if as_json:
+        click.echo(json.dumps({"tick": record.tick, "status": record.status, **asdict(found)}))
+        return
+    click.echo(f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):")
+    click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
+    if save:
+        click.echo(f"wrote {save}")
+
+
+@main.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
+@JSON
+def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
+    """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
+    from coopqp import explanation
+    from coopqp.catalog import Catalog
+    from coopqp.scenario import solver_by_name, solver_names
+
+    catalog, record = Catalog(), explanation.TickRecord.read(file)
+    rows = {}
+    for name in solver or solver_names(catalog):
+        answer = explanation.replay(record, solver_by_name(name, catalog))
+        rows[name] = {
+            "status": answer.status.value,
+            "primal_residual": answer.primal_residual,
+            "dual_residual": answer.dual_residual,
+            "difference": answer.difference,
+            "v": answer.v.tolist(),
+        }
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+        return
+    from rich.table import Table
+
+    table = Table(title=f"{record.scenario}, {record.controller}, tick {record.tick}")
+    for heading in ("solver", "status", "primal residual", "dual residual", "off the saved answer"):
+        table.add_column(heading)
+    for name, row in rows.items():
+        numbers = (row["primal_residual"], row["dual_residual"], row["difference"])
+        table.add_row(name, str(row["status"]), *(f"{number:.2g}" for number in numbers))
+    _console().print(table)
+
+
+@main.command()
+@click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@JSON
+def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
+    """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
+    from dataclasses import asdict
+
+    from coopqp import stress as trial
+
+    with _progress(["rollouts"], rollouts) as progress:
+        report = (lambda done: progress("rollouts", done)) if progress else None
+        done = trial.stress(rollouts, seed=seed, jobs=jobs, progress=report)
+    lines, broken = trial.summarize(done), [r for r in done if r.broken]
+    if as_json:
+        data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
+        click.echo(json.dumps(data, indent=2))
+    else:
+        _console().print(_stress_table(lines))
+        for r in broken[:20]:
+            click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
+    if broken:
+        click.get_current_context().exit(1)
+
+
+@main.command()
 @click.argument("scenarios", nargs=-1, required=True)
 @TASKS
 def validate(scenarios: tuple[str, ...], task_folders: tuple[Path, ...]) -> None:
@@ -186,6 +284,55 @@ def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
     catalog = Catalog(task_folders)
     loaded = load(name, catalog)
     return with_solver(loaded, solver, catalog) if solver else loaded
+
+
+def _tick(
+    trace: Path, tick: int | None, controller: str | None, task_folders: tuple[Path, ...]
+) -> Any:
+    """A tick of a written trace, whole."""
+    from coopqp.controllers.qp import QPLaw
+    from coopqp.errors import InvalidValueError, UnknownNameError
+    from coopqp.explanation import record_tick
+    from coopqp.trace_file import blocked_tick, controllers_of, state_from_trace
+
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    names = controllers_of(path)
+    scenario = _load(str(path.parent / "scenario.yaml"), task_folders, None)
+    laws = {}
+    for name in names:
+        plugin = scenario.controllers.get(name)
+        if plugin is not None and not plugin.commands_torques:
+            law = plugin.build(scenario.held_by(name).problem())
+            if isinstance(law, QPLaw):
+                laws[name] = law
+    if not laws:
+        raise InvalidValueError(f"{path}: no controller here solves a QP in velocities")
+    chosen = controller or next(iter(laws))
+    if chosen not in laws:
+        raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
+    k = blocked_tick(path, chosen) if tick is None else tick
+    state = state_from_trace(path, chosen, k, laws[chosen])
+    name = path.parent.resolve().name
+    return record_tick(laws[chosen], state, scenario=name, controller=chosen, tick=k)
+
+
+def _stress_table(lines: Any) -> Any:
+    from rich.table import Table
+
+    table = Table(title="random rollouts of the QP law")
+    for heading in (
+        "rollouts", "number", "ended as", "position excess [rad]", "speed excess [rad/s]",
+        "loop [mm]", "loop [mrad]", "fallback ticks", "broken",
+    ):  # fmt: skip
+        table.add_column(heading)
+    for x in lines:
+        ended = ", ".join(f"{count} {name}" for name, count in x.outcomes.items())
+        table.add_row(
+            x.kind, str(x.count), ended, f"{x.position_excess:.1e}", f"{x.velocity_excess:.1e}",
+            f"{1e3 * x.loop_position:.3f}", f"{1e3 * x.loop_orientation:.2f}",
+            str(x.fallbacks), str(x.broken),
+        )  # fmt: skip
+    return table
 
 
 def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:

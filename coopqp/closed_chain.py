@@ -8,12 +8,14 @@ With J_i the 6 x n Jacobian of the object frame as carried by arm i, (v; omega) 
     J_tsk = sum_i alpha_i J_i,  J_rel,i = J_i - J_0,  J_ext = [J_tsk; J_rel]    eq. (28)-(31)
 
 and J_c v = 0 with J_c = J_rel is the loop closure, eq. (9), (14). alpha_i = 1/N is the paper's
-eq. (30) for two arms.
+eq. (30) for two arms; alpha = (1, 0) is leader and follower: the object is where arm 0 carries it,
+after the extended cooperative task space of Park and Lee 2015.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +24,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.grasp import Grasp, pose_matrix
+from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_file import copy_per_velocity
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
@@ -33,6 +36,9 @@ CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
 
 #: Singular values below this share of the largest count as zero when ranks are taken.
 RANK_TOLERANCE = 1e-8
+
+#: The weights alpha must sum to 1 within this.
+WEIGHT_SUM = 1e-6
 
 #: Reach of a joint without limits when configurations are sampled [rad or m].
 UNLIMITED_SAMPLE = 1.0
@@ -83,21 +89,28 @@ class ClosedChain:
         q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
         grasps: one for all arms, or one for each by the arm's name.
         held: the object.
+        alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum 1;
+            an arm not named has 0; all the same when omitted.
+        passive_start: where the grasps' passive joints start, by name such as "right.hinge"
+            [rad, m]; zero when omitted.
 
     Attributes:
         model: pinocchio model with the grasps' passive joints; massless object (its inertia
             matters to the dynamics alone, which add it).
-        q_start: configuration with the passive joints at zero, shape (n,).
+        q_start: configuration with the passive joints in it, shape (n,).
         start_position: of the object at the start, shape (3,) [m].
         frames: the object frame as carried by each arm, ids into model.frames.
         loops: the independent loop rows.
         lower, upper: position limits, shape (n,) [rad, m]; infinite where there are none.
         velocity: velocity limits, shape (n,) [rad/s, m/s].
         passive: indices of the passive joints in q.
+        alpha: weights of the arms in the absolute variables, shape (N,).
+        mixing: M with [J_tsk; J_rel] = M [J_0; J_1; ...], shape (6 N, 6 N).
 
     Raises:
         GraspError: fewer than two arms, or grasps that do not close at the start.
-        UnknownNameError: a grasp for an arm that the robot does not have.
+        UnknownNameError: a grasp, weight or passive joint that the robot does not have.
+        InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum to 1.
     """
 
     def __init__(
@@ -106,10 +119,13 @@ class ClosedChain:
         q_start: NDArray[np.float64],
         grasps: Grasp | Mapping[str, Grasp],
         held: HeldObject,
+        *,
+        alpha: Mapping[str, float] | None = None,
+        passive_start: Mapping[str, float] | None = None,
     ) -> None:
         self.robot, self.held = robot, held
         self.arms: tuple[Arm, ...] = robot.arms
-        self.grasps = _grasp_of_each(robot, grasps)
+        self.grasps = grasp_of_each(robot, grasps)
         if len(self.arms) < 2:
             raise GraspError(f"robot {robot.name} has {len(self.arms)} arm; a loop needs two")
         start = np.asarray(q_start, float)
@@ -118,10 +134,15 @@ class ClosedChain:
                 f"q_start: found shape {start.shape}, needs ({robot.model.nq},)"
             )
         self._robot_start = start
-        self.model = robot.model.copy()
-        ends = {arm.name: self._add_passive_joints(arm) for arm in self.arms}
+        self.model, ends = with_passive_joints(
+            robot,
+            {
+                arm.name: self.grasps[arm.name].passive_joints(self._tip_orientation(arm))
+                for arm in self.arms
+            },
+        )
         self.n: int = self.model.nv
-        self.q_start = self._extended(start)
+        self.q_start = self._extended(start, passive_start or {})
         self.frames = self._add_object_frames(ends)
         self.passive = np.array(
             [i for i, name in enumerate(self.joint_names) if name not in robot.joint_names], int
@@ -129,9 +150,22 @@ class ClosedChain:
         self.lower = np.array(self.model.lowerPositionLimit)
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
-        self.alpha = np.full(len(self.arms), 1.0 / len(self.arms))
+        self.alpha = arm_weights(robot, alpha)
         self.mixing = _mixing_matrix(self.alpha)
         self.loops = self._independent_rows()
+
+    def moved(self, q: NDArray[np.float64]) -> ClosedChain:
+        """The same chain with another start, the object held as it is.
+
+        Args:
+            q: configuration with the loops closed, passive joints included, shape (n,).
+        """
+        other = copy.copy(self)
+        other.q_start = np.array(q, float)
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, other.q_start)
+        other.start_position = data.oMf[self.frames[0]].translation.copy()
+        return other
 
     @property
     def starts_inside(self) -> bool:
@@ -172,24 +206,6 @@ class ClosedChain:
         upper = np.where(np.isfinite(self.upper), self.upper, self.q_start + UNLIMITED_SAMPLE)
         return rng.uniform(lower, upper, (count, self.n))
 
-    def _add_passive_joints(self, arm: Arm) -> str:
-        """Insert the grasp's joints after the tip; returns the frame that carries the object."""
-        joints = self.grasps[arm.name].passive_joints(self._tip_orientation(arm))
-        if not joints:
-            return arm.tip
-        tail, parent, one = pin.Model(), 0, np.ones(1)
-        for passive in joints:
-            parent = tail.addJoint(
-                parent, passive.joint, passive.placement, f"{arm.name}.{passive.name}",
-                0.0 * one, np.inf * one, passive.lower * one, passive.upper * one,
-            )  # fmt: skip
-        end = f"{arm.name}.grasp"
-        tail.addFrame(pin.Frame(end, parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-        # appendModel keeps the joints depth first, as pinocchio's algorithms need.
-        tip = self.model.getFrameId(arm.tip)
-        self.model = pin.appendModel(self.model, tail, tip, pin.SE3.Identity())
-        return end
-
     def _tip_orientation(self, arm: Arm) -> NDArray[np.float64]:
         model = self.robot.model
         data = model.createData()
@@ -197,52 +213,58 @@ class ClosedChain:
         R: NDArray[np.float64] = data.oMf[model.getFrameId(arm.tip)].rotation.copy()
         return R
 
-    def _extended(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Configuration of the model with its passive joints, these at zero."""
+    def _extended(
+        self, q: NDArray[np.float64], passive_start: Mapping[str, float]
+    ) -> NDArray[np.float64]:
+        """Configuration of the model with its passive joints."""
+        passive = [name for name in self.joint_names if name not in self.robot.joint_names]
+        for name in passive_start:
+            if name not in passive:
+                raise UnknownNameError("passive joint", name, passive, "start: ")
         extended = np.zeros(self.model.nq)
-        for name, value in zip(self.robot.joint_names, q, strict=True):
+        values = {**dict(zip(self.robot.joint_names, q, strict=True)), **passive_start}
+        for name, value in values.items():
             extended[self.model.idx_qs[self.model.getJointId(name)]] = value
         return extended
 
     def _add_object_frames(self, ends: Mapping[str, str]) -> tuple[int, ...]:
         """Fix the object frame to every arm, where the grasp or the start says, eq. (1)."""
+        given = {
+            arm: object_at_end(self.model, self.model.getFrameId(end), self._tip(arm), grasp)
+            for (arm, grasp), end in zip(self.grasps.items(), ends.values(), strict=True)
+            if grasp.object_in_hand
+        }
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, self.q_start)
-        X_WT = {arm.name: data.oMf[self.model.getFrameId(arm.tip)] for arm in self.arms}
-        X_WO = self._start_pose(X_WT)
+        X_WE = {arm: data.oMf[self.model.getFrameId(end)].copy() for arm, end in ends.items()}
+        X_WO = self._start_pose({arm: X_WE[arm] * X_EO for arm, X_EO in given.items()})
         self.start_position = X_WO.translation.copy()
-        ids = []
-        for arm, end in ends.items():
-            given = self.grasps[arm].object_in_hand
-            index = self.model.getFrameId(end)
-            X_EO = data.oMf[index].actInv(X_WT[arm] * pose_matrix(given) if given else X_WO)
-            frame = self.model.frames[index]
-            placement = frame.placement * X_EO
-            ids.append(
-                self.model.addFrame(
-                    pin.Frame(
-                        f"object[{arm}]", frame.parentJoint, placement, pin.FrameType.OP_FRAME
-                    )
-                )
-            )
-        return tuple(ids)
+        return tuple(
+            add_object_frame(self.model, arm, end, given.get(arm, X_WE[arm].actInv(X_WO)))
+            for arm, end in ends.items()
+        )
 
-    def _start_pose(self, X_WT: Mapping[str, pin.SE3]) -> pin.SE3:
+    def _tip(self, arm: str) -> int:
+        (tip,) = (a.tip for a in self.arms if a.name == arm)
+        return int(self.model.getFrameId(tip))
+
+    def _start_pose(self, by_arm: Mapping[str, pin.SE3]) -> pin.SE3:
         """Pose of the object at the start, after checking that all that is given agrees.
+
+        Args:
+            by_arm: where the arms whose grasp says so carry the object.
 
         Raises:
             GraspError: the object's pose and the grasps put it in different places.
         """
-        seen = {
-            f"the grasp of arm '{arm}'": X_WT[arm] * pose_matrix(grasp.object_in_hand)
-            for arm, grasp in self.grasps.items()
-            if grasp.object_in_hand
-        }
+        seen = {f"the grasp of arm '{arm}'": X_WO for arm, X_WO in by_arm.items()}
         if self.held.pose:
             seen["object.pose"] = pose_matrix(self.held.pose)
         if not seen:
-            middle = np.mean([X.translation for X in X_WT.values()], axis=0)
-            return pin.SE3(np.eye(3), middle)
+            data = self.model.createData()
+            pin.framesForwardKinematics(self.model, data, self.q_start)
+            tips = [data.oMf[self._tip(arm.name)].translation for arm in self.arms]
+            return pin.SE3(np.eye(3), np.mean(tips, axis=0))
         (first, X_WO), *others = seen.items()
         for name, X in others:
             gap = np.linalg.norm(X.translation - X_WO.translation)
@@ -286,7 +308,104 @@ def matrix_rank(matrix: NDArray[np.float64]) -> int:
     return int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
 
 
-def _grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
+def with_passive_joints(
+    robot: RobotModel, joints: Mapping[str, Sequence[PassiveJoint]]
+) -> tuple[pin.Model, dict[str, str]]:
+    """The robot's model with its grasps' joints after the tips.
+
+    Args:
+        robot: the robot.
+        joints: by arm, hand first.
+
+    Returns:
+        The model, and by arm the frame that carries the object: "ARM.grasp", or the tip.
+    """
+    model, ends, one = robot.model.copy(), {}, np.ones(1)
+    for arm in robot.arms:
+        ends[arm.name] = arm.tip
+        if not joints[arm.name]:
+            continue
+        tail, parent = pin.Model(), 0
+        for passive in joints[arm.name]:
+            parent = tail.addJoint(
+                parent, passive.joint, passive.placement, f"{arm.name}.{passive.name}",
+                0.0 * one, np.inf * one, passive.lower * one, passive.upper * one,
+            )  # fmt: skip
+        ends[arm.name] = f"{arm.name}.grasp"
+        tail.addFrame(
+            pin.Frame(ends[arm.name], parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
+        )
+        # appendModel keeps the joints depth first, as pinocchio's algorithms need.
+        model = pin.appendModel(model, tail, model.getFrameId(arm.tip), pin.SE3.Identity())
+    copy_per_velocity(robot.model, model)  # appendModel forgets the armatures
+    return model, ends
+
+
+def object_at_end(model: pin.Model, end: int, tip: int, grasp: Grasp) -> pin.SE3:
+    """Pose of the object in the frame after the passive joints, from object_in_hand.
+
+    What object_in_hand says holds where the passive joints are at zero.
+
+    Args:
+        model: with the passive joints.
+        end: frame after them.
+        tip: frame before them.
+        grasp: one with object_in_hand.
+    """
+    assert grasp.object_in_hand is not None
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(pin.neutral(model)))
+    return data.oMf[end].actInv(data.oMf[tip]) * pose_matrix(grasp.object_in_hand)
+
+
+def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int:
+    """Fix the frame of the object as carried by an arm; returns its id."""
+    frame = model.frames[model.getFrameId(end)]
+    return int(
+        model.addFrame(
+            pin.Frame(
+                f"object[{arm}]", frame.parentJoint, frame.placement * X_EO, pin.FrameType.OP_FRAME
+            )
+        )
+    )
+
+
+def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> NDArray[np.float64]:
+    """Weights of the arms in the absolute variables, in the order of the arms, shape (N,).
+
+    Args:
+        robot: the robot.
+        alpha: by arm; an arm not named has 0; all the same when omitted.
+
+    Raises:
+        UnknownNameError: no such arm.
+        InvalidValueError: a weight is negative or not finite, or they do not sum to 1.
+    """
+    names = [arm.name for arm in robot.arms]
+    if alpha is None:
+        return np.full(len(names), 1.0 / len(names))
+    for name, weight in alpha.items():
+        if name not in names:
+            raise UnknownNameError("arm", name, names, "weights: ")
+        if not 0.0 <= weight < np.inf:
+            raise InvalidValueError(f"weights: found {weight:g} for {name}, needs at least 0")
+    total = sum(alpha.values())
+    if abs(total - 1.0) > WEIGHT_SUM:
+        raise InvalidValueError(f"weights: found a sum of {total:g}, needs 1")
+    return np.array([alpha.get(name, 0.0) / total for name in names])
+
+
+def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
+    """The grasp of each arm, in the order of the arms.
+
+    Args:
+        robot: the robot.
+        grasps: one for all arms, or one for each by the arm's name.
+
+    Raises:
+        UnknownNameError: a grasp for an arm that the robot does not have.
+        GraspError: an arm without a grasp.
+    """
     names = [arm.name for arm in robot.arms]
     if isinstance(grasps, Grasp):
         return dict.fromkeys(names, grasps)

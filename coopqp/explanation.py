@@ -80,9 +80,13 @@ class TickRecord:
     answer: list[float]
     status: str
 
+    def text(self) -> str:
+        """As JSON; infinite bounds as 1e30."""
+        return json.dumps(asdict(self), indent=1) + "\n"
+
     def save(self, path: Path) -> None:
-        """Write it as JSON; infinite bounds as 1e30."""
-        path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8")
+        """Write :meth:`text`."""
+        path.write_text(self.text(), encoding="utf-8")
 
     @staticmethod
     def read(path: Path) -> TickRecord:

@@ -310,10 +310,23 @@ def with_solver(scenario: Scenario, name: str, catalog: Catalog) -> Scenario:
     Raises:
         UnknownNameError: no such solver; names the nearest.
     """
+    return replace(scenario, solver=solver_by_name(name, catalog), solver_name=name)
+
+
+def solver_by_name(name: str, catalog: Catalog) -> Solver:
+    """A solver of the catalogue, or an installed backend of qpsolvers.
+
+    Raises:
+        UnknownNameError: no such solver; names the nearest.
+    """
     entries = catalog.entries("solvers")
-    backends = qpsolvers.installed()
-    if name in entries and name != "qpsolvers":
-        return replace(scenario, solver=entries[name].cls(), solver_name=name)
-    if name in backends:
-        return replace(scenario, solver=qpsolvers.Qpsolvers(backend=name), solver_name=name)
-    raise UnknownNameError("solver", name, {*entries, *backends} - {"qpsolvers"})
+    if name not in solver_names(catalog):
+        raise UnknownNameError("solver", name, solver_names(catalog))
+    chosen = entries[name].cls() if name in entries else qpsolvers.Qpsolvers(backend=name)
+    assert isinstance(chosen, Solver)  # what the catalogue holds there
+    return chosen
+
+
+def solver_names(catalog: Catalog) -> tuple[str, ...]:
+    """Every solver that can be named here."""
+    return tuple(sorted({*catalog.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"}))

@@ -105,3 +105,50 @@ def test_help_imports_nothing_heavy() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert answer.stdout.strip() == "False"
+
+
+def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: Path) -> None:
+    out, saved = tmp_path / "out", tmp_path / "tick.json"
+    assert (
+        coopqp("compare", "joint_limit_stress", "--controllers", "qp", "--out", out).exit_code == 0
+    )
+    explained = coopqp("explain", out, "--tick", "200", "--save", saved)
+    assert explained.exit_code == 0
+    assert "limit.position[RElbowRoll].upper" in explained.output
+    assert "task[reach].x" in explained.output
+    answers = json.loads(coopqp("replay", saved, "--json").stdout)
+    assert {"daqp", "osqp", "proxqp"} <= set(answers)
+    assert all(answer["difference"] < 1e-5 for answer in answers.values())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["explain", "/no/such"], "cannot be read"),
+        (["explain", "OUT", "--tick", "99"], "has no tick 99; it has 0 to 9"),
+        (["explain", "OUT", "--controller", "pseudoinverse"], "unknown QP controller"),
+        (["replay", "OUT/metrics.json"], "is not a tick saved by"),
+        (["replay", "/no/such"], "cannot be read"),
+        (["stress", "--rollouts", "0"], "is not in the range"),
+    ],
+)
+def test_explain_replay_and_stress_refuse_in_words(
+    short: Path, tmp_path: Path, words: list[str], message: str
+) -> None:
+    out = tmp_path / "out"
+    coopqp("compare", short, "--out", out)
+    result = coopqp(*[word.replace("OUT", str(out)) for word in words])
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+
+
+def test_a_small_stress_breaks_no_promise() -> None:
+    result = coopqp("stress", "--rollouts", "60", "--jobs", "1", "--json")
+    assert result.exit_code == 0
+    data = json.loads(result.stdout)
+    assert data["broken"] == []
+    everything = data["lines"][-1]
+    assert everything["count"] == 60
+    assert everything["position_excess"] <= 1e-9
+    assert everything["velocity_excess"] <= 1e-9
+    assert set(everything["outcomes"]) <= {"reached", "blocked", "recovering"}

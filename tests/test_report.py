@@ -80,8 +80,10 @@ def test_bad_cells_have_a_symbol(page: str) -> None:
 
 def test_every_figure_shows_every_controller(page: str, comparison: Comparison) -> None:
     figures = data_of(page, "figures")
-    assert len(figures) == page.count('class="plot"') == 10 + 6
-    for figure in figures:
+    assert len(figures) == page.count('class="plot"') == 10 + 6 + 1
+    *others, active_limits = figures
+    assert {line["legendgroup"] for line in active_limits["data"]} == {"qp"}
+    for figure in others:
         shown = {line["legendgroup"] for line in figure["data"] if "legendgroup" in line}
         assert shown == set(comparison.traces)
 

@@ -16,6 +16,7 @@ answer.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -284,11 +285,15 @@ class LoopProbe:
 
     def _no_worse(self, state: State) -> bool:
         """A loop that is open already may be closed by steps that leave it open for now."""
-        before = np.abs(state.loop_error.reshape(-1, 2, 3)).sum(axis=2)
-        after = []
-        for p, R in self._others:
-            after.append([np.abs(p - self._p_0).sum(), np.abs(pin.log3(R.dot(self._R_0T))).sum()])
-        return bool(np.all(np.array(after) <= before + 1e-12))
+        before = np.linalg.norm(state.loop_error.reshape(-1, 2, 3), axis=2)
+        for (p, R), (gap, turn) in zip(self._others, before, strict=True):
+            gap_after = np.linalg.norm(p - self._p_0)
+            turn_after = np.linalg.norm(pin.log3(R.dot(self._R_0T)))
+            if gap_after > max(gap, math.sqrt(self._gap)):
+                return False
+            if turn_after > max(turn, math.sqrt(self._turn)):
+                return False
+        return True
 
 
 def _groups(problem: ControlProblem) -> list[list[Task]]:

@@ -13,6 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from coopqp import __version__
 from coopqp.comparison import Comparison
+from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, Cell, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures import Figures
@@ -33,6 +34,8 @@ def render(comparison: Comparison) -> str:
     looks = styles(comparison.traces)
     figures = Figures(comparison)
     joints, torques, others = figures.joints(), figures.torques(), figures.others()
+    active = audit.timeline(comparison.traces, looks)
+    others += [active] if active else []
     plots = [
         {"data": figure.data, "layout": figure.layout} for figure in (*joints, *torques, *others)
     ]
@@ -50,6 +53,8 @@ def render(comparison: Comparison) -> str:
         torques="".join(map(_figure, torques)),
         torques_hidden="" if torques else "hidden",
         others="".join(map(_figure, others)),
+        audit=audit.rows(comparison.traces),
+        audit_hidden="" if audit.audited(comparison.traces) else "hidden",
         scene=script_json(scene(comparison)),
         figures=script_json(plots),
         css=_read("page.css"),

@@ -1,0 +1,75 @@
+"""The limits audit of the page: what every limit had left, and when which was active."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.metrics.limits_audit import AT_BOUND
+from coopqp.report import curves
+from coopqp.report.curves import Figure
+from coopqp.report.style import Style
+from coopqp.trace import Trace
+
+Array = NDArray[np.float64]
+
+SHOWN = 10  # limits of each controller in the table
+MOST_LINES = 14  # of the timeline
+
+
+def rows(traces: Mapping[str, Trace]) -> str:
+    """Rows of the table: the limits that had least left, the most used first."""
+    lines = []
+    for name, trace in audited(traces).items():
+        for limit, margin in _tightest(trace):
+            active = margin <= AT_BOUND
+            cells = (f"{margin.min():.3g}", str(int(active.sum())), f"{100 * active.mean():.0f} %")
+            lines.append(
+                f"<tr><td class='name'>{html.escape(name)}</td><td class='name'>"
+                f"{html.escape(limit)}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+            )
+    return "".join(lines)
+
+
+def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure | None:
+    """When which limit was active, a line each; None when none ever was."""
+    used: dict[str, int] = {}
+    for trace in audited(traces).values():
+        for limit, margin in trace.margins.items():
+            used[limit] = max(used.get(limit, 0), int((margin <= AT_BOUND).sum()))
+    shown = sorted((k for k, ticks in used.items() if ticks), key=lambda k: -used[k])[:MOST_LINES]
+    if not shown:
+        return None
+    data = []
+    for name, trace in audited(traces).items():
+        for limit in reversed(shown):
+            if limit not in trace.margins:
+                continue
+            active = trace.margins[limit] <= AT_BOUND
+            t, _ = curves.thinned(trace.t[1:][active], trace.t[1:][active])
+            mark = {"color": styles[name].color, "symbol": "square", "size": 5}
+            data.append(
+                {
+                    "type": "scatter", "mode": "markers", "x": t.tolist(), "y": [limit] * len(t),
+                    "marker": mark, "legendgroup": name, "hoverinfo": "x+y",
+                }
+            )  # fmt: skip
+    end = max(float(trace.t[-1]) for trace in traces.values())
+    axis = {"type": "category", "automargin": True, "categoryarray": list(reversed(shown))}
+    layout = curves.layout(end, axis)
+    layout["height"] = 90 + 22 * len(shown)
+    return Figure(title="Active limits", unit="a mark a tick", data=data, layout=layout)
+
+
+def audited(traces: Mapping[str, Trace]) -> dict[str, Trace]:
+    """The controllers that promise to keep limits."""
+    return {name: trace for name, trace in traces.items() if trace.solver and trace.margins}
+
+
+def _tightest(trace: Trace) -> list[tuple[str, Array]]:
+    finite = [(k, m) for k, m in trace.margins.items() if np.isfinite(m).any() and m.size]
+    order = sorted(finite, key=lambda pair: (-int((pair[1] <= AT_BOUND).sum()), pair[1].min()))
+    return order[:SHOWN]
