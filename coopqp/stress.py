@@ -44,6 +44,8 @@ START = {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.
 GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
 WALK, WALK_STEPS = 0.03, 60  # a random walk along the loops [rad], steps
 FARTHEST_OUTSIDE = 0.3  # [rad]
+AT = 1e-4  # a joint this near its limit rests there [rad]
+SINGULAR = 0.05  # least motion of the object for a unit of joint motion [m/rad]
 OUTCOMES = ("reached", "blocked", "recovering")
 
 
@@ -271,15 +273,33 @@ def _outcome(problem: ControlProblem, law: QPLaw, state: State) -> tuple[str, st
     names = [*(r.name for r in why.relaxations), *(f"loops|{name}" for name in why.impossible)]
     if names:
         return "blocked", ", ".join(names)
-    if _near_singular(problem, tasks, state):
-        return "blocked", f"singular pose along {', '.join(why.missed)}"
+    held = _at_limits(problem.chain, state)
+    if _near_singular(problem, tasks, state, list(held)):
+        blocks = ["singular pose", *held.values()]
+        return "blocked", f"{', '.join(blocks)} along {', '.join(why.missed)}"
     return ("moving", "") if float(np.abs(law.command.v).max()) > 1e-6 else ("", why.sentence)
 
 
-def _near_singular(problem: ControlProblem, tasks: TaskStack, state: State) -> bool:
-    """Whether the damping outweighs a direction of the tasks within the loops."""
-    values = np.linalg.svd(tasks.J @ null_space(state.J_loop), compute_uv=False)
-    return bool(values.min(initial=math.inf) < 0.03)
+def _at_limits(chain: ClosedChain, state: State) -> dict[int, str]:
+    """Joints that rest at a position limit, with the limit's name."""
+    names = chain.joint_names
+    low = {
+        i: f"limit.position[{names[i]}].lower" for i in np.flatnonzero(state.q - chain.lower < AT)
+    }
+    high = {
+        i: f"limit.position[{names[i]}].upper" for i in np.flatnonzero(chain.upper - state.q < AT)
+    }
+    return {**low, **high}
+
+
+def _near_singular(
+    problem: ControlProblem, tasks: TaskStack, state: State, held: list[int]
+) -> bool:
+    """Whether loops and joints at their limits leave a direction of the tasks next to nothing."""
+    locked = np.eye(problem.chain.n)[held]
+    free = null_space(np.vstack([state.J_loop, locked]))
+    values = np.linalg.svd(tasks.J @ free, compute_uv=False)
+    return len(values) < len(tasks.J) or bool(values.min(initial=math.inf) < SINGULAR)
 
 
 def _judge(watch: _Watch, budget: Budget, outcome: str) -> None:
