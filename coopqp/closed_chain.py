@@ -15,8 +15,10 @@ after the extended cooperative task space of Park and Lee 2015.
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -167,6 +169,24 @@ class ClosedChain:
         other.start_position = data.oMf[self.frames[0]].translation.copy()
         return other
 
+    @cached_property
+    def reach(self) -> float:
+        """Bound on the distance from any joint to the object along its arm [m].
+
+        Sliding joints count with a metre, so that their share of a second derivative is bounded
+        by it too.
+        """
+        model, data = self.model, self.model.createData()
+        pin.framesForwardKinematics(model, data, self.q_start)
+        longest = 0.0
+        for frame in self.frames:
+            joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+            places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
+            way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
+            slides = any("P" in model.joints[j].shortname()[10:] for j in joints)
+            longest = max(longest, way + 1.0 if slides else way)
+        return longest
+
     @property
     def starts_inside(self) -> bool:
         """Whether every joint starts within its position limits."""
@@ -220,7 +240,7 @@ class ClosedChain:
         passive = [name for name in self.joint_names if name not in self.robot.joint_names]
         for name in passive_start:
             if name not in passive:
-                raise UnknownNameError("passive joint", name, passive, "start: ")
+                raise UnknownNameError("passive joint", name, passive)
         extended = np.zeros(self.model.nq)
         values = {**dict(zip(self.robot.joint_names, q, strict=True)), **passive_start}
         for name, value in values.items():
@@ -332,9 +352,7 @@ def with_passive_joints(
                 0.0 * one, np.inf * one, passive.lower * one, passive.upper * one,
             )  # fmt: skip
         ends[arm.name] = f"{arm.name}.grasp"
-        tail.addFrame(
-            pin.Frame(ends[arm.name], parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
-        )
+        tail.addFrame(pin.Frame(ends[arm.name], parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
         # appendModel keeps the joints depth first, as pinocchio's algorithms need.
         model = pin.appendModel(model, tail, model.getFrameId(arm.tip), pin.SE3.Identity())
     copy_per_velocity(robot.model, model)  # appendModel forgets the armatures
@@ -386,12 +404,12 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> NDArray
         return np.full(len(names), 1.0 / len(names))
     for name, weight in alpha.items():
         if name not in names:
-            raise UnknownNameError("arm", name, names, "weights: ")
+            raise UnknownNameError("arm", name, names)
         if not 0.0 <= weight < np.inf:
-            raise InvalidValueError(f"weights: found {weight:g} for {name}, needs at least 0")
+            raise InvalidValueError(f"weight of arm {name}: found {weight:g}, needs at least 0")
     total = sum(alpha.values())
     if abs(total - 1.0) > WEIGHT_SUM:
-        raise InvalidValueError(f"weights: found a sum of {total:g}, needs 1")
+        raise InvalidValueError(f"the weights of the arms sum to {total:g}, need 1")
     return np.array([alpha.get(name, 0.0) / total for name in names])
 
 

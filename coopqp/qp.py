@@ -40,6 +40,7 @@ class QP:
     Attributes:
         P: shape (n, n), symmetric. q: shape (n,).
         C: [G; A], shape (p + m, n).
+        products: [P; C], so that one product with v serves the verification.
         lower, upper: of [v; G v; A v], shape (n + p + m,).
     """
 
@@ -47,8 +48,9 @@ class QP:
         n, p, m = len(names.variables), len(names.inequalities), len(names.equalities)
         self.names = names
         self.n, self.p, self.m = n, p, m
-        self.P, self.q = np.eye(n), np.zeros(n)
-        self.C = np.zeros((p + m, n))
+        self.products = np.zeros((n + p + m, n))
+        self.P, self.C = self.products[:n], self.products[n:]
+        self.P[:], self.q = np.eye(n), np.zeros(n)
         self.lower, self.upper = np.full(n + p + m, -np.inf), np.full(n + p + m, np.inf)
         self.G, self.A = self.C[:p], self.C[p:]
         self.h, self.b = self.upper[n : n + p], self.upper[n + p :]

@@ -111,6 +111,10 @@ class Budget:
     """The same for orientations [rad]."""
 
 
+#: Clipping v by more than this changes its products noticeably [rad/s].
+CLIPPED = 1e-10
+
+
 class Verifier:
     """Checks each solution against the QP itself, whatever solver it came from.
 
@@ -130,8 +134,9 @@ class Verifier:
         self._curvature = curvature
         self._per_curvature = np.full(qp.n, 1.0 / curvature)
         self._box, self._change = np.zeros(qp.n), np.zeros(qp.n)
-        self._rows, self._gradient = np.zeros(qp.p + qp.m), np.zeros(qp.n)
-        self._gap, self._slack = self._rows[qp.p :], self._rows[: qp.p]
+        self._products = np.zeros(qp.n + qp.p + qp.m)
+        self._gradient, rows = self._products[: qp.n], self._products[qp.n :]
+        self._gap, self._slack = rows[qp.p :], rows[: qp.p]
         self._of_rows = solution.multipliers[qp.n :]
 
     def check(self) -> Status:
@@ -139,22 +144,29 @@ class Verifier:
         qp, solution, budget, v = self.qp, self.solution, self.budget, self.solution.v
         if not solution.status.usable:
             return solution.status
-        if not v.dot(v) < math.inf:  # written so that a NaN fails
+        gap = self._multiply(v)
+        if not gap < math.inf:  # written so that a NaN in v fails: even 0 times inf is NaN
             return Status.NOT_FINITE
         overrun = self._clip()
-        qp.C.dot(v, self._rows)
-        gap = _norm(np.subtract(self._gap, qp.b, self._gap))
+        if overrun > CLIPPED:
+            gap = self._multiply(v)
         above, idle = self._inequalities() if qp.p else (0.0, 0.0)
         off = self._distance() + idle
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self._curvature
+        if overrun <= budget.bound and above <= budget.bound and gap <= budget.equality:
+            if off <= budget.accuracy:
+                return Status.OPTIMAL
+            return Status.INACCURATE if off < math.inf else Status.NOT_FINITE
         if not off < math.inf:
             return Status.NOT_FINITE
-        if not (overrun <= budget.bound and above <= budget.bound):
-            return Status.BOUND_RESIDUAL
-        if not gap <= budget.equality:
-            return Status.EQUALITY_RESIDUAL
-        return Status.OPTIMAL if off <= budget.accuracy else Status.INACCURATE
+        inside = overrun <= budget.bound and above <= budget.bound
+        return Status.EQUALITY_RESIDUAL if inside else Status.BOUND_RESIDUAL
+
+    def _multiply(self, v: Array) -> float:
+        """Products of P and C with v; returns how far A v is from b."""
+        self.qp.products.dot(v, self._products)
+        return _norm(np.subtract(self._gap, self.qp.b, self._gap))
 
     def _clip(self) -> float:
         """Put v into the bounds; returns how far it was outside."""
@@ -175,13 +187,12 @@ class Verifier:
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
         qp, v, g = self.qp, self.solution.v, self._gradient
-        qp.P.dot(v, g)
         np.add(g, qp.q, g)
         np.add(g, self._of_rows.dot(qp.C, self._change), g)
-        np.multiply(g, self._per_curvature, g)
-        free = _norm(g)
+        free = _norm(g) / self._curvature
         if free <= self.budget.accuracy:  # no bound holds v back
             return free
+        np.multiply(g, self._per_curvature, g)
         np.subtract(v, g, g)
         np.minimum(np.maximum(g, qp.lb, out=g), qp.ub, out=g)
         return _norm(np.subtract(v, g, g))

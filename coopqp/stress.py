@@ -283,13 +283,10 @@ def _outcome(problem: ControlProblem, law: QPLaw, state: State) -> tuple[str, st
 def _at_limits(chain: ClosedChain, state: State) -> dict[int, str]:
     """Joints that rest at a position limit, with the limit's name."""
     names = chain.joint_names
-    low = {
-        i: f"limit.position[{names[i]}].lower" for i in np.flatnonzero(state.q - chain.lower < AT)
-    }
-    high = {
-        i: f"limit.position[{names[i]}].upper" for i in np.flatnonzero(chain.upper - state.q < AT)
-    }
-    return {**low, **high}
+    low, high = state.q - chain.lower < AT, chain.upper - state.q < AT
+    lowest = {i: f"limit.position[{names[i]}].lower" for i in np.flatnonzero(low).tolist()}
+    highest = {i: f"limit.position[{names[i]}].upper" for i in np.flatnonzero(high).tolist()}
+    return {**lowest, **highest}
 
 
 def _near_singular(

@@ -4,10 +4,10 @@ Bodies are the robot's capsules and the object's box, as carried by the first ar
 nearest point, n the unit normal from the first body to the second and d their signed distance, as
 coal gives them, and J_first, J_second the bodies' Jacobians of a point at p,
 
-    n' (J_first - J_second) v <= gain (d - distance)
+    n' (J_first - J_second) v <= max(0, gain (d - distance))
 
-Both nearest points lie on one line along n, so one of them does for both bodies. h < 0 only where
-a pair is closer than it should be; it is then asked apart at the same rate.
+Both nearest points lie on one line along n, so one of them does for both bodies. A pair that is
+too close may not come closer, but is not asked apart: then standing still is always allowed.
 """
 
 from __future__ import annotations
@@ -32,6 +32,10 @@ Array = NDArray[np.float64]
 
 OBJECT = "object"
 
+#: Most that a tick may use up of a distance. Between a face and a capsule along it the nearest
+#: point jumps from one end to the other, and the end that was not watched needs the other half.
+MOST = 0.5
+
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
 UNIT = 1e-6
 
@@ -43,9 +47,17 @@ class SelfCollision(Limit):
     distance: NonNegative = 0.01
     """Kept free between two bodies [m]."""
     gain: Positive = 10.0
-    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
+    """Share of the distance that may be used up per second [1/s]; at most 0.5/dt."""
     pairs: tuple[tuple[str, str], ...] | None = None
     """Names of the robot's capsules, or "object"; those that can meet if omitted."""
+
+    def __post_init__(self) -> None:
+        seen: set[frozenset[str]] = set()
+        for pair in self.pairs or ():
+            one = frozenset(pair)
+            if len(one) < 2 or one in seen:
+                raise ValueError(f"pair {list(pair)} names one body, or a pair given before")
+            seen.add(one)
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """One row a pair."""
@@ -53,10 +65,10 @@ class SelfCollision(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
-        if self.gain * dt > 1.0 + 1e-9:
+        if self.gain * dt > MOST + 1e-9:
             raise InvalidValueError(
-                f"self_collision: gain {self.gain} 1/s needs at most 1/dt = {1 / dt:g} 1/s; "
-                "more would overshoot"
+                f"self_collision: gain {self.gain} 1/s needs at most {MOST:g}/dt = "
+                f"{MOST / dt:g} 1/s; more would overshoot"
             )
         bodies = _Bodies(chain, self._pairs(chain))
         gain, distance = np.full(len(bodies.d), self.gain), np.array(self.distance)
@@ -65,6 +77,7 @@ class SelfCollision(Limit):
             bodies.update(state)
             np.subtract(bodies.d, distance, rows.h)
             np.multiply(rows.h, gain, rows.h)
+            np.maximum(rows.h, 0.0, out=rows.h)
             bodies.fill(state, rows.G)
 
         return tighten
@@ -104,7 +117,7 @@ def _pairs_that_can_meet(chain: ClosedChain) -> tuple[tuple[str, str], ...]:
     """Each arm with the others and with the base, the object with the base and the arms.
 
     Left out are neighbours, which touch by design: the base with the first body of an arm, and
-    the object with the last two.
+    the object with the last two; and bodies that the grasps fix to each other.
     """
     robot = chain.robot
     owners: dict[str, list[str]] = {}
@@ -126,7 +139,14 @@ def _pairs_that_can_meet(chain: ClosedChain) -> tuple[tuple[str, str], ...]:
         pairs += itertools.product(bodies[1:], base)
         pairs += itertools.product([OBJECT], bodies[:-2])
     pairs += itertools.product([OBJECT], base)
-    return tuple(pairs)
+    fixed = _fixed_to_the_object(chain)
+    return tuple(pair for pair in pairs if not fixed.issuperset(pair))
+
+
+def _fixed_to_the_object(chain: ClosedChain) -> set[str]:
+    """Names of the bodies that the object moves with; passive joints set hands free."""
+    carriers = {chain.model.names[chain.model.frames[i].parentJoint] for i in chain.frames}
+    return {OBJECT, *(c.name for c in chain.robot.capsules if c.joint in carriers)}
 
 
 @dataclass(frozen=True)

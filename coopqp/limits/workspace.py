@@ -3,9 +3,10 @@
 With n the plane's unit normal, c a point on it and p the point, d = n'(p - c) is its distance and
 the velocity damper d_dot >= -gain d lets it approach no faster than it can stop:
 
-    -n' J_p v <= gain n'(p - c)
+    -n' J_p v <= max(0, gain n'(p - c))
 
-A point that starts on the wrong side is asked back at the same rate, so h < 0 there and only there.
+A point on the wrong side may not go farther, but is not asked back: then standing still is always
+allowed, and a point that cannot come back does not stop the robot.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class Workspace(Limit):
             points.update(state)
             distances(points.p, d)
             np.multiply(np.subtract(d, offset, d), gain, rows.h)
+            np.maximum(rows.h, 0.0, out=rows.h)
             # d_dot = n'(J_v + J_omega x arm); the object's points turn about its origin.
             points.arms.dot(S, turning)
             turning[:k].dot(state.J_task[3:], G[:k])
