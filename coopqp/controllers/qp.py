@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.hierarchy import Bounds, Decided, Level, generic_rank, limit_names
+from coopqp.limit import movers
 from coopqp.qp import QP
 from coopqp.solver import Solution, Status
 from coopqp.spec import Positive, spec
@@ -96,7 +97,9 @@ class QPLaw(Law):
         if self._scales:
             command.scale = self.first.scale
         if status.usable:
-            for later in self._later:
+            # Later levels would undo the way back, which no task asks for.
+            recovering = self._recovery is not None and self._recovery.active
+            for later in () if recovering else self._later:
                 status, v = later.solve(state, self._bounds, v, status)
         elif self.problem.on_infeasible == "scale":
             command.scale = 0.0 if self._scales else 1.0
@@ -250,9 +253,11 @@ class _Fallback:
 class LoopProbe:
     """Looks ahead whether a step would leave the loops within their budget.
 
-    The equality rows take care of the first order; the second is bounded: for a chain of revolute
-    joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho n |v|^2, and likewise for the angle
-    with rho = 1. Where that bound is within the budget, as in most ticks, nothing is computed.
+    The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is
+    bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
+    sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
+    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Where that is within the budget,
+    as in most ticks, nothing is computed.
 
     Args:
         problem: chain, period and budget.
@@ -269,16 +274,16 @@ class LoopProbe:
         X_0, *others = (self._data.oMf[frame] for frame in chain.frames)
         self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
         self._others = [(X.translation, X.rotation) for X in others]
-        squared = chain.n * problem.dt**2
-        self._gap_per_speed, self._turn_per_speed = chain.reach * squared, squared
+        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
+        per_arm = moved * moved.sum(axis=1, keepdims=True)
+        self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
+        self._reach, self._squares = chain.reach, np.zeros(chain.n)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
-        speed, error = v.dot(v), math.sqrt(state.loop_error.dot(state.loop_error))
-        if (
-            error + self._gap_per_speed * speed <= self._gap
-            and error + self._turn_per_speed * speed <= self._turn
-        ):
+        error = 2.0 * math.sqrt(state.loop_error.dot(state.loop_error))
+        opened = max(self._second_order.dot(np.multiply(v, v, self._squares)).tolist())
+        if error + self._reach * opened <= self._gap and error + opened <= self._turn:
             return True
         return self._look(state, v)
 
@@ -323,7 +328,7 @@ def _groups(problem: ControlProblem) -> list[list[Task]]:
 
 
 class Recovery:
-    """Pulls joints that are outside their limits back, before anything else.
+    """Pulls joints that are outside their limits back, more than any task pulls.
 
     Args:
         problem: dt and limits.
@@ -345,7 +350,9 @@ class Recovery:
         self.active = bool(outside.any())
         if not self.active:
             return
-        wish = np.minimum(np.maximum(back * self._rate, qp.lb[:n]), qp.ub[:n])
+        # A speed that goes to zero at the limit would lose against the tasks just outside it.
+        wish = np.sign(back) * np.maximum(np.abs(back) * self._rate, LEAST_RECOVERY)
+        wish = np.minimum(np.maximum(wish, qp.lb[:n]), qp.ub[:n])
         weight = RECOVERY_WEIGHT * outside
         qp.P.reshape(-1)[: n * qp.n : qp.n + 1] += weight
         qp.q[:n] -= weight * wish
@@ -353,6 +360,8 @@ class Recovery:
 
 #: Cost of not coming back, far above any task [s2/rad2].
 RECOVERY_WEIGHT = 1e3
+#: Slowest wish to come back [rad/s].
+LEAST_RECOVERY = 0.02
 
 
 @spec
