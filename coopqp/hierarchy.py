@@ -94,6 +94,7 @@ class Level:
         equalities: names of the equality rows.
         inequalities: names of the limits' rows.
         damping: cost of |v|^2.
+        error_damping: the same for every unit of the weighted squared task error.
         scaled: names of the scaled tasks, each of which adds a share s in [0, 1].
 
     Attributes:
@@ -110,6 +111,7 @@ class Level:
         inequalities: tuple[str, ...],
         damping: float,
         scaled: tuple[str, ...] = (),
+        error_damping: float = 0.0,
     ) -> None:
         n = problem.chain.n
         self.tasks = TaskStack(tasks, start)
@@ -129,6 +131,8 @@ class Level:
         self._minus_weights = -self.tasks.weights[:, None]
         self._weighted_J = np.zeros_like(self.tasks.J)
         self._diagonal = np.diag(np.full(n, damping))
+        self._error_damping = error_damping
+        self._P_diagonal = self._P.reshape(-1)[:: n + 1]
         if scaled:
             qp.lb[n:], qp.ub[n:] = 0.0, 1.0
             np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
@@ -143,6 +147,9 @@ class Level:
         np.multiply(tasks.J, self._minus_weights, self._weighted_J)
         self._weighted_J.T.dot(tasks.J, self._P)
         np.subtract(self._diagonal, self._P, self._P)
+        if self._error_damping:
+            error = tasks.weights.dot(tasks.e * tasks.e)
+            np.add(self._P_diagonal, self._error_damping * error, self._P_diagonal)
         tasks.wanted.dot(self._weighted_J, self._q)
         if not self._whole:
             qp.P[:n, :n], qp.q[:n] = self._P, self._q

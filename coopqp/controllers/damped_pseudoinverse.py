@@ -27,7 +27,7 @@ class DampedPseudoinverse(Controller):
         squared = self.damping**2
 
         def invert(J: NDArray[np.float64]) -> NDArray[np.floating[Any]]:
-            gram = J @ J.T
+            gram = J.dot(J.T)  # which, unlike @, warns of nothing
             gram.flat[:: len(gram) + 1] += squared
             return np.linalg.solve(gram, J).T
 

@@ -1,9 +1,13 @@
 """The QP law: tasks as objectives, loop closure and limits as hard constraints.
 
-    minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2 + damping |v|^2      soft tasks
+    minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2 + d |v|^2            soft tasks
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h                    always
                 J_j v = rate_j - gain_j e_j                                      hard tasks
                 J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
+
+with d = damping + error_damping sum_i w_i |e_i|^2 (Sugihara 2011). The second part fades as the
+tasks are met; without it a goal out of reach can make the arms rattle at full speed about the
+singular pose where they are stretched.
 
 Soft tasks of a later priority, and the secondary objectives after them all, are solved in what the
 earlier ones leave free (:mod:`coopqp.hierarchy`).
@@ -29,12 +33,13 @@ from coopqp.hierarchy import Bounds, Decided, Level, generic_rank, limit_names
 from coopqp.limit import movers
 from coopqp.qp import QP
 from coopqp.solver import Solution, Status
-from coopqp.spec import Positive, spec
+from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 Array = NDArray[np.float64]
 
+ERROR_DAMPING = 0.1  # default: 1e-3 at an error of 10 cm, 1e-7 at one of a millimetre
 SHORTEN = 0.5  # a step that opens a loop too far is halved ...
 SHORTEST = 2.0**-10  # ... down to this share, and then not made
 
@@ -45,6 +50,7 @@ class QPLaw(Law):
     Args:
         problem: what to control.
         damping: cost of |v|^2.
+        error_damping: the same for every unit of the weighted squared task error.
 
     Attributes:
         first: the level that holds the loops and the first soft tasks.
@@ -55,7 +61,9 @@ class QPLaw(Law):
 
     memory_size = 1
 
-    def __init__(self, problem: ControlProblem, damping: float) -> None:
+    def __init__(
+        self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
+    ) -> None:
         super().__init__(problem)
         self.damping = damping
         start = State(problem.chain)
@@ -64,7 +72,7 @@ class QPLaw(Law):
         loops, names = problem.chain.loops.solver_names, limit_names(problem)
         rows = (*loops, *self._exact.names)
         scaled = tuple(task.name for task in self._exact.scaled.tasks)
-        self.first = Level(problem, start, groups[0], rows, names, damping, scaled)
+        self.first = Level(problem, start, groups[0], rows, names, damping, scaled, error_damping)
         self._bounds = Bounds(problem, start, self.first.qp)
         self._scales = bool(scaled)
         self._minus_kappa = np.full_like(start.e_loop, -problem.kappa)
@@ -372,7 +380,9 @@ class QPController(Controller):
 
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
+    error_damping: NonNegative = ERROR_DAMPING
+    """The same for every unit of the weighted squared task error [s2/rad2 per m2]."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver on them."""
-        return QPLaw(problem, self.damping)
+        return QPLaw(problem, self.damping, self.error_damping)
