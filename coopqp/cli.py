@@ -226,6 +226,33 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
         click.get_current_context().exit(1)
 
 
+@main.command(name="solve-start")
+@SCENARIO
+@click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")
+@TASKS
+@JSON
+def solve_start(
+    scenario: str, seed: int | None, task_folders: tuple[Path, ...], as_json: bool
+) -> None:
+    """Find joint values, inside the limits, with which every arm reaches its grasp.
+
+    The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
+    """
+    from coopqp.catalog import Catalog
+    from coopqp.scenario import load_and_solve
+    from coopqp.start_solver import yaml_text
+
+    with _progress(["solving"], 1) as progress:
+        report = (lambda done, total: progress("solving", done / total)) if progress else None
+        found = load_and_solve(scenario, Catalog(task_folders), seed=seed, progress=report)
+    if as_json:
+        margin = found.margin if found.margin < float("inf") else None
+        data = {"start": found.start, "margin": margin, "tries": found.tries, "found": found.found}
+        click.echo(json.dumps(data, indent=2))
+        return
+    click.echo(yaml_text(found), nl=False)
+
+
 @main.command()
 @click.argument("scenarios", nargs=-1, required=True)
 @TASKS
@@ -382,7 +409,7 @@ def _console() -> Any:
 
 
 @contextmanager
-def _progress(names: list[str], ticks: int) -> Iterator[Callable[[str, int], None] | None]:
+def _progress(names: list[str], ticks: int) -> Iterator[Callable[[str, float], None] | None]:
     """A progress bar per controller on a terminal, nothing elsewhere."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

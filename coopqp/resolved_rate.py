@@ -74,4 +74,4 @@ class ResolvedRateLaw(Law):
         Z[:] = 0.0
         for part, share in zip(stack.slices, self._shares, strict=True):
             Z += share * stack.wanted[part]
-        self.command.v += Z - inverse @ (self._HJ @ Z)
+        self.command.v += Z - inverse.dot(self._HJ.dot(Z))  # dot, unlike @, warns of nothing

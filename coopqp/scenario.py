@@ -14,10 +14,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from coopqp.catalog import Catalog
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import ClosedChain, arm_weights
 from coopqp.controller import Controller, ControlProblem, OnInfeasible
 from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.errors import (
+    CoopqpError,
+    Fault,
+    InvalidValueError,
+    ScenarioError,
+    UnknownNameError,
+    unknown_name,
+)
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -26,9 +33,10 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel
-from coopqp.scenario_file import check, chosen, file_model
+from coopqp.scenario_file import SOLVE, check, chosen, file_model
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp, qpsolvers
+from coopqp.start_solver import Progress, StartSolution, solve_start
 from coopqp.task import Task
 from coopqp.yaml_file import Location, YamlFile, read_yaml
 
@@ -42,8 +50,9 @@ class Scenario:
 
     Attributes:
         name: of its file.
-        robot, held, grasps, start: who holds what, how, and where it begins (start by arm or joint
-            [rad, m]).
+        robot, held, grasps, start: who holds what, how, and where it begins (start by arm, joint
+            or passive joint [rad, m]).
+        weights: of the arms in the object's pose, by arm; all the same when None.
         grasp_of: grasps of controllers that hold the object otherwise, by controller.
         tasks, secondary, limits: what shall happen and what must not.
         controllers: by name; what is compared.
@@ -63,6 +72,7 @@ class Scenario:
     grasps: Grasp | Mapping[str, Grasp] = field(default_factory=Rigid)
     grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
     held: HeldObject = field(default_factory=HeldObject)
+    weights: Mapping[str, float] | None = None
     secondary: tuple[Task, ...] = ()
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
     controllers: Mapping[str, Controller] = field(default_factory=dict)
@@ -80,7 +90,10 @@ class Scenario:
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
         grasp = self.grasp_of.get(controller)
-        return self if grasp is None else replace(self, grasps=grasp, grasp_of={})
+        if grasp is None:
+            return self
+        start = _start_of(self.robot_model, self.start)[0]  # other grasps, other passive joints
+        return replace(self, grasps=grasp, grasp_of={}, start=start)
 
     @property
     def ticks(self) -> int:
@@ -95,8 +108,16 @@ class Scenario:
     @cached_property
     def chain(self) -> ClosedChain:
         """The closed chain, built once."""
-        q = self.robot_model.configuration(self.start)
-        return ClosedChain(self.robot_model, q, self.grasps, self.held)
+        robot = self.robot_model
+        start, passive = _start_of(robot, self.start)
+        return ClosedChain(
+            robot,
+            robot.configuration(start),
+            self.grasps,
+            self.held,
+            alpha=self.weights,
+            passive_start=passive,
+        )
 
     def problem(self) -> ControlProblem:
         """What the controllers are built for."""
@@ -113,8 +134,26 @@ class Scenario:
         )
 
 
+def _start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
+    """The start of the robot's joints, and of the grasps' passive joints ("right.hinge")."""
+    arms = _arm_names(robot)
+    own, passive = dict(start), {}
+    for key, value in start.items():
+        arm, dot, _ = key.rpartition(".")
+        if dot and arm in arms and key not in robot.joint_names:
+            numbers = np.atleast_1d(np.asarray(own.pop(key), float))
+            if numbers.shape != (1,) or not np.isfinite(numbers).all():
+                raise InvalidValueError(f"{key}: found {value}, needs one finite number")
+            passive[key] = float(numbers[0])
+    return own, passive
+
+
+def _arm_names(robot: RobotModel) -> set[str]:
+    return {arm.name for arm in robot.arms}
+
+
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
-    """Read and check a scenario file.
+    """Read and check a scenario file; ``start: solve`` is solved.
 
     Args:
         path: of a YAML file, or the name of a shipped scenario.
@@ -126,8 +165,45 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     file = read_yaml(find(path))
     read = check(file, file_model(catalog or Catalog()))
     scenario = _Reader(file, read).scenario()
+    if file.data.get("start") == SOLVE:
+        scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
     _check_start(file, scenario)
     return scenario
+
+
+def load_and_solve(
+    path: str | Path,
+    catalog: Catalog | None = None,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> StartSolution:
+    """Solve for a start of a scenario file, whatever start it has.
+
+    Args:
+        path: of a YAML file, or the name of a shipped scenario.
+        catalog: what it can name; the shipped plug-ins when omitted.
+        seed: of the random configurations; the scenario's when omitted.
+        progress: called after each try.
+
+    Raises:
+        ScenarioError: with every fault, its line and its likely fix.
+    """
+    file = read_yaml(find(path))
+    read = check(file, file_model(catalog or Catalog()))
+    scenario = _Reader(file, read, needs_start=False).scenario()
+    return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
+
+
+def _solved(
+    file: YamlFile, scenario: Scenario, seed: int, progress: Progress | None
+) -> StartSolution:
+    robot = _built(file, ["robot"], lambda: scenario.robot_model)
+    return _built(
+        file,
+        ["start"],
+        lambda: solve_start(robot, scenario.grasps, scenario.held, seed=seed, progress=progress),
+    )
 
 
 def shipped() -> dict[str, Path]:
@@ -145,8 +221,8 @@ def find(path: str | Path) -> Path:
 class _Reader:
     """From the checked file to the scenario; collects the faults that only show together."""
 
-    def __init__(self, file: YamlFile, read: BaseModel) -> None:
-        self._file, self._read = file, read
+    def __init__(self, file: YamlFile, read: BaseModel, *, needs_start: bool = True) -> None:
+        self._file, self._read, self._needs_start = file, read, needs_start
         self._faults: list[Fault] = []
 
     def scenario(self) -> Scenario:
@@ -160,6 +236,7 @@ class _Reader:
             grasps=self._grasps(),
             grasp_of={name: chosen(slot)[1] for name, slot in read.grasp_of.items()},
             held=read.object,
+            weights=read.weights,
             start=self._start(),
             tasks=self._named("tasks"),
             secondary=self._named("secondary"),
@@ -202,7 +279,8 @@ class _Reader:
 
     def _start(self) -> Start:
         read: Any = self._read
-        if (read.start is None) == (read.start_deg is None):
+        both = read.start is not None and read.start_deg is not None
+        if both or (self._needs_start and read.start is None and read.start_deg is None):
             place = [] if read.start is None else ["start_deg"]
             self._fault(place, "give one of start (radians) and start_deg (degrees)")
         if read.start_deg is None:
@@ -249,19 +327,45 @@ def _check_start(file: YamlFile, scenario: Scenario) -> None:
     """Build what can fail and refuse a start outside the limits."""
     key = "start" if "start" in file.data else "start_deg"
     robot = _built(file, ["robot"], lambda: scenario.robot_model)
-    q = _built(file, [key], lambda: robot.configuration(scenario.start))
+    of_robot, passive = _built(file, [key], lambda: _start_of(robot, scenario.start))
+    q = _built(file, [key], lambda: robot.configuration(of_robot))
+    strangers = [name for name in scenario.weights or {} if name not in _arm_names(robot)]
+    place = ["weights", *strangers[:1]]
+    _built(file, place, lambda: arm_weights(robot, scenario.weights))
     allowed = file.data.get("start_outside", False)
     faults = (
         []
         if allowed
         else [
             Fault(file.place(location), message)
-            for location, message in outside_limits(robot, scenario.start, q, key)
+            for location, message in outside_limits(robot, of_robot, q, key)
         ]
     )
     if faults:
         raise ScenarioError(faults)
-    _built(file, ["grasps" if "grasps" in file.data else "grasp"], lambda: scenario.chain)
+    try:
+        chain = scenario.chain
+    except CoopqpError as error:
+        name = error.name if isinstance(error, UnknownNameError) else ""
+        grasp = "grasps" if "grasps" in file.data else "grasp"
+        place = [key, name] if name in passive else [grasp]
+        raise ScenarioError([Fault(file.place(place), str(error))]) from None
+    if not allowed:
+        _check_passive(file, chain, passive, key)
+
+
+def _check_passive(
+    file: YamlFile, chain: ClosedChain, passive: Mapping[str, float], key: str
+) -> None:
+    faults = []
+    for name in passive:
+        i = chain.joint_names.index(name)
+        value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
+        if not low <= value <= high:
+            words = _outside(name, value, low, high, in_degrees=key.endswith("deg"))
+            faults.append(Fault(file.place([key, name]), words))
+    if faults:
+        raise ScenarioError(faults)
 
 
 def outside_limits(

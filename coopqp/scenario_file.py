@@ -38,6 +38,26 @@ from coopqp.yaml_file import YamlFile
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
+#: What a file says instead of joint values to have the start solved for.
+SOLVE = "solve"
+
+
+class _Start:
+    """Lets the start be the word solve, also in the JSON Schema."""
+
+    @staticmethod
+    def read(value: Any) -> Any:
+        """Joint values; none yet where they shall be solved for."""
+        if value == SOLVE:
+            return {}
+        if value is not None and not isinstance(value, dict):
+            raise ValueError(f"needs joint values by arm or joint, or the word {SOLVE}")
+        return value
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
+        return {"anyOf": [{"const": SOLVE}, handler(core)]}
+
+
 class _Spelling:
     """Reads the spellings of a plug-in slot and shows them in the JSON Schema."""
 
@@ -108,9 +128,22 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default={}, description="Grasp of controllers that hold it otherwise, by name."),
         ),
         "object": (HeldObject, Field(default=HeldObject(), description="What is held.")),
+        "weights": (
+            dict[str, NonNegative] | None,
+            Field(
+                default=None,
+                description="Weight of each arm in the object's pose, sum 1; the same if omitted.",
+            ),
+        ),
         "start": (
-            dict[str, float | list[float]] | None,
-            Field(default=None, description="Joint values by arm (base first) or joint [rad, m]."),
+            Annotated[
+                dict[str, float | list[float]] | None, BeforeValidator(_Start.read), _Start()
+            ],
+            Field(
+                default=None,
+                description="Joint values by arm (base first), joint or passive joint [rad, m]; "
+                "or solve, to find them from object.pose and the grasps' object_in_hand.",
+            ),
         ),
         "start_deg": (
             dict[str, float | list[float]] | None,

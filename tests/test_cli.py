@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from shipped_here import LOADABLE
 
 from coopqp.cli import main
 from coopqp.scenario import shipped
@@ -50,7 +51,7 @@ def test_run_takes_one_controller_and_a_solver(short: Path) -> None:
 
 
 def test_validate_reports_every_file(short: Path, tmp_path: Path) -> None:
-    assert coopqp("validate", *shipped()).exit_code == 0
+    assert coopqp("validate", *LOADABLE).exit_code == 0
     bad = tmp_path / "bad.yaml"
     bad.write_text("robot: nao\n", encoding="utf-8")
     result = coopqp("validate", short, bad)

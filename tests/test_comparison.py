@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shipped_here import LOADABLE
 
 import coopqp
 from coopqp.comparison import Comparison
-from coopqp.scenario import shipped
 
 REACHABLE = ("point_on_point", "point_on_plane", "tilting_plane", "near_singular")
 
@@ -29,7 +29,7 @@ def of_the_qp(name: str) -> list[Mapping[str, Any]]:
 
 
 #: Scenarios of ideal joints, where what is commanded happens.
-KINEMATIC = [name for name in shipped() if not coopqp.load(name).plant.takes_torques]
+KINEMATIC = [name for name in LOADABLE if not coopqp.load(name).plant.takes_torques]
 
 
 @pytest.mark.parametrize("name", KINEMATIC)

@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shipped_here import LOADABLE
 
 import coopqp
 from coopqp.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.comparison import run
 from coopqp.controller import Controller
-from coopqp.scenario import Scenario, load, shipped, with_solver
+from coopqp.scenario import Scenario, load, with_solver
 from coopqp.solvers import qpsolvers
 
 CATALOG = Catalog()
@@ -61,7 +62,7 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
             assert '"""' in after
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", LOADABLE)
 def test_every_scenario_runs_ten_ticks_with_all_its_controllers(name: str) -> None:
     scenario = ten_ticks(load(name))
     for controller in scenario.controllers:

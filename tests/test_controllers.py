@@ -126,13 +126,18 @@ def test_without_limits_qp_and_pseudoinverse_move_the_object_alike(
     given, J = problem(chain, task), State(chain).J_task
     twist = J @ command(Pseudoinverse(), given)
     assert np.linalg.norm(twist) > 0.1
-    np.testing.assert_allclose(J @ command(QPController(damping=1e-9, error_damping=0.0), given), twist, atol=1e-6)
+    np.testing.assert_allclose(
+        J @ command(QPController(damping=1e-9, error_damping=0.0), given), twist, atol=1e-6
+    )
 
 
 def test_qp_tends_to_the_pseudoinverse_in_proportion_to_its_damping(chain: ClosedChain) -> None:
     given = problem(chain, PointOnPoint(goal=NEAR, profile=STEP))
     exact = command(Pseudoinverse(), given)
-    off = [np.abs(command(QPController(damping=d, error_damping=0.0), given) - exact).max() for d in (1e-5, 1e-7)]
+    off = [
+        np.abs(command(QPController(damping=d, error_damping=0.0), given) - exact).max()
+        for d in (1e-5, 1e-7)
+    ]
     assert off[0] / off[1] == pytest.approx(100, rel=0.05)
 
 
@@ -324,7 +329,9 @@ def test_qp_minimises_what_its_docstring_says(
     """The QP's cost is half the sum of the weighted squares, up to a constant."""
     reach = PointOnPoint(goal=NEAR, weight=3.0, gain=4.0, profile=STEP)
     centre = JointCentering(weight=0.2, gain=7.0)
-    law = QPController(damping=0.01, error_damping=0.0).build(problem(chain, reach, secondary=[centre]))
+    law = QPController(damping=0.01, error_damping=0.0).build(
+        problem(chain, reach, secondary=[centre])
+    )
     assert isinstance(law, QPLaw)
     span = chain.upper - chain.lower
 

@@ -1,0 +1,398 @@
+"""Find a start that closes all loops: where every arm reaches its grasp, inside the limits.
+
+The object's pose X_WO and every grasp's object_in_hand are given. X_i(q) is where arm i carries the
+object, L the length that a radian counts as:
+
+    r_i(q) = [p_i - p_WO; L log(R_i R_WO')],   minimise |r|^2 subject to lower <= q <= upper
+
+by damped Gauss-Newton steps, each a QP with bounds; J_i the Jacobian of r_i, mu the damping:
+
+    minimise |r + J d|^2 + mu |d|^2   subject to  lower <= q + d <= upper,  |d| <= STEP
+
+from many random configurations. What redundancy leaves is used to come away from the limits: every
+start found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and
+that with the largest margin wins. Passive joints are variables like all others.
+
+Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.errors import GraspError
+from coopqp.grasp import Grasp, pose_matrix
+from coopqp.held_object import HeldObject
+from coopqp.mobility_analysis import LENGTH
+from coopqp.qp import QP, RowNames
+from coopqp.robot import RobotModel
+from coopqp.solver import Solution
+from coopqp.solvers import Daqp
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called after each try with the number of tries made and the most there can be."""
+
+#: Random configurations that are tried per group of arms, and starts after which that ends.
+TRIES, ENOUGH = 120, 12
+
+#: Steps of one try, and farthest that a joint goes in one [rad or m].
+STEPS, STEP = 80, 0.5
+
+#: A start is closed when no part of r is larger [m].
+CLOSED = 1e-11
+
+#: A try has ended elsewhere when a step changes |r|^2 by less than this share.
+STUCK = 1e-6
+
+#: Damping mu at first, at least and at most [m2/rad2].
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-11, 1e3
+
+#: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
+CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
+
+#: How far a joint without limits is turned at random [rad or m].
+UNLIMITED = np.pi
+
+#: Starts keep this far off the limits, so that rounded values are inside them too [rad or m].
+INSIDE = 1e-7
+
+#: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m.
+DIGITS = 8
+
+#: A joint counts as at its limit within this [rad or m].
+AT_LIMIT = 1e-6
+
+
+@dataclass(frozen=True)
+class StartSolution:
+    """A start that closes all loops.
+
+    Attributes:
+        q: of the robot's joints, shape (robot.model.nq,) [rad, m].
+        passive: of the grasps' passive joints, by name [rad, m].
+        start: the same as a scenario has it, by arm and passive joint.
+        margin: least distance of a joint to its limit [rad, m]; infinite without limits.
+        tries: random configurations it took.
+        found: starts among which this has the largest margin (least of all groups of arms).
+    """
+
+    q: Array
+    passive: Mapping[str, float]
+    start: Mapping[str, float | list[float]]
+    margin: float
+    tries: int
+    found: int
+
+
+def solve_start(
+    robot: RobotModel,
+    grasps: Grasp | Mapping[str, Grasp],
+    held: HeldObject,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> StartSolution:
+    """Find a configuration inside the limits in which every arm holds the object.
+
+    Args:
+        robot: the robot.
+        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
+        held: the object, with its pose.
+        seed: of the random configurations.
+        progress: called after each try.
+
+    Raises:
+        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far
+            it gets.
+        UnknownNameError: a grasp for an arm that the robot does not have.
+    """
+    by_arm = grasp_of_each(robot, grasps)
+    _check_known(by_arm, held)
+    problem = _Problem(robot, by_arm, held)
+    groups = _groups(problem.columns)
+    q, rng = problem.middle.copy(), np.random.default_rng(seed)
+    tries, total = 0, TRIES * len(groups)
+    found: list[int] = []
+    failed: list[str] = []
+    for i, arms in enumerate(groups):
+        before = i * TRIES
+
+        def report(done: int, before: int = before) -> None:
+            if progress:
+                progress(before + done, total)
+
+        search = _Search(problem, arms, rng)
+        search.run(report)
+        if search.best is None:
+            failed += _cannot_reach(problem, search, rng)
+        else:
+            q[search.columns] = search.best[search.columns]
+        tries, found = tries + search.tries, [*found, search.found]
+        report(TRIES)
+    if failed:
+        raise GraspError("; ".join([*failed, "move object.pose or change object_in_hand"]))
+    return problem.solution(q, tries, min(found))
+
+
+def yaml_text(solution: StartSolution) -> str:
+    """The start as a scenario file has it, with a comment on how it was found."""
+    room = (
+        f"{solution.margin:.3g} rad or m inside the limits" if solution.margin < np.inf
+        else "no limits"
+    )  # fmt: skip
+    lines = [f"start:   # rad, m; {room}, the best of {solution.found} found"]
+    for name, value in solution.start.items():
+        rounded = np.round(np.atleast_1d(np.asarray(value)), DIGITS) + 0.0  # no minus zero
+        numbers = [f"{x:.{DIGITS}f}" for x in rounded]
+        text = f"[{', '.join(numbers)}]" if isinstance(value, list) else numbers[0]
+        lines.append(f"  {name}: {text}")
+    return "\n".join([*lines, ""])
+
+
+def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
+    missing = [] if held.pose else ["object.pose"]
+    unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
+    if unknown:
+        missing.append(f"object_in_hand in the grasp of {' and '.join(unknown)}")
+    if missing:
+        raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
+
+
+class _Problem:
+    """The robot with its passive joints, and where each arm carries the object.
+
+    Attributes:
+        frames: the object as carried by each arm, by arm; ids of frames.
+        columns: the joints that move each arm, by arm; indices into q.
+        middle: configuration half-way between the limits; zero without limits, shape (n,).
+        half: half the range; infinite without limits, shape (n,).
+    """
+
+    def __init__(self, robot: RobotModel, grasps: Mapping[str, Grasp], held: HeldObject) -> None:
+        assert held.pose is not None
+        self.robot = robot
+        X_WO = pose_matrix(held.pose)
+        joints = {}
+        for name, grasp in grasps.items():
+            assert grasp.object_in_hand is not None
+            # An axis given in the world is the same in the hand wherever the hinge has turned it.
+            R_WT = X_WO.rotation @ pose_matrix(grasp.object_in_hand).rotation.T
+            joints[name] = grasp.passive_joints(R_WT)
+        self.model, ends = with_passive_joints(robot, joints)
+        model = self.model
+        self.frames, self.columns = {}, {}
+        for arm in robot.arms:
+            end, tip = model.getFrameId(ends[arm.name]), model.getFrameId(arm.tip)
+            X_EO = object_at_end(model, end, tip, grasps[arm.name])
+            self.frames[arm.name] = add_object_frame(model, arm.name, ends[arm.name], X_EO)
+            way = model.supports[model.frames[end].parentJoint]
+            self.columns[arm.name] = [model.idx_vs[j] for j in way if j > 0]
+        self._data = model.createData()
+        self._p, self._RT = X_WO.translation.copy(), X_WO.rotation.T.copy()
+        self.lower = np.array(model.lowerPositionLimit) + INSIDE
+        self.upper = np.array(model.upperPositionLimit) - INSIDE
+        self._center()
+
+    def _center(self) -> None:
+        """Middle of the ranges; with one end open, as far from the other as a joint is turned."""
+        low, high = np.isfinite(self.lower), np.isfinite(self.upper)
+        lower = np.where(low, self.lower, np.where(high, self.upper - 2 * UNLIMITED, -UNLIMITED))
+        upper = np.where(high, self.upper, np.where(low, self.lower + 2 * UNLIMITED, UNLIMITED))
+        self.middle, self._reach = (lower + upper) / 2, (upper - lower) / 2
+        self.half = np.where(low & high, self._reach, np.inf)
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """A random configuration inside the limits."""
+        return self.middle + self._reach * rng.uniform(-1.0, 1.0, len(self.middle))
+
+    def residual(self, q: Array, arms: Sequence[str]) -> tuple[Array, Array]:
+        """Stacked r and its Jacobian, shapes (6 N,) and (6 N, n)."""
+        model, data = self.model, self._data
+        pin.computeJointJacobians(model, data, q)
+        r, J = np.zeros(6 * len(arms)), np.zeros((6 * len(arms), len(q)))
+        for i, arm in enumerate(arms):
+            frame, at = self.frames[arm], 6 * i
+            X = pin.updateFramePlacement(model, data, frame)
+            turned = X.rotation @ self._RT
+            r[at : at + 3] = X.translation - self._p
+            r[at + 3 : at + 6] = LENGTH * pin.log3(turned)
+            J_i = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            J[at : at + 3] = J_i[:3]
+            J[at + 3 : at + 6] = LENGTH * pin.Jlog3(turned).T @ J_i[3:]
+        return r, J
+
+    def margin(self, q: Array, columns: Sequence[int]) -> float:
+        """Least distance to a limit [rad or m]."""
+        room = np.minimum(q - self.lower, self.upper - q)[list(columns)]
+        return float(room.min(initial=np.inf))
+
+    def solution(self, q: Array, tries: int, found: int) -> StartSolution:
+        """The answer in the robot's own terms."""
+        model, robot = self.model, self.robot
+        value = {name: float(q[model.idx_qs[model.getJointId(name)]]) for name in model.names[1:]}
+        passive = {name: x for name, x in value.items() if name not in robot.joint_names}
+        start: dict[str, float | list[float]] = {}
+        start.update({a.name: [value[j] for j in robot.arm_joints(a)] for a in robot.arms})
+        moved = {j for arm in robot.arms for j in robot.arm_joints(arm)}
+        start.update({name: x for name, x in value.items() if name not in moved})
+        return StartSolution(
+            q=np.array([value[name] for name in robot.joint_names]),
+            passive=passive,
+            start=start,
+            margin=self.margin(q, range(len(q))),
+            tries=tries,
+            found=found,
+        )
+
+
+class _Search:
+    """Tries of a group of arms.
+
+    Args:
+        problem: the robot and the object.
+        arms: the group.
+        rng: of the random configurations.
+
+    Attributes:
+        columns: the joints that are searched.
+        best: the closed configuration with the largest margin, None so far.
+        nearest: where |r|^2 is least.
+        tries, found: how many.
+    """
+
+    def __init__(self, problem: _Problem, arms: Sequence[str], rng: np.random.Generator) -> None:
+        self.problem, self.arms, self._rng = problem, tuple(arms), rng
+        self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
+        self.best: Array | None = None
+        self.nearest = problem.middle.copy()
+        self.tries = self.found = 0
+        self._margin, self._gap = -np.inf, np.inf
+        self._qp = QP(RowNames(tuple(problem.model.names[1 + j] for j in self.columns)))
+        self._solution = Solution(self._qp)
+        self._solve = Daqp().open(self._qp, self._solution)
+
+    def run(self, report: Callable[[int], None]) -> None:
+        """Try until enough starts are found or the tries are used up."""
+        while self.tries < TRIES and self.found < ENOUGH:
+            q = self.problem.middle.copy()
+            if self.tries:
+                q[self.columns] = self.problem.sample(self._rng)[self.columns]
+            self.tries += 1
+            gap = self._close(q)
+            if gap < self._gap:
+                self._gap, self.nearest = gap, q.copy()
+            if gap < CLOSED:
+                self.found += 1
+                self._keep(q)
+                self._center(q)
+                if self._close(q) < CLOSED:
+                    self._keep(q)
+            report(self.tries)
+
+    def _keep(self, q: Array) -> None:
+        margin = self.problem.margin(q, self.columns)
+        if margin > self._margin:
+            self._margin, self.best = margin, q.copy()
+
+    def _close(self, q: Array) -> float:
+        """Levenberg-Marquardt from q, which is moved; returns the largest part of r at the end."""
+        problem, mu, columns = self.problem, DAMPING, self.columns
+        r, J = problem.residual(q, self.arms)
+        for _ in range(STEPS):
+            if np.abs(r).max() < CLOSED or mu > MOST_DAMPING:
+                break
+            J = J[:, columns]
+            curvature, slope = J.T @ J, J.T @ r
+            while mu <= MOST_DAMPING:
+                trial = q.copy()
+                trial[columns] += self._step(q, curvature, slope, np.full(len(columns), mu))
+                trial_r, trial_J = problem.residual(trial, self.arms)
+                if trial_r @ trial_r < r @ r:
+                    break
+                mu *= 4.0
+            else:
+                break
+            stuck = trial_r @ trial_r > (1.0 - STUCK) * (r @ r)
+            q[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, LEAST_DAMPING)
+            if stuck:
+                break
+        return float(np.abs(r).max())
+
+    def _center(self, q: Array) -> None:
+        """Gauss-Newton steps towards mid-range that keep the loops nearly closed."""
+        problem, columns = self.problem, self.columns
+        pull = 1.0 / problem.half[columns] ** 2
+        for _ in range(CENTERING_STEPS):
+            r, J = problem.residual(q, self.arms)
+            J = J[:, columns]
+            slope = CLOSING_WEIGHT * J.T @ r + pull * (q - problem.middle)[columns]
+            step = self._step(q, CLOSING_WEIGHT * J.T @ J, slope, pull + LEAST_DAMPING)
+            q[columns] += step
+            if np.abs(step).max() < 1e-3:
+                break
+
+    def _step(self, q: Array, curvature: Array, slope: Array, damping: Array) -> Array:
+        """The step inside the limits that is best for the quadratic model."""
+        qp, at = self._qp, q[self.columns]
+        lower, upper = self.problem.lower[self.columns], self.problem.upper[self.columns]
+        qp.P[:] = curvature
+        qp.P.reshape(-1)[:: qp.n + 1] += damping
+        qp.q[:] = slope
+        np.maximum(lower - at, -STEP, out=qp.lb)
+        np.minimum(upper - at, STEP, out=qp.ub)
+        self._solve()
+        if not self._solution.status.usable:
+            return np.zeros(qp.n)
+        step = np.clip(self._solution.v, qp.lb, qp.ub)
+        return np.asarray(np.clip(at + step, lower, upper) - at, float)
+
+
+def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
+    """Arms that share joints, directly or through others, in the order of the arms."""
+    groups: list[tuple[set[int], list[str]]] = []
+    for arm, joints in columns.items():
+        own, names = set(joints), [arm]
+        for group in [g for g in groups if g[0] & own]:
+            groups.remove(group)
+            own, names = own | group[0], [*group[1], *names]
+        groups.append((own, names))
+    return [tuple(names) for _, names in groups]
+
+
+def _cannot_reach(problem: _Problem, search: _Search, rng: np.random.Generator) -> list[str]:
+    """Which arms cannot reach, and how far they get."""
+    alone = []
+    for arm in search.arms if len(search.arms) > 1 else ():
+        single = _Search(problem, [arm], rng)
+        single.run(lambda done: None)
+        if single.best is None:
+            alone.append(single)
+    if len(search.arms) == 1:
+        alone = [search]
+    if alone:
+        return [f"arm {s.arms[0]} cannot reach its grasp: {_how_far(s)}" for s in alone]
+    return [
+        f"arms {' and '.join(search.arms)} reach their grasps each by itself, but not with "
+        f"the joints they share: {_how_far(search)}"
+    ]
+
+
+def _how_far(search: _Search) -> str:
+    problem, q = search.problem, search.nearest
+    r, _ = problem.residual(q, search.arms)
+    told = []
+    for arm, part in zip(search.arms, r.reshape(-1, 6), strict=True):
+        gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
+        of = f"{arm} " if len(search.arms) > 1 else ""
+        told.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
+    room = np.minimum(q - problem.lower, problem.upper - q)
+    names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
+    held_back = f", with {', '.join(names)} at the limit" if names else ""
+    return f"the nearest of {search.tries} tries is off by {' and '.join(told)}{held_back}"
