@@ -92,7 +92,7 @@ class Command:
         other = Command(len(self.v))
         other.v[:] = self.v
         other.tau = None if self.tau is None else self.tau.copy()
-        other.status = self.status
+        other.status, other.scale = self.status, self.scale
         return other
 
 

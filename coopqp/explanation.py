@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, TypeAdapter, with_config
 from scipy.optimize import linprog
 
 from coopqp.controller import ControlProblem
@@ -37,6 +38,7 @@ NOTHING = 1e-7
 IMPOSSIBLE = 1e-7
 
 
+@with_config(ConfigDict(extra="forbid", strict=True))
 @dataclass(frozen=True)
 class TickRecord:
     """One tick of a QP controller, whole: it can be saved, explained and solved again.
@@ -51,7 +53,8 @@ class TickRecord:
         variables, inequality_names, equality_names: names.
         lb_names, ub_names: the limit that each bound on v comes from.
         J, wanted, task_names: rows of the first level's tasks.
-        answer, status: what the controller's solver made of it.
+        answer, status: what the controller made of it, all levels included.
+        first_answer: what its solver made of this QP.
     """
 
     scenario: str
@@ -78,6 +81,7 @@ class TickRecord:
     wanted: list[float]
     task_names: list[str]
     answer: list[float]
+    first_answer: list[float]
     status: str
 
     def text(self) -> str:
@@ -96,12 +100,31 @@ class TickRecord:
             CoopqpError: no such file, or not a saved tick.
         """
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-            return TickRecord(**data)
+            text = path.read_text(encoding="utf-8")
+            record = _RECORD.validate_json(text)
+            if not record.fits():
+                raise ValueError("shapes")
+            return record
         except OSError as error:
             raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
         except (ValueError, TypeError):
             raise CoopqpError(f"{path}: is not a tick saved by 'coopqp explain --save'") from None
+
+    def fits(self) -> bool:
+        """Whether all shapes belong together."""
+        n, p, m = len(self.variables), len(self.inequality_names), len(self.equality_names)
+        k = len(self.task_names)
+        shapes = (
+            (self.P, (n, n)), (self.q_cost, (n,)), (self.lower, (n + p + m,)),
+            (self.upper, (n + p + m,)), (self.lb_names, (n,)), (self.ub_names, (n,)),
+            (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
+        )  # fmt: skip
+        tables = ((self.C, p + m), (self.J, k))
+        return (
+            all(np.shape(values) == shape for values, shape in shapes)
+            and all(np.shape(rows) == (count, n) for rows, count in tables if count)
+            and self.inequalities == p
+        )
 
     def qp(self) -> QP:
         """The program, in arrays."""
@@ -115,6 +138,9 @@ class TickRecord:
             qp.C[:] = self.C
         qp.lower[:], qp.upper[:] = _infinite(self.lower), _infinite(self.upper)
         return qp
+
+
+_RECORD = TypeAdapter(TickRecord)
 
 
 @dataclass(frozen=True)
@@ -179,7 +205,9 @@ def record_tick(
         controller: likewise.
         tick: likewise.
     """
+    memory = state.memory.tolist()
     command = law.tick(state)
+    first_answer = law.solution.v.tolist()
     law.assemble(state)
     qp, problem = law.first.qp, law.problem
     lb_names, ub_names = bound_names(problem, state)
@@ -193,7 +221,7 @@ def record_tick(
         t=state.t,
         q=state.q.tolist(),
         v=state.v.tolist(),
-        memory=state.memory.tolist(),
+        memory=memory,
         dt=problem.dt,
         damping=law.damping,
         P=qp.P.tolist(),
@@ -203,7 +231,7 @@ def record_tick(
         upper=_finite(qp.upper),
         inequalities=qp.p,
         variables=list(qp.names.variables),
-        inequality_names=list(qp.names.inequalities),
+        inequality_names=[f"limit.{name}" for name in qp.names.inequalities],
         equality_names=list(qp.names.equalities),
         lb_names=lb_names + ["scale.lower"] * shares,
         ub_names=ub_names + ["scale.upper"] * shares,
@@ -211,6 +239,7 @@ def record_tick(
         wanted=tasks.wanted.tolist(),
         task_names=list(tasks.names),
         answer=command.v.tolist() + [command.scale] * shares,
+        first_answer=first_answer,
         status=command.status.name,
     )
 
@@ -256,13 +285,12 @@ def replay(record: TickRecord, solver: Solver) -> Replay:
     solution = Solution(qp)
     solver.open(qp, solution)()
     status = Verifier(qp, solution, Budget(), record.damping).check()
-    n = len(record.answer)
     return Replay(
         status,
         solution.v.copy(),
         float(solution.primal_residual),
         float(solution.dual_residual),
-        float(np.abs(solution.v[:n] - np.array(record.answer)).max()),
+        float(np.abs(solution.v - np.array(record.first_answer)).max()),
     )
 
 
@@ -315,14 +343,16 @@ def _named(record: TickRecord, r: Array) -> tuple[Relaxation, ...]:
     for name, amount in zip(names, r, strict=True):
         if amount > NOTHING:
             position = name.startswith("limit.position")
-            found.append(
-                Relaxation(
-                    name,
-                    float(amount) * (record.dt if position else 1.0),
-                    "rad" if position else "rad/s",
-                )
-            )
+            step = record.dt if position else 1.0
+            found.append(Relaxation(name, float(amount) * step, _unit(name)))
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
+
+
+def _unit(name: str) -> str:
+    if name.startswith("limit.position"):
+        return "rad"
+    in_metres = ("limit.object_speed", "limit.workspace", "limit.self_collision")
+    return "m/s" if name.startswith(in_metres) and ".rot_" not in name else "rad/s"
 
 
 def _sentence(

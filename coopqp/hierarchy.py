@@ -10,12 +10,12 @@ decomposition, which minds no redundant rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.closed_chain import matrix_rank
+from coopqp.closed_chain import ClosedChain, matrix_rank
 from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, Tighten
 from coopqp.qp import QP, RowNames
@@ -94,7 +94,7 @@ class Level:
         equalities: names of the equality rows.
         inequalities: names of the limits' rows.
         damping: cost of |v|^2.
-        error_damping: the same for every unit of the weighted squared task error.
+        error_damping: the same for every unit of the squared task error.
         scaled: names of the scaled tasks, each of which adds a share s in [0, 1].
 
     Attributes:
@@ -148,7 +148,7 @@ class Level:
         self._weighted_J.T.dot(tasks.J, self._P)
         np.subtract(self._diagonal, self._P, self._P)
         if self._error_damping:
-            error = tasks.weights.dot(tasks.e * tasks.e)
+            error = tasks.e.dot(tasks.e)
             np.add(self._P_diagonal, self._error_damping * error, self._P_diagonal)
         tasks.wanted.dot(self._weighted_J, self._q)
         if not self._whole:
@@ -199,10 +199,25 @@ class Decided:
         for block in blocks:
             self._stack[at : at + len(block)] = block
             at += len(block)
+        if not np.isfinite(self._stack).all():
+            return np.full((self.rank, self._stack.shape[1]), np.nan)
         Vt: Array = np.linalg.svd(self._stack, full_matrices=self.rank > at)[2]
         return Vt[: self.rank]
 
 
-def generic_rank(state: State, *blocks: Array) -> int:
-    """Rank of stacked rows, for the sizes of the levels after."""
-    return min(matrix_rank(np.vstack([state.J_loop, *blocks])), state.chain.n)
+def generic_rank(chain: ClosedChain, rows: Callable[[State], Sequence[Array]]) -> int:
+    """Largest rank of loop and task rows, so that a singular start leaves nothing undecided.
+
+    Args:
+        chain: whose configurations are sampled, seeded.
+        rows: the task rows at a state.
+    """
+    rank, state = 0, State(chain)
+    for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
+        state.q[:] = q
+        state.update()
+        rank = max(rank, matrix_rank(np.vstack([state.J_loop, *rows(state)])))
+    return min(rank, chain.n)
+
+
+SAMPLES = 6  # configurations at which ranks are taken, beside the start

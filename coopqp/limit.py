@@ -16,6 +16,9 @@ from coopqp.state import State
 
 Array = NDArray[np.float64]
 
+#: Depth up to which what crossed a limit in space is asked back [m].
+SHALLOW = 1e-3
+
 
 @dataclass(frozen=True)
 class LimitRows:
@@ -76,6 +79,24 @@ class Limit:
             shape (T,); negative where the limit is broken. Sides without a limit are left out.
         """
         return {}
+
+
+def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
+    """Velocity damper, room_dot >= -gain room, as the right side of rows -room_dot <= h.
+
+    What has sunk in a little, by the curvature of its path in a tick, is asked back. What is
+    deeper than ``SHALLOW`` was there from the start; it may not go farther, but asking it back
+    could leave no motion at all, so there h = 0.
+
+    Args:
+        room: distance left, shape (p,) [m]; negative where there is none.
+        gain: shape (p,) [1/s].
+        deep: scratch, shape (p,).
+        h: written, shape (p,) [m/s].
+    """
+    np.multiply(room, gain, h)
+    np.less(room, -SHALLOW, deep)
+    np.copyto(h, 0.0, where=deep)
 
 
 def states_along(chain: ClosedChain, q: Array) -> Iterator[State]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import TextIO
 
 from coopqp.controllers.qp import QPLaw
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.solver import Status
 from coopqp.state import State
 
@@ -31,7 +32,7 @@ def state_from_trace(path: Path, controller: str, tick: int, law: QPLaw) -> Stat
         raise InvalidValueError(
             f"{path}: controller '{controller}' has no tick {tick}; it has 0 to {last}"
         )
-    with path.open(encoding="utf-8", newline="") as stream:
+    with _open(path) as stream:
         wanted = {rows[tick]: "now", rows.get(tick - 1, -1): "before"}
         for i, row in enumerate(csv.DictReader(stream)):
             role = wanted.get(i)
@@ -50,8 +51,10 @@ def blocked_tick(path: Path, controller: str) -> int:
     Raises:
         CoopqpError: no such file or controller.
     """
+    if controller not in controllers_of(path):
+        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     last = 0
-    with path.open(encoding="utf-8", newline="") as stream:
+    with _open(path) as stream:
         for row in csv.DictReader(stream):
             if row["controller"] != controller or not row.get("status"):
                 continue
@@ -68,10 +71,8 @@ def controllers_of(path: Path) -> list[str]:
         CoopqpError: no such file, or not a trace.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
+        with _open(path) as stream:
             found = list(dict.fromkeys(row["controller"] for row in csv.DictReader(stream)))
-    except OSError as error:
-        raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
     except (KeyError, UnicodeDecodeError, csv.Error):
         raise CoopqpError(f"{path}: is not a trace.csv written by 'coopqp compare --out'") from None
     return found
@@ -79,9 +80,16 @@ def controllers_of(path: Path) -> list[str]:
 
 def _rows_of(path: Path, controller: str) -> dict[int, int]:
     """Row number of each tick of a controller."""
-    with path.open(encoding="utf-8", newline="") as stream:
+    with _open(path) as stream:
         return {
             int(row["tick"]): i
             for i, row in enumerate(csv.DictReader(stream))
             if row["controller"] == controller and row["tick_us"]
         }
+
+
+def _open(path: Path) -> TextIO:
+    try:
+        return path.open(encoding="utf-8", newline="")
+    except OSError as error:
+        raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None

@@ -41,6 +41,7 @@ def main() -> None:
         if not command.status.usable:
             print(command.status.value)
         state.q += command.v * DT  # your robot goes here
+        state.v[:] = command.v
         state.t += DT
     state.update()
     print("object at", np.round(state.p_WO, 4), "m; loop error", state.loop_position_error, "m")

@@ -20,7 +20,7 @@ from coopqp.controllers import QPController
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid, Spherical
 from coopqp.held_object import HeldObject
-from coopqp.limit import Limit, LimitRows
+from coopqp.limit import SHALLOW, Limit, LimitRows, damp
 from coopqp.limits import (
     JointAcceleration,
     JointPosition,
@@ -206,17 +206,29 @@ def test_rows_may_be_part_of_a_larger_matrix(held_box: ClosedChain, limit: Limit
 @pytest.mark.parametrize(
     "limit", [TABLE, SelfCollision(), ObjectSpeed(linear=0.1, angular=0.1)], ids=repr
 )
-def test_standing_still_is_always_allowed(
+def test_standing_still_is_allowed_but_just_below_a_limit(
     held_box: ClosedChain, rng: np.random.Generator, limit: Limit
 ) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
-    tighten = limit.bind(held_box, DT)
+    tighten, names = limit.bind(held_box, DT), limit.rows(held_box)
+    deep = 0
     for q in held_box.sample(rng, 200):  # many with bodies in each other or under the table
         state.q[:] = q
         state.update()
         tighten(state, rows)
         assert np.isfinite(rows.G).all()
-        assert (rows.h >= 0.0).all()
+        margins = limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT)
+        room = np.array([margins[f"limit.{name}"][0] for name in names])
+        assert (rows.h[(room >= 0.0) | (room < -SHALLOW)] >= 0.0).all()
+        assert rows.h.min() >= -10.0 * SHALLOW  # what is asked back, at the default gain
+        deep += int((room < -SHALLOW).sum())
+    assert deep > 30 or isinstance(limit, ObjectSpeed)
+
+
+def test_what_sank_in_a_little_is_asked_back_and_what_started_deep_is_not() -> None:
+    room, h = np.array([0.02, 0.0, -0.5 * SHALLOW, -2.0 * SHALLOW]), np.zeros(4)
+    damp(room, np.full(4, 10.0), np.zeros(4, bool), h)
+    assert h.tolist() == pytest.approx([0.2, 0.0, -5.0 * SHALLOW, 0.0])
 
 
 # ---- acceleration -----------------------------------------------------------------------------
@@ -518,7 +530,7 @@ def test_what_is_pulled_into_the_torso_stops_before_it(
 def test_forearms_and_hands_driven_together_stop_apart(held_box: ClosedChain) -> None:
     """Without loops: elbows bend in while shoulders press the arms together."""
     pairs = tuple(itertools.product(("RForearm", "RHand"), ("LForearm", "LHand")))
-    limit = SelfCollision(gain=50.0, pairs=pairs)
+    limit = SelfCollision(pairs=pairs)
     state, oracle, robot = State(held_box), Oracle(held_box), held_box.robot
     inward = robot.configuration({"right": [0, 1, 0, 2, 0.3], "left": [0, -1, 0, -2, 0.2]})
     state.q[:] = robot.configuration({"right": [0, -0.3, 0, 0.2, 0], "left": [0, 0.1, 0, -0.3, 0]})
@@ -578,7 +590,7 @@ def test_self_collision_refuses_what_it_cannot_watch(held_box: ClosedChain) -> N
         with pytest.raises(ValueError, match="given before"):
             SelfCollision(pairs=pairs)
     with pytest.raises(InvalidValueError, match="overshoot"):
-        SelfCollision(gain=51.0).bind(held_box, DT)
+        SelfCollision(gain=101.0).bind(held_box, DT)
     pair = PlanarPair().build()
     q = pair.configuration({"right": [0.5, -1.0, 0.5], "left": [-0.5, 1.0, -0.5]})
     bare = ClosedChain(pair, q, Rigid(), HeldObject())

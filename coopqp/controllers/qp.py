@@ -5,7 +5,7 @@
                 J_j v = rate_j - gain_j e_j                                      hard tasks
                 J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
 
-with d = damping + error_damping sum_i w_i |e_i|^2 (Sugihara 2011). The second part fades as the
+with d = damping + error_damping sum_i |e_i|^2 (Sugihara 2011). The second part fades as the
 tasks are met; without it a goal out of reach can make the arms rattle at full speed about the
 singular pose where they are stretched.
 
@@ -50,7 +50,7 @@ class QPLaw(Law):
     Args:
         problem: what to control.
         damping: cost of |v|^2.
-        error_damping: the same for every unit of the weighted squared task error.
+        error_damping: the same for every unit of the squared task error.
 
     Attributes:
         first: the level that holds the loops and the first soft tasks.
@@ -111,10 +111,11 @@ class QPLaw(Law):
                 status, v = later.solve(state, self._bounds, v, status)
         elif self.problem.on_infeasible == "scale":
             command.scale = 0.0 if self._scales else 1.0
-            status, v = self._fallback.solve(state, status)
+            status, v = self._fallback.solve(state, status, self._recovery)
         elif self.problem.on_infeasible == "stop" and state.memory.size:
             state.memory[0] = 1.0
         if not status.usable:
+            command.scale = 0.0 if self._scales else 1.0
             return self._stand_still(status)
         command.v[:] = v
         command.status = status
@@ -194,11 +195,14 @@ class _LaterLevel:
     ) -> None:
         self._before = TaskStack([task for group in before for task in group], start)
         self._exact = exact
-        self._before.update(start)
-        exact.hard.update(start)
-        exact.scaled.update(start)
         blocks = (self._before.J, exact.hard.J, exact.scaled.J)
-        rank = generic_rank(start, *blocks)
+
+        def stacked(state: State) -> Sequence[Array]:
+            for stack in (self._before, exact.hard, exact.scaled):
+                stack.update(state)
+            return blocks
+
+        rank = generic_rank(problem.chain, stacked)
         rows = sum(len(block) for block in (start.J_loop, *blocks))
         self._decided = Decided(problem.chain.n, rows, rank)
         names = tuple(f"decided[{i}]" for i in range(rank))
@@ -237,7 +241,9 @@ class _Fallback:
         self._has_exact = any(task.mode != "soft" for task in tasks)
         self._has_sacrifice = any(limit.sacrificed_first for limit in problem.limits)
 
-    def solve(self, state: State, failed: Status) -> tuple[Status, Array]:
+    def solve(
+        self, state: State, failed: Status, recovery: Recovery | None
+    ) -> tuple[Status, Array]:
         """The first attempt that has an answer, and what it gave up; else the first failure."""
         attempts = (
             (self._has_exact, self._soft, self._bounds, 1.0, Status.TASKS_GIVEN_UP),
@@ -245,15 +251,21 @@ class _Fallback:
             (True, self._free, self._slack, 0.0, Status.DRIFT_GIVEN_UP),
         )
         for makes_sense, level, bounds, drift, given_up in attempts:
-            if makes_sense and self._attempt(state, level, bounds, drift).usable:
+            if makes_sense and self._attempt(state, level, bounds, drift, recovery).usable:
                 return given_up, level.v
         return failed, self._free.v
 
-    def _attempt(self, state: State, level: Level, bounds: Bounds, drift: float) -> Status:
+    def _attempt(
+        self, state: State, level: Level, bounds: Bounds, drift: float, recovery: Recovery | None
+    ) -> Status:
         bounds.update(state)
         level.assemble(state, bounds)
+        if recovery:
+            recovery.pull(state, level.qp)
         level.qp.A[:] = state.J_loop
         np.multiply(state.e_loop, drift * self._minus_kappa, level.qp.b)
+        if not drift:  # the last attempt: nothing may ask for a motion, so that v = 0 is feasible
+            np.maximum(level.qp.h, 0.0, out=level.qp.h)
         level.qp.seal()
         return level.solve()
 
@@ -332,7 +344,11 @@ def _groups(problem: ControlProblem) -> list[list[Task]]:
         [k for k in problem.secondary if k.priority == p]
         for p in sorted({k.priority for k in problem.secondary})
     ]
-    return [*main, *later]
+    # What a scaled task can do comes before all soft ones, whatever their weights.
+    first_alone: list[list[Task]] = (
+        [[]] if any(task.mode == "scaled" for task in problem.tasks) else []
+    )
+    return [*first_alone, *main, *later]
 
 
 class Recovery:
@@ -381,7 +397,7 @@ class QPController(Controller):
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
     error_damping: NonNegative = ERROR_DAMPING
-    """The same for every unit of the weighted squared task error [s2/rad2 per m2]."""
+    """The same for every unit of the squared task error [s2/rad2 per m2]."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver on them."""

@@ -4,10 +4,11 @@ Bodies are the robot's capsules and the object's box, as carried by the first ar
 nearest point, n the unit normal from the first body to the second and d their signed distance, as
 coal gives them, and J_first, J_second the bodies' Jacobians of a point at p,
 
-    n' (J_first - J_second) v <= max(0, gain (d - distance))
+    n' (J_first - J_second) v <= gain (d - distance)
 
 Both nearest points lie on one line along n, so one of them does for both bodies. A pair that is
-too close may not come closer, but is not asked apart: then standing still is always allowed.
+too close by more than a millimetre may not come closer, but is not asked apart
+(:func:`coopqp.limit.damp`), so that one that cannot part does not stop the robot.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, movers, states_along
+from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
 from coopqp.robot import Capsule
 from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
@@ -31,10 +32,6 @@ from coopqp.state import State
 Array = NDArray[np.float64]
 
 OBJECT = "object"
-
-#: Most that a tick may use up of a distance. Between a face and a capsule along it the nearest
-#: point jumps from one end to the other, and the end that was not watched needs the other half.
-MOST = 0.5
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
 UNIT = 1e-6
@@ -47,7 +44,7 @@ class SelfCollision(Limit):
     distance: NonNegative = 0.01
     """Kept free between two bodies [m]."""
     gain: Positive = 10.0
-    """Share of the distance that may be used up per second [1/s]; at most 0.5/dt."""
+    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
     pairs: tuple[tuple[str, str], ...] | None = None
     """Names of the robot's capsules, or "object"; those that can meet if omitted."""
 
@@ -65,19 +62,18 @@ class SelfCollision(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
-        if self.gain * dt > MOST + 1e-9:
+        if self.gain * dt > 1.0 + 1e-9:
             raise InvalidValueError(
-                f"self_collision: gain {self.gain} 1/s needs at most {MOST:g}/dt = "
-                f"{MOST / dt:g} 1/s; more would overshoot"
+                f"self_collision: gain {self.gain} 1/s needs at most 1/dt = {1 / dt:g} 1/s; "
+                "more would overshoot"
             )
         bodies = _Bodies(chain, self._pairs(chain))
         gain, distance = np.full(len(bodies.d), self.gain), np.array(self.distance)
+        room, deep = np.zeros_like(bodies.d), np.zeros(len(bodies.d), bool)
 
         def tighten(state: State, rows: LimitRows) -> None:
             bodies.update(state)
-            np.subtract(bodies.d, distance, rows.h)
-            np.multiply(rows.h, gain, rows.h)
-            np.maximum(rows.h, 0.0, out=rows.h)
+            damp(np.subtract(bodies.d, distance, room), gain, deep, rows.h)
             bodies.fill(state, rows.G)
 
         return tighten

@@ -3,10 +3,10 @@
 With n the plane's unit normal, c a point on it and p the point, d = n'(p - c) is its distance and
 the velocity damper d_dot >= -gain d lets it approach no faster than it can stop:
 
-    -n' J_p v <= max(0, gain n'(p - c))
+    -n' J_p v <= gain n'(p - c)
 
-A point on the wrong side may not go farther, but is not asked back: then standing still is always
-allowed, and a point that cannot come back does not stop the robot.
+A point that is deeper than a millimetre on the wrong side may not go farther, but is not asked
+back (:func:`coopqp.limit.damp`), so that one that cannot come back does not stop the robot.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, movers, states_along
+from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
 from coopqp.spec import Direction, Positive, Vector3, spec, unit
 from coopqp.state import State
 
@@ -67,13 +67,13 @@ class Workspace(Limit):
         n, distances, offset = self._plane()
         gain, k = np.full(len(points.p), self.gain), points.of_object
         d, turning, S = np.zeros(len(points.p)), np.zeros((len(points.p), 3)), _cross(-n)
+        deep = np.zeros(len(points.p), bool)
         G, any_frames = np.zeros((len(points.p), chain.n)), bool(self.frames)
 
         def tighten(state: State, rows: LimitRows) -> None:
             points.update(state)
             distances(points.p, d)
-            np.multiply(np.subtract(d, offset, d), gain, rows.h)
-            np.maximum(rows.h, 0.0, out=rows.h)
+            damp(np.subtract(d, offset, d), gain, deep, rows.h)
             # d_dot = n'(J_v + J_omega x arm); the object's points turn about its origin.
             points.arms.dot(S, turning)
             turning[:k].dot(state.J_task[3:], G[:k])

@@ -16,6 +16,8 @@ from coopqp.spec import Positive, spec
 
 EQUALITY = 5  # daqp's sense of a row that must hold with equality
 
+INFEASIBLE = -1
+
 STATUS = {
     1: Status.OPTIMAL,
     2: Status.OPTIMAL,
@@ -31,6 +33,8 @@ class Daqp(Solver):
 
     primal_tol: Positive = 1e-9
     """Largest overrun of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
+    second_tol: Positive = 1e-7
+    """The same for a second try, when the first found no feasible point."""
     dual_tol: Positive = 1e-12
     """Smallest multiplier that counts as negative."""
     iter_limit: int = 1000
@@ -47,9 +51,16 @@ class Daqp(Solver):
             "iter_limit": self.iter_limit,
         }
 
+        second = {**options, "primal_tol": self.second_tol}
+
         def solve() -> None:
             sense[:] = clean
             v, _, flag, info = daqp.solve(qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **options)
+            if flag == INFEASIBLE:
+                # Where bounds and rows touch in one point, the tight tolerance finds nothing. What
+                # this overruns is clipped and checked before it is used.
+                sense[:] = clean
+                v, _, flag, info = daqp.solve(qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **second)
             solution.v[:] = v
             solution.multipliers[:] = info["lam"]
             solution.status = STATUS.get(flag, Status.SOLVER_ERROR)
