@@ -1,0 +1,52 @@
+"""The look at the loops after a step: its bound must never promise what kinematics do not keep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import coopqp
+from coopqp.controllers.qp import LoopProbe
+from coopqp.dynamics import null_space
+from coopqp.solver import Budget
+from coopqp.state import State
+
+
+@pytest.mark.parametrize("name", ["point_on_point", "passive_grasp_pose", "planar_pair"])
+def test_a_step_that_passes_leaves_the_loops_within_the_budget(
+    name: str, rng: np.random.Generator
+) -> None:
+    scenario = coopqp.load(name)
+    problem, budget = scenario.problem(), Budget()
+    probe, state = LoopProbe(problem), State(scenario.chain)
+    after = State(scenario.chain)
+    passed = refused = 0
+    for _ in range(600):
+        basis = null_space(state.J_loop)
+        v = basis @ rng.normal(size=basis.shape[1]) * 10.0 ** rng.uniform(-1.0, 1.5)
+        after.q[:] = state.q + problem.dt * v
+        after.update()
+        if probe.within(state, v):
+            passed += 1
+            assert after.loop_position_error <= budget.loop_position
+            assert after.loop_orientation_error <= budget.loop_orientation
+        else:
+            refused += 1
+        state.q += 0.003 * v / max(float(np.linalg.norm(v)), 1e-9)
+        state.update()
+        state.close_loops(2)
+    assert passed > 100
+    if name != "planar_pair":
+        assert refused > 0
+
+
+def test_a_step_is_not_refused_for_a_loop_that_it_closes(rng: np.random.Generator) -> None:
+    scenario = coopqp.load("point_on_point")
+    problem = scenario.problem()
+    state = State(scenario.chain)
+    state.q += 0.02 * rng.normal(size=scenario.chain.n)
+    state.update()
+    assert state.loop_position_error > Budget().loop_position
+    closing = -np.linalg.pinv(state.J_loop) @ state.e_loop / problem.dt
+    assert LoopProbe(problem).within(state, 0.5 * closing)
+    assert not LoopProbe(problem).within(state, -0.5 * closing)
