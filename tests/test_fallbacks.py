@@ -576,7 +576,7 @@ def test_solver_that_always_fails_leaves_the_robot_standing(
     assert FallbackTicks().measure(trace) == {}
 
 
-@pytest.mark.xfail(strict=True, reason="known: numpy warns of overflow beyond 1e154")
+@pytest.mark.xfail(strict=False, reason="known: newer numpy warns of overflow beyond 1e154")
 def test_answer_beyond_all_measure_is_refused_without_a_warning(chain: ClosedChain) -> None:
     @spec
     class Beyond(Solver):
