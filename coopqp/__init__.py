@@ -16,7 +16,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "load": "scenario",
+    "load": "scenario_loader",
     "Scenario": "scenario",
     "run": "comparison",
     "compare": "comparison",

@@ -173,7 +173,7 @@ def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
     from coopqp import explanation
     from coopqp.catalog import Catalog
-    from coopqp.scenario import solver_by_name, solver_names
+    from coopqp.scenario_loader import solver_by_name, solver_names
 
     catalog, record = Catalog(), explanation.TickRecord.read(file)
     rows = {}
@@ -239,7 +239,7 @@ def solve_start(
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
     from coopqp.catalog import Catalog
-    from coopqp.scenario import load_and_solve
+    from coopqp.scenario_loader import load_and_solve
     from coopqp.start_solver import yaml_text
 
     with _progress(["solving"], 1) as progress:
@@ -306,7 +306,7 @@ def schema(task_folders: tuple[Path, ...]) -> None:
 
 def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
     from coopqp.catalog import Catalog
-    from coopqp.scenario import load, with_solver
+    from coopqp.scenario_loader import load, with_solver
 
     catalog = Catalog(task_folders)
     loaded = load(name, catalog)
@@ -317,6 +317,9 @@ def _tick(
     trace: Path, tick: int | None, controller: str | None, task_folders: tuple[Path, ...]
 ) -> Any:
     """A tick of a written trace, whole."""
+    from bisect import bisect_right
+    from itertools import islice
+
     from coopqp.controllers.qp import QPLaw
     from coopqp.errors import InvalidValueError, UnknownNameError
     from coopqp.explanation import record_tick
@@ -338,9 +341,15 @@ def _tick(
     if chosen not in laws:
         raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
     k = blocked_tick(path, chosen) if tick is None else tick
-    state = state_from_trace(path, chosen, k, laws[chosen])
+    held, law = scenario.held_by(chosen), laws[chosen]
+    phase = max(0, bisect_right(held.first_ticks, k) - 1)
+    if phase:
+        # The arms that hold from here on took hold where the trace says that they were.
+        problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
+        law = scenario.controllers[chosen].build(list(islice(problems, phase + 1))[-1])
+    state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = path.parent.resolve().name
-    return record_tick(laws[chosen], state, scenario=name, controller=chosen, tick=k)
+    return record_tick(law, state, scenario=name, controller=chosen, tick=k)
 
 
 def _stress_table(lines: Any) -> Any:
@@ -383,7 +392,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
 def _help_lines(kind: str, task_folders: tuple[Path, ...]) -> dict[str, str]:
     """A line of help for each name of a collection."""
     if kind == "scenarios":
-        from coopqp.scenario import shipped
+        from coopqp.scenario_loader import shipped
         from coopqp.yaml_file import read_yaml
 
         return {

@@ -10,13 +10,16 @@ With J_i the 6 x n Jacobian of the object frame as carried by arm i, (v; omega) 
 and J_c v = 0 with J_c = J_rel is the loop closure, eq. (9), (14). alpha_i = 1/N is the paper's
 eq. (30) for two arms; alpha = (1, 0) is leader and follower: the object is where arm 0 carries it,
 after the extended cooperative task space of Park and Lee 2015.
+
+An arm that has let go is released: its loop is open, its six rows bind nothing and its weight is
+zero, but it still has an object frame, where the object would be if it held it.
 """
 
 from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,19 +54,21 @@ class LoopRows:
     """Which of the 6 L loop rows are independent.
 
     Attributes:
-        names: of all rows, such as "loop[left].rot_y".
+        names: of all rows, such as "loop[left].rot_y"; those of open loops come last.
+        closed: how many rows belong to closed loops.
         kept: indices of the rows handed to the solvers.
-        rank: rank of J_c at generic configurations.
+        rank: rank of the closed rows at generic configurations.
     """
 
     names: tuple[str, ...]
+    closed: int
     kept: tuple[int, ...]
     rank: int
 
     @property
     def dropped(self) -> tuple[str, ...]:
         """Names of the rows that follow from the kept ones."""
-        return tuple(name for i, name in enumerate(self.names) if i not in self.kept)
+        return tuple(self.names[i] for i in range(self.closed) if i not in self.kept)
 
     @property
     def kept_names(self) -> tuple[str, ...]:
@@ -95,8 +100,11 @@ class ClosedChain:
             an arm not named has 0; all the same when omitted.
         passive_start: where the grasps' passive joints start, by name such as "right.hinge"
             [rad, m]; zero when omitted.
+        released: names of the arms that do not hold the object.
 
     Attributes:
+        arms: those that hold the object, then the released ones; each in the robot's order.
+        holding: how many hold the object.
         model: pinocchio model with the grasps' passive joints; massless object (its inertia
             matters to the dynamics alone, which add it).
         q_start: configuration with the passive joints in it, shape (n,).
@@ -110,7 +118,7 @@ class ClosedChain:
         mixing: M with [J_tsk; J_rel] = M [J_0; J_1; ...], shape (6 N, 6 N).
 
     Raises:
-        GraspError: fewer than two arms, or grasps that do not close at the start.
+        GraspError: fewer than two arms, none that holds, or grasps that do not close at the start.
         UnknownNameError: a grasp, weight or passive joint that the robot does not have.
         InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum to 1.
     """
@@ -124,36 +132,37 @@ class ClosedChain:
         *,
         alpha: Mapping[str, float] | None = None,
         passive_start: Mapping[str, float] | None = None,
+        released: Collection[str] = (),
     ) -> None:
         self.robot, self.held = robot, held
-        self.arms: tuple[Arm, ...] = robot.arms
         self.grasps = grasp_of_each(robot, grasps)
-        if len(self.arms) < 2:
-            raise GraspError(f"robot {robot.name} has {len(self.arms)} arm; a loop needs two")
+        if len(robot.arms) < 2:
+            raise GraspError(f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two")
         start = np.asarray(q_start, float)
         if start.shape != (robot.model.nq,):
             raise InvalidValueError(
                 f"q_start: found shape {start.shape}, needs ({robot.model.nq},)"
             )
         self._robot_start = start
-        self.model, ends = with_passive_joints(
+        self._without_object, self._ends = with_passive_joints(
             robot,
             {
                 arm.name: self.grasps[arm.name].passive_joints(self._tip_orientation(arm))
-                for arm in self.arms
+                for arm in robot.arms
             },
         )
+        self.model = self._without_object
         self.n: int = self.model.nv
         self.q_start = self._extended(start, passive_start or {})
-        self.frames = self._add_object_frames(ends)
+        self._weights = arm_weights(robot, alpha)
+        self._let_go(released)
+        self._fix_object(self._object_at_start())
         self.passive = np.array(
             [i for i, name in enumerate(self.joint_names) if name not in robot.joint_names], int
         )
         self.lower = np.array(self.model.lowerPositionLimit)
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
-        self.alpha = arm_weights(robot, alpha)
-        self.mixing = _mixing_matrix(self.alpha)
         self.loops = self._independent_rows()
 
     def moved(self, q: NDArray[np.float64]) -> ClosedChain:
@@ -164,10 +173,55 @@ class ClosedChain:
         """
         other = copy.copy(self)
         other.q_start = np.array(q, float)
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, other.q_start)
-        other.start_position = data.oMf[self.frames[0]].translation.copy()
+        other.start_position = self.object_pose(other.q_start).translation.copy()
         return other
+
+    def handed_over(self, q: NDArray[np.float64], released: Collection[str] = ()) -> ClosedChain:
+        """The same robot with other arms holding the object, where everything is now.
+
+        An arm that holds on holds it as before. One that takes hold does so where its hand is, so
+        that every loop closes. One that lets go keeps its object frame, fixed to its tip.
+
+        Args:
+            q: configuration with this chain's loops closed, passive joints included, shape (n,).
+            released: names of the arms that do not hold the object from now on.
+
+        Raises:
+            UnknownNameError: an arm that the robot does not have.
+            GraspError: no arm is left that holds the object.
+        """
+        other = copy.copy(self)
+        other.__dict__.pop("reach", None)  # it depends on where the hands take hold
+        other.q_start = np.array(q, float)
+        X_WO, data = self.object_pose(q), self.model.createData()
+        pin.framesForwardKinematics(self.model, data, other.q_start)
+        carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
+        held = {arm.name for arm in self.arms[: self.holding]}
+        other._let_go(released)
+        other._fix_object(
+            {
+                arm.name: carried[arm.name] if arm.name in held or open_ else X_WO
+                for arm, open_ in zip(other.arms, other._is_open, strict=True)
+            }
+        )
+        other.start_position = X_WO.translation.copy()
+        other.loops = other._independent_rows()
+        return other
+
+    def object_pose(self, q: NDArray[np.float64]) -> pin.SE3:
+        """Pose of the object in the world, the mean over the arms that hold it.
+
+        Args:
+            q: configuration, shape (n,).
+        """
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, np.asarray(q, float))
+        X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
+        p, turn = X_0.translation.copy(), np.zeros(3)
+        for weight, X in zip(self.alpha[1:], others, strict=False):
+            p += weight * (X.translation - X_0.translation)
+            turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
+        return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
 
     @cached_property
     def reach(self) -> float:
@@ -207,7 +261,7 @@ class ClosedChain:
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         places = [data.oMf[frame].translation.copy() for frame in self.frames]
-        middle = np.mean(places, axis=0)
+        middle = np.mean(places[: self.holding], axis=0)
         jacobians = []
         for frame, place in zip(self.frames, places, strict=True):
             J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
@@ -247,32 +301,66 @@ class ClosedChain:
             extended[self.model.idx_qs[self.model.getJointId(name)]] = value
         return extended
 
-    def _add_object_frames(self, ends: Mapping[str, str]) -> tuple[int, ...]:
-        """Fix the object frame to every arm, where the grasp or the start says, eq. (1)."""
-        given = {
-            arm: object_at_end(self.model, self.model.getFrameId(end), self._tip(arm), grasp)
-            for (arm, grasp), end in zip(self.grasps.items(), ends.values(), strict=True)
-            if grasp.object_in_hand
-        }
+    def _let_go(self, released: Collection[str]) -> None:
+        """Sort the arms, and share the weights among those that hold the object."""
+        names = [arm.name for arm in self.robot.arms]
+        for name in released:
+            if name not in names:
+                raise UnknownNameError("arm", name, names)
+        self.holding = len(names) - len(set(released))
+        if not self.holding:
+            raise GraspError("no arm is left that holds the object; keep at least one")
+        order = sorted(range(len(names)), key=lambda i: names[i] in released)
+        self.arms: tuple[Arm, ...] = tuple(self.robot.arms[i] for i in order)
+        self._is_open = [arm.name in released for arm in self.arms]
+        self.alpha = np.where(self._is_open, 0.0, self._weights[order])
+        if not self.alpha.any():  # the leader has let go
+            self.alpha[: self.holding] = 1.0
+        self.alpha /= self.alpha.sum()
+        self.mixing = _mixing_matrix(self.alpha)
+
+    def _object_at_start(self) -> dict[str, pin.SE3]:
+        """Where each arm carries the object at the start, as the grasp or the start says, eq. (1).
+
+        A released arm's grasp tells where the object would be in its hand.
+        """
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, self.q_start)
-        X_WE = {arm: data.oMf[self.model.getFrameId(end)].copy() for arm, end in ends.items()}
-        X_WO = self._start_pose({arm: X_WE[arm] * X_EO for arm, X_EO in given.items()})
+        given = {}
+        for arm, grasp in self.grasps.items():
+            if grasp.object_in_hand:
+                end = self.model.getFrameId(self._ends[arm])
+                given[arm] = data.oMf[end] * object_at_end(self.model, end, self._tip(arm), grasp)
+        holders = [arm.name for arm in self.arms[: self.holding]]
+        X_WO = self._start_pose({arm: given[arm] for arm in holders if arm in given})
         self.start_position = X_WO.translation.copy()
-        return tuple(
-            add_object_frame(self.model, arm, end, given.get(arm, X_WE[arm].actInv(X_WO)))
-            for arm, end in ends.items()
-        )
+        return {arm: given.get(arm, X_WO) for arm in self.grasps}
+
+    def _fix_object(self, X_WO: Mapping[str, pin.SE3]) -> None:
+        """Fix the object's frame to every arm; to a released one before its passive joints.
+
+        Args:
+            X_WO: where each arm carries the object at q_start, by arm.
+        """
+        self.model = self._without_object.copy()
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.q_start)
+        frames = []
+        for arm, is_open in zip(self.arms, self._is_open, strict=True):
+            end = arm.tip if is_open else self._ends[arm.name]
+            X_WE = data.oMf[self.model.getFrameId(end)]
+            frames.append(add_object_frame(self.model, arm.name, end, X_WE.actInv(X_WO[arm.name])))
+        self.frames = tuple(frames)
 
     def _tip(self, arm: str) -> int:
-        (tip,) = (a.tip for a in self.arms if a.name == arm)
+        (tip,) = (a.tip for a in self.robot.arms if a.name == arm)
         return int(self.model.getFrameId(tip))
 
     def _start_pose(self, by_arm: Mapping[str, pin.SE3]) -> pin.SE3:
         """Pose of the object at the start, after checking that all that is given agrees.
 
         Args:
-            by_arm: where the arms whose grasp says so carry the object.
+            by_arm: where the holding arms whose grasp says so carry the object.
 
         Raises:
             GraspError: the object's pose and the grasps put it in different places.
@@ -283,7 +371,8 @@ class ClosedChain:
         if not seen:
             data = self.model.createData()
             pin.framesForwardKinematics(self.model, data, self.q_start)
-            tips = [data.oMf[self._tip(arm.name)].translation for arm in self.arms]
+            holders = self.arms[: self.holding]
+            tips = [data.oMf[self._tip(arm.name)].translation for arm in holders]
             return pin.SE3(np.eye(3), np.mean(tips, axis=0))
         (first, X_WO), *others = seen.items()
         for name, X in others:
@@ -300,12 +389,15 @@ class ClosedChain:
     def _independent_rows(self) -> LoopRows:
         """Find loop rows that follow from others, at seeded random configurations."""
         names = tuple(f"loop[{arm.name}].{axis}" for arm in self.arms[1:] for axis in AXES)
+        closed = 6 * (self.holding - 1)
+        if not closed:
+            return LoopRows(names=names, closed=0, kept=(), rank=0)
         configurations = self.sample(np.random.default_rng(0), 8)
-        jacobians = [self.loop_jacobian(q) for q in configurations]
+        jacobians = [self.loop_jacobian(q)[:closed] for q in configurations]
         # A row that is a fixed combination of others is so in all configurations side by side.
         kept = independent_rows(np.hstack(jacobians))
         rank = max(matrix_rank(J) for J in jacobians)
-        return LoopRows(names=names, kept=tuple(kept), rank=rank)
+        return LoopRows(names=names, closed=closed, kept=tuple(kept), rank=rank)
 
 
 def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> list[int]:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.controller import Controller
 from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.plant import PlantModel
 from coopqp.rollout import rollout
 from coopqp.scenario import Scenario
-from coopqp.trace import Trace
+from coopqp.state import State
+from coopqp.trace import PhaseInfo, Trace, join
+
+Array = NDArray[np.float64]
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
@@ -73,17 +78,50 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
             f"controller '{controller}' commands torques, which this plant does not take; use "
             "plant: rigid_body or plant: mujoco"
         )
-    scenario = scenario.held_by(controller)
-    problem = scenario.problem()
-    report = (lambda k: progress(controller, k)) if progress else None
-    return rollout(
-        chosen.build(problem),
-        scenario.plant.build(problem, scenario.seed, scenario.disturbance),
-        scenario.ticks,
-        controller=controller,
-        solver=scenario.solver_name if chosen.uses_solver else None,
-        progress=report,
-    )
+    solver = scenario.solver_name if chosen.uses_solver else None
+    legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
+    return join(legs) if scenario.phases else legs[0][1]
+
+
+def _legs(
+    scenario: Scenario,
+    chosen: Controller,
+    name: str,
+    solver: str | None,
+    progress: Progress | None,
+) -> Iterator[tuple[PhaseInfo, Trace]]:
+    """Run the phases one after the other, each from where the one before has ended."""
+    ended: tuple[PlantModel, State] | None = None
+
+    def where(_: int) -> Array:
+        assert ended
+        return ended[0].configuration(ended[1])
+
+    problems = scenario.problems(where)
+    for phase, first in zip(scenario.schedule, scenario.first_ticks, strict=True):
+        problem = next(problems)
+        law = chosen.build(problem)
+        plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+        state = law.start()
+        if ended:
+            plant.resume(ended[0])
+            state.v[:] = ended[1].v
+        leg = rollout(
+            law,
+            plant,
+            phase.ticks(scenario.dt),
+            controller=name,
+            solver=solver,
+            progress=_shifted(progress, name, first),
+            state=state,
+        )
+        yield PhaseInfo(phase.name, first, phase.released), leg
+        ended = plant, state
+
+
+def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:
+    """Progress of a phase as progress of the whole run."""
+    return (lambda k: progress(name, first + k)) if progress else None
 
 
 def compare(
@@ -128,7 +166,7 @@ def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
 def _arrival(trace: Trace) -> str:
     missed = [
         (task, error)
-        for task, error in zip(trace.tasks, trace.task_error[-1], strict=True)
+        for task, error in zip(trace.tasks, trace.final_error, strict=True)
         if error > task.tolerance
     ]
     if not missed:

@@ -29,7 +29,7 @@ class DynamicModel(PlantModel):
         disturbance: what the controller does not know.
 
     Attributes:
-        true: the state before noise.
+        true: the state before noise; its time goes on from phase to phase.
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
             [J].
@@ -47,7 +47,7 @@ class DynamicModel(PlantModel):
         disturbance: Disturbance,
     ) -> None:
         n = problem.chain.n
-        self.true = State(problem.chain)
+        self.true, self._t_start = State(problem.chain), 0.0
         self.servo = ServoLaw(problem.chain, servo)
         self.disturbance = disturbance
         self._steps = _whole_steps(problem.dt, time_step)
@@ -73,6 +73,25 @@ class DynamicModel(PlantModel):
         self.signals["energy"][:] = self.energy()
         self._measure(state)
 
+    def configuration(self, state: State) -> Array:
+        """Before noise."""
+        return self.true.q
+
+    def resume(self, before: PlantModel) -> None:
+        """Take over time, motion, servos, commands on their way and the stream of noise."""
+        assert isinstance(before, DynamicModel)
+        true, old = self.true, before.true
+        true.t = self._t_start = old.t
+        true.q[:], true.v[:] = old.q, old.v
+        true.update()
+        self.servo.resume(before.servo)
+        self._late, self._rng = before._late, before._rng
+        self.take_hold(before)
+
+    @abstractmethod
+    def take_hold(self, before: PlantModel) -> None:
+        """Make ``true``, taken over from before, agree with the loops that have closed."""
+
     @abstractmethod
     def integrate(self) -> None:
         """Advance ``true`` by h: its t, q and v."""
@@ -90,7 +109,7 @@ class DynamicModel(PlantModel):
 
     def _measure(self, state: State) -> None:
         true, noise = self.true, self.disturbance
-        state.t, state.q[:], state.v[:] = true.t, true.q, true.v
+        state.t, state.q[:], state.v[:] = true.t - self._t_start, true.q, true.v
         if noise.noise_position:
             state.q += self._rng.normal(0.0, noise.noise_position, len(state.q))
         if noise.noise_velocity:

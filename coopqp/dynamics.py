@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from coopqp.closed_chain import ClosedChain, independent_rows
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.spec import NonNegative, Positive, spec
 
 Array = NDArray[np.float64]
@@ -104,6 +104,7 @@ class ClosedLoopDynamics:
         InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
             a passive joint among them.
         UnknownNameError: an unknown joint or arm.
+        GraspError: a released arm has passive joints: nothing would hold them.
     """
 
     def __init__(
@@ -116,6 +117,7 @@ class ClosedLoopDynamics:
         mass_scale: float = 1.0,
     ) -> None:
         self.chain = chain
+        _check_released(chain)
         body = chain.held.body()
         self._body = pin.Inertia(mass_scale * body.mass, body.lever, mass_scale * body.inertia)
         self.shares = _shares(chain, shares)
@@ -212,6 +214,21 @@ class ClosedLoopDynamics:
         self._wrench[:] = 0.0
         self._wrench[self._kept] = -x[n:]
         return DirectResult(self._a, self._wrench, singular)
+
+    def impact(self, v: Array) -> Array:
+        """Velocity after loops have closed at once, without a bounce, after :meth:`update`.
+
+        Solves [A J'; J 0] [v+; -impulse] = [A v; 0]: the nearest motion in kinetic energy.
+
+        Args:
+            v: before, shape (n,).
+        """
+        n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
+        saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
+        self.A.dot(v, rhs[:n])
+        rhs[n:] = 0.0
+        x, _ = saddle.solve(rhs)
+        return np.array(x[:n])
 
     def inverse(self, a: Array) -> InverseResult:
         """Torques for accelerations: the CLIDM of eq. (21)-(24), after :meth:`update`.
@@ -332,6 +349,8 @@ class Saddle:
 
     def solve(self, rhs: Array) -> tuple[Array, bool]:
         """Solution, and whether the matrix is singular, so that it is one of least squares."""
+        if not len(rhs):  # one arm alone has no wrenches to tell; LAPACK minds
+            return rhs, False
         lu, pivots, info = lapack.dgetrf(self._K)
         if info == 0:
             # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
@@ -377,6 +396,15 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
             f"name at least {freedom}"
         )
     return np.array([joints.index(name) for name in names], np.intp)
+
+
+def _check_released(chain: ClosedChain) -> None:
+    for arm in chain.arms[chain.holding :]:
+        if chain.grasps[arm.name].passive_joints(np.eye(3)):
+            raise GraspError(
+                f"arm {arm.name}, when it lets go, would leave the joints of its passive grasp swinging "
+                "without mass; use plant: kinematic, or a rigid grasp"
+            )
 
 
 def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:

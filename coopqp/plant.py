@@ -31,6 +31,22 @@ class PlantModel(ABC):
     def step(self, state: State, command: Command) -> None:
         """Carry the command out for one dt: writes t, q and v of the state, nothing else."""
 
+    @abstractmethod
+    def configuration(self, state: State) -> NDArray[np.float64]:
+        """Where the joints really are, which is not what noisy sensors say, shape (n,).
+
+        Args:
+            state: as the last step left it.
+        """
+
+    @abstractmethod
+    def resume(self, before: PlantModel) -> None:
+        """Go on from where the plant of the phase before stopped, with other arms holding.
+
+        Args:
+            before: of the same type.
+        """
+
 
 @spec
 class Plant:

@@ -33,21 +33,24 @@ def rollout(
     controller: str,
     solver: str | None,
     progress: Progress | None = None,
+    state: State | None = None,
 ) -> Trace:
-    """Run a law on a plant from the chain's start.
+    """Run a law on a plant.
 
     Args:
         law: the controller, built.
-        plant: at rest at the start.
+        plant: at the start.
         ticks: how many.
         controller: its name, for the trace.
         solver: its name, for the trace.
         progress: called every few ticks.
+        state: where it begins, of the law's own start; written, so that it is where it ends. At
+            rest at the chain's start when omitted.
 
     Returns:
         All that happened.
     """
-    state = law.start()
+    state = law.start() if state is None else state
     recorder = _Recorder(law, plant, state, ticks)
     for k in range(ticks):
         before = time.perf_counter_ns()

@@ -150,8 +150,16 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default=None, description="The same in degrees; instead of start."),
         ),
         "tasks": (
-            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)],
-            Field(description="What the object shall do."),
+            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)] | None,
+            Field(default=None, description="What the object shall do."),
+        ),
+        "phases": (
+            Annotated[types.GenericAlias(list, (_phase(catalog),)), Field(min_length=1)] | None,
+            Field(
+                default=None,
+                description="One after the other, instead of tasks and duration, when arms let go "
+                "of the object or take hold of it.",
+            ),
         ),
         "secondary": (
             _list_of(catalog, "tasks"),
@@ -187,7 +195,10 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
         ),
         "budget": (Budget, Field(default=Budget(), description="What a solution may be off by.")),
         "dt": (Positive, Field(default=0.01, description="Control period [s].")),
-        "duration": (Positive, Field(description="Length of the run [s].")),
+        "duration": (
+            Positive | None,
+            Field(default=None, description="Length of the run [s]."),
+        ),
         "kappa": (
             NonNegative,
             Field(default=0.0, description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt."),
@@ -205,7 +216,42 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default=0, description="Of everything random."),
         ),
     }  # fmt: skip
-    return create_model("Scenario", __config__=STRICT, **keys)
+    needed: Any = {"anyOf": [{"required": list(WITHOUT_PHASES)}, {"required": ["phases"]}]}
+    config = ConfigDict(**STRICT, json_schema_extra=needed)
+    return create_model("Scenario", __config__=config, **keys)
+
+
+def _phase(catalog: Catalog) -> type[BaseModel]:
+    """Form of a phase."""
+    keys: dict[str, Any] = {
+        "name": (Annotated[str, Field(min_length=1)], Field(description="Yours.")),
+        "duration": (Positive, Field(description="Length [s]; time begins anew in each phase.")),
+        "released": (
+            list[str],
+            Field(default=[], description="Arms that do not hold the object; all others do."),
+        ),
+        "tasks": (
+            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)],
+            Field(description="What shall happen."),
+        ),
+    }
+    return create_model("Phase", __config__=STRICT, **keys)
+
+
+#: Keys that each phase has for itself, where there are phases.
+WITHOUT_PHASES = ("tasks", "duration")
+
+
+def _phases_or_not(file: YamlFile) -> list[Fault]:
+    """What is missing or too much, with phases or without."""
+    if "phases" not in file.data:
+        missing = [key for key in WITHOUT_PHASES if key not in file.data]
+        return [Fault(file.place([]), f"needs the key '{key}'") for key in missing]
+    return [
+        Fault(file.place([key]), "belongs into each phase, where there are phases; move it there")
+        for key in WITHOUT_PHASES
+        if key in file.data
+    ]
 
 
 def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
@@ -221,15 +267,18 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
         return chosen(robot.validate_json(json.dumps(value), context=context))[1]
 
     context = {"folder": file.path.parent, "robot": read_robot}
+    faults = _phases_or_not(file)
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
-        return model.model_validate_json(json.dumps(file.data), context=context)
+        read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        faults = [
+        faults += [
             _fault(file, model, detail) for detail in details if not _follows(detail, details)
         ]
-        raise ScenarioError(list(dict.fromkeys(faults))) from None
+    if faults:
+        raise ScenarioError(list(dict.fromkeys(faults)))
+    return read
 
 
 def _slot(model: type[BaseModel], key: str) -> Any:

@@ -65,6 +65,11 @@ class ServoLaw:
         self._follow = True
         self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
 
+    def resume(self, before: ServoLaw) -> None:
+        """Keep the angles that the servos of the phase before were holding."""
+        self._q_d[:], self._v_d[:] = before._q_d, before._v_d
+        self._forward[:], self._follow = before._forward, before._follow
+
     def begin(self, command: Command, q: Array) -> None:
         """Take a command for the next control period."""
         self._follow = command.tau is None

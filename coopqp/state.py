@@ -36,7 +36,8 @@ class State:
         J_task: its first six rows, (v; omega) of the object in world axes.
         J_rel: the other 6 L rows.
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
-            position [m], then rotation vector [rad], per loop.
+            position [m], then rotation vector [rad], per loop; open loops come last.
+        closed_error: the part of it that belongs to closed loops.
         J_joints: what each joint does to a body that it moves, shape (6, n), world axes: velocity
             of the body's point that is at the world's origin, then angular velocity. A point p
             of the body goes along a direction d at [d; p x d]' J_joints v.
@@ -89,6 +90,8 @@ class State:
         Args:
             iterations: Newton steps; one does for the drift of an integration step.
         """
+        if not len(self.e_loop):
+            return
         for _ in range(iterations):
             self.q -= self._through_loops(self.e_loop)
             self.update()
@@ -144,16 +147,12 @@ class State:
     @property
     def loop_position_error(self) -> float:
         """Largest distance between where two arms carry the object [m]."""
-        return max(
-            math.hypot(*self.loop_error[i : i + 3]) for i in range(0, len(self.loop_error), 6)
-        )
+        return max((math.hypot(*self.loop_error[i : i + 3]) for i in self._closed), default=0.0)
 
     @property
     def loop_orientation_error(self) -> float:
         """Largest angle between how two arms carry the object [rad]."""
-        return max(
-            math.hypot(*self.loop_error[i : i + 3]) for i in range(3, len(self.loop_error), 6)
-        )
+        return max((math.hypot(*self.loop_error[i + 3 : i + 6]) for i in self._closed), default=0.0)
 
     def _bind_frames(self) -> None:
         """Keep views into pinocchio's data, which stay valid, instead of asking each tick."""
@@ -184,10 +183,12 @@ class State:
     def _prepare_loop_rows(self) -> None:
         loops = self.chain.loops
         rank = min(loops.rank, len(loops.kept))
-        self._kept = np.array(loops.kept, int)
-        self._rows_chosen = loops.varying or len(loops.kept) < len(loops.names)
-        self.J_loop = np.zeros((rank, self.chain.n)) if self._rows_chosen else self.J_rel
-        self.e_loop = np.zeros(rank) if self._rows_chosen else self.loop_error
+        self._kept, self._closed = np.array(loops.kept, int), range(0, loops.closed, 6)
+        self.closed_error = self.loop_error[: loops.closed]
+        self.J_loop, self.e_loop = self.J_rel[: loops.closed], self.closed_error
+        self._rows_chosen = loops.varying or len(loops.kept) < loops.closed
+        if self._rows_chosen:
+            self.J_loop, self.e_loop = np.zeros((rank, self.chain.n)), np.zeros(rank)
 
     def _update_loop_rows(self) -> None:
         rows = self._kept

@@ -12,7 +12,9 @@ from coopqp.solver import Status
 from coopqp.state import State
 
 
-def state_from_trace(path: Path, controller: str, tick: int, law: QPLaw) -> State:
+def state_from_trace(
+    path: Path, controller: str, tick: int, law: QPLaw, t_start: float = 0.0
+) -> State:
     """The state that a tick of a written trace began with.
 
     Args:
@@ -20,6 +22,7 @@ def state_from_trace(path: Path, controller: str, tick: int, law: QPLaw) -> Stat
         controller: whose.
         tick: which.
         law: gives the joints.
+        t_start: when its phase began [s].
 
     Raises:
         CoopqpError: no such file, controller or tick.
@@ -37,7 +40,7 @@ def state_from_trace(path: Path, controller: str, tick: int, law: QPLaw) -> Stat
         for i, row in enumerate(csv.DictReader(stream)):
             role = wanted.get(i)
             if role == "now":
-                state.t = float(row["t"])
+                state.t = float(row["t"]) - t_start
                 state.q[:] = [float(row[f"q[{joint}]"]) for joint in joints]
             elif role == "before":
                 state.v[:] = [float(row[f"v[{joint}]"]) for joint in joints]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import metadata
 
-from coopqp.scenario import shipped
+from coopqp.scenario_loader import shipped
 
 
 def _installed(package: str) -> bool:

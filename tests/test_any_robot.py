@@ -24,7 +24,7 @@ from coopqp.held_object import HeldObject
 from coopqp.mobility_analysis import Mobility, mobility
 from coopqp.robot import RobotModel
 from coopqp.robots import ExampleRobot, Several, example_robot
-from coopqp.scenario import load, shipped
+from coopqp.scenario_loader import load, shipped
 from coopqp.state import State
 
 Array = NDArray[np.float64]

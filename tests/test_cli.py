@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from shipped_here import LOADABLE
 
 from coopqp.cli import main
-from coopqp.scenario import shipped
+from coopqp.scenario_loader import shipped
 
 
 def coopqp(*words: str | Path) -> Result:
@@ -97,7 +97,8 @@ def test_list_names_everything_with_help() -> None:
 
 def test_schema_is_a_json_schema() -> None:
     schema = json.loads(coopqp("schema").stdout)
-    assert schema["required"] == ["robot", "tasks", "duration"]
+    assert schema["required"] == ["robot"]
+    assert schema["anyOf"] == [{"required": ["tasks", "duration"]}, {"required": ["phases"]}]
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from coopqp.catalog import Catalog
 from coopqp.errors import CoopqpError, ScenarioError, UnknownNameError
-from coopqp.scenario import load, shipped, with_solver
 from coopqp.scenario_file import file_model
+from coopqp.scenario_loader import load, shipped, with_solver
 
 GOOD = shipped()["point_on_point"].read_text(encoding="utf-8")
 

@@ -23,7 +23,7 @@ from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import NaoT14, PlanarPair
-from coopqp.scenario import load, load_and_solve, shipped
+from coopqp.scenario_loader import load, load_and_solve, shipped
 from coopqp.spec import Pose
 from coopqp.start_solver import TRIES, StartSolution, solve_start, yaml_text
 from coopqp.state import State

@@ -12,6 +12,6 @@ class Reached(Metric):
     """Whether every task's error ended within its tolerance."""
 
     def measure(self, trace: Trace) -> bool:
-        """At the last instant."""
-        ends = zip(trace.task_error[-1], trace.tasks, strict=True)
+        """At the last instant for which each counts."""
+        ends = zip(trace.final_error, trace.tasks, strict=True)
         return all(bool(error <= task.tolerance) for error, task in ends)

@@ -1,4 +1,4 @@
-"""Each task's error at the end."""
+"""Each task's error at its end."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from coopqp.trace import Trace
 
 @spec
 class TaskError(Metric):
-    """Each task's error at the end."""
+    """Each task's error at its end."""
 
     unit: ClassVar[str] = "the task's own"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """By task name."""
-        ends = zip(trace.tasks, trace.task_error[-1], strict=True)
+        ends = zip(trace.tasks, trace.final_error, strict=True)
         return {task.name: float(error) for task, error in ends}

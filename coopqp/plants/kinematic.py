@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
@@ -32,6 +33,13 @@ class KinematicModel(PlantModel):
         np.add(state.q, self._step, state.q)
         state.v[:] = command.v
         state.t += float(self._dt)
+
+    def configuration(self, state: State) -> NDArray[np.float64]:
+        """As told: the sensors are perfect."""
+        return state.q
+
+    def resume(self, before: PlantModel) -> None:
+        """Nothing: all that this plant knows is in the state."""
 
 
 @spec

@@ -61,10 +61,17 @@ class MujocoModel(DynamicModel):
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._object = self._model.body(OBJECT).id
         self._holds = [(f"end[{arm.name}]", self._model.site(f"end[{arm.name}]").id)
-                       for arm in chain.arms]  # fmt: skip
+                       for arm in chain.arms[: chain.holding]]  # fmt: skip
         self._data.qpos[self._q] = chain.q_start
         mujoco.mj_forward(self._model, self._data)
         self.signals["gap"] = np.zeros(1)
+
+    def take_hold(self, before: PlantModel) -> None:
+        """Everything moves on as it did; the welds stop hands that move otherwise."""
+        assert isinstance(before, MujocoModel)
+        # The same bodies and joints in the same order; only the welds are others.
+        self._data.qpos[:], self._data.qvel[:] = before._data.qpos, before._data.qvel
+        self._mujoco.mj_forward(self._model, self._data)
 
     def integrate(self) -> None:
         """One step of MuJoCo with the servos' torques."""
@@ -110,7 +117,7 @@ def mjcf(chain: ClosedChain, time_step: float, stiffness_time: float, object_mas
         children.setdefault(model.parents[joint], []).append(joint)
     ends: dict[int, list[str]] = {}
     welds = []
-    for arm, index in zip(chain.arms, chain.frames, strict=True):
+    for arm, index in zip(chain.arms[: chain.holding], chain.frames, strict=False):
         frame = model.frames[index]
         body = model.names[frame.parentJoint]
         ends.setdefault(frame.parentJoint, []).append(

@@ -39,10 +39,17 @@ class RigidBodyModel(DynamicModel):
         self._dynamics = ClosedLoopDynamics(
             chain, friction=settings.friction, mass_scale=disturbance.object_mass
         )
-        self._object = chain.frames[0]
         arms = len(chain.arms)
+        # The trace tells of the arms in the robot's order, whoever holds the object.
+        self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
         self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
         self.signals["internal_wrench"] = np.zeros(6 * arms)
+
+    def take_hold(self, before: PlantModel) -> None:
+        """Hands that take hold while they move stop without a bounce."""
+        true, dynamics = self.true, self._dynamics
+        dynamics.update(true.q, true.v)
+        true.v[:] = dynamics.impact(true.v)
 
     def integrate(self) -> None:
         """One step of the Runge-Kutta method, then back on the loops."""
@@ -66,9 +73,11 @@ class RigidBodyModel(DynamicModel):
         true, dynamics = self.true, self._dynamics
         a = self._acceleration(true.q, true.v, true.t)
         self.signals["cut_wrench"][:] = self._wrench
-        self.signals["internal_wrench"][:] = dynamics.object_wrenches(
-            a, self._wrench, self.disturbance.wrench(true.t)
-        ).internal.ravel()
+        self.signals["internal_wrench"][:] = (
+            dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
+            .internal[self._order]
+            .ravel()
+        )
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:

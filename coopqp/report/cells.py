@@ -8,6 +8,7 @@ from typing import Any
 
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.comparison import ROUNDING, Comparison
+from coopqp.scenario import Scenario
 from coopqp.trace import Trace
 
 
@@ -83,7 +84,8 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
     listed = [
         ("robot", scenario.robot_model.name),
         ("control period", f"{1e3 * scenario.dt:g} ms"),
-        ("duration", f"{scenario.duration:g} s"),
+        ("duration", f"{scenario.ticks * scenario.dt:g} s"),
+        *([("phases", _phases(scenario))] if scenario.phases else []),
         ("drift correction κ", f"{scenario.kappa:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", scenario.solver_name),
         ("limits of the QP", limits),
@@ -92,6 +94,13 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
     if dropped:
         listed.append(("redundant loop rows left out", ", ".join(dropped)))
     return listed
+
+
+def _phases(scenario: Scenario) -> str:
+    return ", ".join(
+        f"{phase.name} ({' and '.join(phase.released)} released)" if phase.released else phase.name
+        for phase in scenario.phases
+    )
 
 
 def plugin_name(plugin: object) -> str:
@@ -113,7 +122,7 @@ def number(value: float) -> str:
 
 def _task_error(trace: Trace) -> Cell:
     lines, missed = [], False
-    for task, error in zip(trace.tasks, trace.task_error[-1], strict=True):
+    for task, error in zip(trace.tasks, trace.final_error, strict=True):
         value, unit = length(float(error), task.unit)
         name = f"{task.name}: " if len(trace.tasks) > 1 else ""
         lines.append(f"{name}{number(value)}\N{NO-BREAK SPACE}{unit}")

@@ -146,17 +146,17 @@ def level(y: float, text: str = "", *, above: bool = True, log: bool = False) ->
     return {"shapes": [shape], "annotations": [label] if text else []}
 
 
-def upright(t: float, text: str) -> Json:
-    """A dotted line at an instant, with its name at the bottom."""
+def upright(t: float, text: str, *, after: bool = False) -> Json:
+    """A dotted line at an instant, with its name at the bottom, or after it at the top."""
     line = {"color": "#777", "width": 1, "dash": "dot"}
     shape = {"type": "line", "yref": "paper", "x0": t, "x1": t, "y0": 0, "y1": 1, "line": line}
     label = {
         "x": t,
-        "xanchor": "right",
+        "xanchor": "left" if after else "right",
         "yref": "paper",
-        "y": 0,
-        "yanchor": "bottom",
-        "text": text,
+        "y": 1 if after else 0,
+        "yanchor": "top" if after else "bottom",
+        "text": html.escape(text),
         "showarrow": False,
         "font": {"size": 10.5, "color": "#555"},
     }

@@ -23,6 +23,7 @@ FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad]
 MOST_SPEED = 3.0  # times the limit, beyond which speeds need a log scale
 ONE_TWO_FIVE = [m * 10.0**e for e in range(-1, 7) for m in (1, 2, 5)]  # ticks of log scales
+ALWAYS = slice(None)  # rows of a trace
 SMALL = 1e-3  # smallest share of the speed limit on a log scale
 
 
@@ -94,7 +95,7 @@ class Figures:
             title=f"Torque of {joint}",
             unit="N m",
             data=self._beyond_limits(shown, -limit, limit) + self._curves(lines),
-            layout=curves.layout(self._end, curves.linear(shown), *levels),
+            layout=self._layout(curves.linear(shown), *levels),
         )
 
     def _plain(self, title: str, unit: str, lines: dict[str, Array]) -> Figure:
@@ -105,7 +106,7 @@ class Figures:
             title=title,
             unit=unit,
             data=self._curves(lines),
-            layout=curves.layout(self._end, curves.linear(Window(1.1 * low, 1.1 * high))),
+            layout=self._layout(curves.linear(Window(1.1 * low, 1.1 * high))),
         )
 
     def others(self) -> list[Figure]:
@@ -117,12 +118,20 @@ class Figures:
     def _lines(self, of: Callable[[Trace], Array]) -> dict[str, Array]:
         return {name: of(self._traces[name]) for name in self._names}
 
-    def _curves(self, lines: dict[str, Array], *, steps: bool = False) -> list[Json]:
-        t = self._any.t
+    def _curves(
+        self, lines: dict[str, Array], *, steps: bool = False, rows: slice = ALWAYS
+    ) -> list[Json]:
+        t = self._any.t[rows]
         return [
             curves.curve(name, self._styles[name], t[: len(y)], y, steps=steps)
             for name, y in lines.items()
         ]
+
+    def _layout(self, axis: Json, *levels: Json) -> Json:
+        """Over the whole run, with a line where a phase begins."""
+        phases = self._any.phases
+        begins = [curves.upright(float(self._any.t[p.first]), p.name, after=True) for p in phases]
+        return curves.layout(self._end, axis, *begins, *levels)
 
     def _joint(self, i: int, unit: str) -> Figure:
         lower, upper = float(self._any.lower[i]), float(self._any.upper[i])
@@ -145,7 +154,7 @@ class Figures:
             title=self._any.joints[i],
             unit=unit if levels else f"{unit}, no limits",
             data=data,
-            layout=curves.layout(self._end, curves.linear(shown), *levels),
+            layout=self._layout(curves.linear(shown), *levels),
             notes=curves.off_chart(shown, lines, unit),
         )
 
@@ -183,10 +192,11 @@ class Figures:
         return self._log(
             f"Error of task '{task.name}'",
             unit,
-            self._lines(lambda trace: scale * trace.task_error[:, i]),
+            self._lines(lambda trace: scale * trace.task_error[task.rows, i]),
             (scale * task.tolerance, "counts as reached"),
             scale * FLOOR,
             end,
+            task.rows,
         )
 
     def _loop_position(self) -> Figure:
@@ -215,6 +225,7 @@ class Figures:
         bound: tuple[float, str],
         floor: float,
         extra: Json | None = None,
+        rows: slice = ALWAYS,
     ) -> Figure:
         """Errors over time on a log scale, with the bound below which they are good."""
         lines = {name: np.maximum(y, floor) for name, y in lines.items()}
@@ -224,8 +235,8 @@ class Figures:
         return Figure(
             title=title,
             unit=f"{unit}, log scale",
-            data=self._curves(lines),
-            layout=curves.layout(self._end, curves.logarithmic(shown), *levels),
+            data=self._curves(lines, rows=rows),
+            layout=self._layout(curves.logarithmic(shown), *levels),
         )
 
     def _margin(self) -> Figure:
@@ -237,9 +248,7 @@ class Figures:
             title="Margin of the joint nearest to its limit",
             unit="rad, negative beyond the limit",
             data=self._beyond_limits(shown, 0.0, np.inf) + self._curves(lines),
-            layout=curves.layout(
-                self._end, curves.linear(shown), curves.level(0.0, "limit", above=False)
-            ),
+            layout=self._layout(curves.linear(shown), curves.level(0.0, "limit", above=False)),
             notes=curves.off_chart(shown, lines, "rad"),
         )
 
@@ -256,7 +265,7 @@ class Figures:
             title="Speed of the fastest joint",
             unit=f"share of its limit{', log scale' if log else ''}",
             data=self._beyond_limits(shown, -np.inf, 1.0) + self._curves(lines, steps=True),
-            layout=curves.layout(self._end, axis, curves.level(1.0, "speed limit", log=log)),
+            layout=self._layout(axis, curves.level(1.0, "speed limit", log=log)),
         )
 
     def _ticks(self) -> Figure:

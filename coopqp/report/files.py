@@ -131,6 +131,7 @@ def _header(joints: list[str], trace: Trace) -> list[str]:
         *("loop_position", "loop_orientation"),
         *(f"error[{task.name}]" for task in trace.tasks),
         *("status", "scale", "tick_us"),
+        *(["phase"] if trace.phases else []),
     ]
 
 
@@ -142,17 +143,36 @@ def _rows(name: str, trace: Trace, joints: list[str]) -> Iterator[list[Any]]:
             trace.rotation.reshape(-1, 9),
             trace.loop_position,
             trace.loop_orientation,
-            trace.task_error,
         ]
     ).tolist()
+    after = [[*row, *errors] for row, errors in zip(after, _errors(trace), strict=True)]
     q, v = _by_joint(trace.q, trace, joints), _by_joint(trace.v, trace, joints)
     tau = _by_joint(trace.signals.get("tau", np.zeros((trace.ticks, 0))), trace, joints)
     t, us, scale = trace.t.tolist(), trace.tick_us.tolist(), trace.scale.tolist()
+    phases = _phase_of_each_tick(trace)
     for k in range(trace.ticks):
-        flags = [trace.status[k], scale[k], us[k]]
+        flags = [trace.status[k], scale[k], us[k], *phases[k]]
         yield [name, k, t[k], *q[k], *v[k], *tau[k], *after[k], *flags]
     end, nothing = trace.ticks, [""] * (2 * len(joints))
-    yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", ""]
+    yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", "", *phases[end - 1]]
+
+
+def _errors(trace: Trace) -> list[list[Any]]:
+    """Task errors; empty in the phases that do not have the task."""
+    errors: list[list[Any]] = trace.task_error.tolist()
+    for i, task in enumerate(trace.tasks):
+        counts = set(range(len(errors))[task.rows])
+        for k, row in enumerate(errors):
+            row[i] = row[i] if k in counts else ""
+    return errors
+
+
+def _phase_of_each_tick(trace: Trace) -> list[list[str]]:
+    """Its name in a list, or an empty list where there are no phases."""
+    found: list[list[str]] = [[] for _ in range(trace.ticks)]
+    for phase in trace.phases:
+        found[phase.first :] = [[phase.name]] * (trace.ticks - phase.first)
+    return found
 
 
 def _by_joint(values: Array, trace: Trace, joints: list[str]) -> list[list[Any]]:

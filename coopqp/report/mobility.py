@@ -59,7 +59,7 @@ def study(scenario: Scenario, asked: Sequence[str] | None = None) -> Study:
     """
     chain = scenario.chain
     state = State(chain)
-    tasks = TaskStack(scenario.tasks, state)
+    tasks = TaskStack(scenario.schedule[0].tasks, state)
     tasks.update(state)
     rows = [
         (task.name, tasks.J[part].copy())

@@ -1,0 +1,145 @@
+"""What of a scenario can only be checked by building it: start, grasps, phases and tasks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.closed_chain import ClosedChain, arm_weights
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.phase import Phase
+from coopqp.robot import RobotModel
+from coopqp.scenario import Scenario, Start, arm_names, start_of
+from coopqp.state import State
+from coopqp.task import Task
+from coopqp.yaml_file import Location, YamlFile
+
+T = TypeVar("T")
+
+
+def placed_tasks(scenario: Scenario) -> Iterator[tuple[Location, Task, Phase]]:
+    """Every task with its place in the file; secondary ones count in the shortest phase."""
+    for i, phase in enumerate(scenario.schedule):
+        inside: Location = ["phases", i] if scenario.phases else []
+        for j, task in enumerate(phase.tasks):
+            yield [*inside, "tasks", j], task, phase
+    shortest = min(scenario.schedule, key=lambda phase: phase.duration)
+    for j, task in enumerate(scenario.secondary):
+        yield ["secondary", j], task, shortest
+
+
+def check_start(file: YamlFile, scenario: Scenario) -> None:
+    """Build what can fail and refuse a start outside the limits."""
+    key = "start" if "start" in file.data else "start_deg"
+    robot = built(file, ["robot"], lambda: scenario.robot_model)
+    of_robot, passive = built(file, [key], lambda: start_of(robot, scenario.start))
+    q = built(file, [key], lambda: robot.configuration(of_robot))
+    strangers = [name for name in scenario.weights or {} if name not in arm_names(robot)]
+    place = ["weights", *strangers[:1]]
+    built(file, place, lambda: arm_weights(robot, scenario.weights))
+    allowed = file.data.get("start_outside", False)
+    faults = _released(file, scenario)
+    if not allowed:
+        faults += [
+            Fault(file.place(location), message)
+            for location, message in outside_limits(robot, of_robot, q, key)
+        ]
+    if faults:
+        raise ScenarioError(faults)
+    try:
+        chain = scenario.chain
+    except CoopqpError as error:
+        name = error.name if isinstance(error, UnknownNameError) else ""
+        grasp = "grasps" if "grasps" in file.data else "grasp"
+        location: Location = [key, name] if name in passive else [grasp]
+        raise ScenarioError([Fault(file.place(location), str(error))]) from None
+    if not allowed:
+        _check_passive(file, chain, passive, key)
+    _check_tasks(file, scenario)
+
+
+def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
+    """Phases in which an arm lets go that does not exist, or all of them."""
+    arms, faults = arm_names(scenario.robot_model), []
+    for i, phase in enumerate(scenario.phases):
+        place = file.place(["phases", i, "released"])
+        strangers = [name for name in phase.released if name not in arms]
+        faults += [Fault(place, unknown_name("arm", name, arms)) for name in strangers]
+        if arms.issubset(phase.released):
+            faults.append(Fault(place, "no arm is left that holds the object; keep at least one"))
+    return faults
+
+
+def _check_tasks(file: YamlFile, scenario: Scenario) -> None:
+    """Bind every task, phase by phase, so that names and sizes that do not fit show their line.
+
+    The later phases are tried where the first begins: nobody knows yet where the motion leads.
+    """
+    problems = scenario.problems(lambda _: scenario.chain.q_start)
+    phases = zip(scenario.schedule, problems, strict=True)
+    starts, faults = {phase.name: State(problem.chain) for phase, problem in phases}, []
+    for place, task, phase in placed_tasks(scenario):
+        try:
+            task.bind(starts[phase.name])
+        except CoopqpError as error:
+            faults.append(Fault(file.place(place), str(error)))
+    if faults:
+        raise ScenarioError(faults)
+
+
+def _check_passive(
+    file: YamlFile, chain: ClosedChain, passive: Mapping[str, float], key: str
+) -> None:
+    faults = []
+    for name in passive:
+        i = chain.joint_names.index(name)
+        value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
+        if not low <= value <= high:
+            words = _outside(name, value, low, high, in_degrees=key.endswith("deg"))
+            faults.append(Fault(file.place([key, name]), words))
+    if faults:
+        raise ScenarioError(faults)
+
+
+def outside_limits(
+    robot: RobotModel, start: Start, q: NDArray[np.float64], key: str
+) -> list[tuple[Location, str]]:
+    """Where a start leaves the position limits, and by how much."""
+    faults: list[tuple[Location, str]] = []
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    for joint, value, low, high in zip(robot.joint_names, q, lower, upper, strict=True):
+        if low <= value <= high:
+            continue
+        location: list[str | int] = [key, joint]
+        for arm, joints in arms.items():
+            if arm in start and joint in joints and joint not in start:
+                location = [key, arm, joints.index(joint)]
+        faults.append((location, _outside(joint, value, low, high, in_degrees=key.endswith("deg"))))
+    return faults
+
+
+def _outside(joint: str, value: float, low: float, high: float, *, in_degrees: bool) -> str:
+    scale, unit = (math.degrees(1.0), "degrees") if in_degrees else (1.0, "rad")
+    return (
+        f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
+        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
+    )
+
+
+def built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
+    """What a function builds; its error gets a place in the file.
+
+    Raises:
+        ScenarioError: with one fault.
+    """
+    try:
+        return build()
+    except ScenarioError:
+        raise
+    except CoopqpError as error:
+        raise ScenarioError([Fault(file.place(location), str(error))]) from None

@@ -1,0 +1,248 @@
+"""From a scenario file to a scenario, or to all that is wrong with the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from coopqp.catalog import Catalog
+from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.grasp import Grasp
+from coopqp.grasps import Rigid
+from coopqp.phase import Phase
+from coopqp.scenario import Scenario, Start
+from coopqp.scenario_check import built, check_start, placed_tasks
+from coopqp.scenario_file import SOLVE, check, chosen, file_model
+from coopqp.solver import Solver
+from coopqp.solvers import qpsolvers
+from coopqp.start_solver import Progress, StartSolution, solve_start
+from coopqp.task import Task
+from coopqp.yaml_file import Location, YamlFile, read_yaml
+
+
+def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
+    """Read and check a scenario file; ``start: solve`` is solved.
+
+    Args:
+        path: of a YAML file, or the name of a shipped scenario.
+        catalog: what it can name; the shipped plug-ins when omitted.
+
+    Raises:
+        ScenarioError: with every fault, its line and its likely fix.
+    """
+    file = read_yaml(find(path))
+    read = check(file, file_model(catalog or Catalog()))
+    scenario = _Reader(file, read).scenario()
+    if file.data.get("start") == SOLVE:
+        scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
+    check_start(file, scenario)
+    return scenario
+
+
+def load_and_solve(
+    path: str | Path,
+    catalog: Catalog | None = None,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> StartSolution:
+    """Solve for a start of a scenario file, whatever start it has.
+
+    Args:
+        path: of a YAML file, or the name of a shipped scenario.
+        catalog: what it can name; the shipped plug-ins when omitted.
+        seed: of the random configurations; the scenario's when omitted.
+        progress: called after each try.
+
+    Raises:
+        ScenarioError: with every fault, its line and its likely fix.
+    """
+    file = read_yaml(find(path))
+    read = check(file, file_model(catalog or Catalog()))
+    scenario = _Reader(file, read, needs_start=False).scenario()
+    return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
+
+
+def _solved(
+    file: YamlFile, scenario: Scenario, seed: int, progress: Progress | None
+) -> StartSolution:
+    robot = built(file, ["robot"], lambda: scenario.robot_model)
+    return built(
+        file,
+        ["start"],
+        lambda: solve_start(robot, scenario.grasps, scenario.held, seed=seed, progress=progress),
+    )
+
+
+def shipped() -> dict[str, Path]:
+    """The scenarios that come with coopqp, by name."""
+    folder = Path(__file__).parent / "scenarios"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find(path: str | Path) -> Path:
+    """The file behind a path or the name of a shipped scenario."""
+    given = Path(path)
+    return given if given.exists() else shipped().get(str(path), given)
+
+
+def with_solver(scenario: Scenario, name: str, catalog: Catalog) -> Scenario:
+    """The scenario with another QP solver.
+
+    Args:
+        scenario: as read.
+        name: a solver of the catalogue, or an installed backend of qpsolvers.
+        catalog: what can be named.
+
+    Raises:
+        UnknownNameError: no such solver; names the nearest.
+    """
+    return replace(scenario, solver=solver_by_name(name, catalog), solver_name=name)
+
+
+def solver_by_name(name: str, catalog: Catalog) -> Solver:
+    """A solver of the catalogue, or an installed backend of qpsolvers.
+
+    Raises:
+        UnknownNameError: no such solver; names the nearest.
+    """
+    entries = catalog.entries("solvers")
+    if name not in solver_names(catalog):
+        raise UnknownNameError("solver", name, solver_names(catalog))
+    chosen = entries[name].cls() if name in entries else qpsolvers.Qpsolvers(backend=name)
+    assert isinstance(chosen, Solver)  # what the catalogue holds there
+    return chosen
+
+
+def solver_names(catalog: Catalog) -> tuple[str, ...]:
+    """Every solver that can be named here."""
+    return tuple(sorted({*catalog.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"}))
+
+
+class _Reader:
+    """From the checked file to the scenario; collects the faults that only show together."""
+
+    def __init__(self, file: YamlFile, read: BaseModel, *, needs_start: bool = True) -> None:
+        self._file, self._read, self._needs_start = file, read, needs_start
+        self._faults: list[Fault] = []
+
+    def scenario(self) -> Scenario:
+        """The scenario, or all that is wrong with it."""
+        read: Any = self._read
+        solver_name, solver = chosen(read.solver)
+        scenario = Scenario(
+            name=self._file.path.stem,
+            description=read.description,
+            robot=chosen(read.robot)[1],
+            grasps=self._grasps(),
+            grasp_of={name: chosen(slot)[1] for name, slot in read.grasp_of.items()},
+            held=read.object,
+            weights=read.weights,
+            start=self._start(),
+            tasks=self._named("tasks", read.tasks or ()),
+            phases=self._phases(),
+            secondary=self._named("secondary", read.secondary),
+            limits=tuple(chosen(slot)[1] for slot in read.limits),
+            controllers={c.name: c for c in self._named("controllers", read.controllers)},
+            plant=chosen(read.plant)[1],
+            disturbance=read.disturbance,
+            solver=solver,
+            solver_name=getattr(solver, "backend", solver_name),
+            budget=read.budget,
+            dt=read.dt,
+            duration=read.duration or 0.0,
+            kappa=read.kappa,
+            seed=read.seed,
+            on_infeasible=read.on_infeasible,
+            source=self._file.path.read_text(encoding="utf-8"),
+        )
+        self._check_times(scenario)
+        for name in scenario.grasp_of:
+            if name not in scenario.controllers:
+                self._fault(
+                    ["grasp_of", name], unknown_name("controller", name, scenario.controllers)
+                )
+        if not scenario.disturbance.none and not scenario.plant.takes_torques:
+            self._fault(["disturbance"], "has no effect on this plant; use one with masses")
+        if self._faults:
+            raise ScenarioError(self._faults)
+        return scenario
+
+    def _fault(self, location: Location, message: str) -> None:
+        self._faults.append(Fault(self._file.place(location), message))
+
+    def _grasps(self) -> Grasp | dict[str, Grasp]:
+        read: Any = self._read
+        if read.grasp and read.grasps:
+            self._fault(["grasps"], "give grasp (all arms) or grasps (by arm), not both")
+        if read.grasps:
+            return {arm: chosen(slot)[1] for arm, slot in read.grasps.items()}
+        return chosen(read.grasp)[1] if read.grasp else Rigid()
+
+    def _start(self) -> Start:
+        read: Any = self._read
+        both = read.start is not None and read.start_deg is not None
+        if both or (self._needs_start and read.start is None and read.start_deg is None):
+            place = [] if read.start is None else ["start_deg"]
+            self._fault(place, "give one of start (radians) and start_deg (degrees)")
+        if read.start_deg is None:
+            return read.start or {}
+        return {key: np.radians(value).tolist() for key, value in read.start_deg.items()}
+
+    def _named(self, key: str, slots: Sequence[BaseModel], *inside: str | int) -> tuple[Any, ...]:
+        """The plug-ins of a list, each with a name of its own."""
+        named: list[Any] = []
+        for i, slot in enumerate(slots):
+            name, plugin = chosen(slot)
+            plugin = plugin if plugin.name else replace(plugin, name=name)
+            if plugin.name in (other.name for other in named):
+                self._fault(
+                    [*inside, key, i],
+                    f"the name '{plugin.name}' is taken; add 'name:' to tell them apart",
+                )
+            named.append(plugin)
+        return tuple(named)
+
+    def _phases(self) -> tuple[Phase, ...]:
+        read: Any = self._read
+        phases: list[Phase] = []
+        for i, found in enumerate(read.phases or ()):
+            if found.name in (other.name for other in phases):
+                self._fault(["phases", i, "name"], f"the name '{found.name}' is taken")
+            tasks = self._named("tasks", found.tasks, "phases", i)
+            phases.append(
+                Phase(
+                    name=found.name,
+                    tasks=tasks,
+                    duration=found.duration,
+                    released=tuple(found.released),
+                )
+            )
+        return tuple(phases)
+
+    def _check_times(self, scenario: Scenario) -> None:
+        shortest = min(phase.duration for phase in scenario.schedule)
+        if scenario.dt > shortest:
+            self._fault(["dt"], f"found {scenario.dt} s; needs at most the duration")
+        top = 1.0 / scenario.dt * (1.0 + 1e-9)
+        if scenario.kappa > top:
+            self._fault(["kappa"], f"found {scenario.kappa}; needs at most 1/dt = {top:g} 1/s")
+        for place, task, phase in placed_tasks(scenario):
+            self._check_task(place, task, phase.duration, top)
+
+    def _check_task(self, place: Location, task: Task, duration: float, top: float) -> None:
+        if task.gain > top:
+            self._fault(place, f"gain {task.gain} 1/s overshoots; needs at most 1/dt = {top:g} 1/s")
+        if task.end > duration + 1e-9:
+            self._fault(
+                place,
+                f"the reference of '{task.name}' arrives at {task.end:g} s, after the end at "
+                f"{duration:g} s; make it shorter or the duration longer",
+            )
+        if place[0] == "secondary" and not task.joint_space:
+            self._fault(place, f"'{task.name}' steers the object; put it under tasks")
