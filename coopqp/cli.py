@@ -100,12 +100,14 @@ def run(
 @main.command()
 @SCENARIO
 @click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
+@click.option("--phase", help="Which phase of the scenario; the first if omitted.")
 @click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
 @TASKS
 @JSON
 def mobility(
     scenario: str,
     actuated: str | None,
+    phase: str | None,
     page: Path | None,
     task_folders: tuple[Path, ...],
     as_json: bool,
@@ -115,7 +117,7 @@ def mobility(
     from coopqp.report import mobility as report
 
     asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
-    study = report.study(_load(scenario, task_folders, None), asked)
+    study = report.study(_load(scenario, task_folders, None), asked, phase=phase)
     if page:
         files.write_one(page, report.page(study))
     if as_json:

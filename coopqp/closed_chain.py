@@ -270,9 +270,9 @@ class ClosedChain:
         return np.array(jacobians)
 
     def loop_jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """J_c of eq. (14) with all its rows, shape (6 L, n), world axes."""
-        J = self.object_jacobians(q)
-        return np.vstack([J_i - J[0] for J_i in J[1:]])
+        """J_c of eq. (14) with all rows of the closed loops, shape (6 L, n), world axes."""
+        J = self.object_jacobians(q)[: self.holding]
+        return (J[1:] - J[0]).reshape(-1, self.n)
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Random configurations inside the limits, loops not closed, shape (count, n)."""
@@ -393,7 +393,7 @@ class ClosedChain:
         if not closed:
             return LoopRows(names=names, closed=0, kept=(), rank=0)
         configurations = self.sample(np.random.default_rng(0), 8)
-        jacobians = [self.loop_jacobian(q)[:closed] for q in configurations]
+        jacobians = [self.loop_jacobian(q) for q in configurations]
         # A row that is a fixed combination of others is so in all configurations side by side.
         kept = independent_rows(np.hstack(jacobians))
         rank = max(matrix_rank(J) for J in jacobians)
@@ -417,6 +417,8 @@ def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> li
 
 def matrix_rank(matrix: NDArray[np.float64]) -> int:
     """Rank with the tolerance used everywhere in coopqp."""
+    if not matrix.size:
+        return 0
     return int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
 
 

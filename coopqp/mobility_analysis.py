@@ -238,7 +238,7 @@ def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
 
 def _pose(chain: ClosedChain, q: Array) -> _Pose:
     J_arms = chain.object_jacobians(q)
-    J_c = np.vstack([J - J_arms[0] for J in J_arms[1:]])
+    J_c = (J_arms[1 : chain.holding] - J_arms[0]).reshape(-1, chain.n)
     J_o = np.tensordot(chain.alpha, J_arms, axes=1)
     return _Pose(J_c, J_o, null_space(J_c, 1e-8))
 
@@ -331,7 +331,7 @@ def _rate(
     """Condition of the block that each choice leaves to be inverted."""
     if not choices:
         return []
-    others = np.array([[i for i in range(chain.n) if i not in choice] for choice in choices])
+    others = np.array([[i for i in range(chain.n) if i not in c] for c in choices], np.intp)
     by_pose = np.array([_conditions(pose, others) for pose in poses])
     at_start = _conditions(start, others)
     rated = []
@@ -351,6 +351,8 @@ def _rate(
 
 def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
     """Condition numbers of J_c's columns for each set of dependent joints; inf when deficient."""
+    if not others.shape[1]:
+        return np.ones(len(others))  # every joint is free, nothing is inverted
     blocks = np.moveaxis(pose.J_c[:, others], 1, 0)
     values = np.linalg.svd(blocks, compute_uv=False)[:, : others.shape[1]]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -26,6 +26,7 @@ from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.report import files
+from coopqp.report.mobility import study
 from coopqp.robot import RobotModel
 from coopqp.scenario import Scenario
 from coopqp.scenario_loader import load
@@ -286,6 +287,17 @@ def test_every_law_runs_through_the_phases(tmp_path: Path) -> None:
     for name, trace in comparison.traces.items():
         assert np.isfinite(trace.q).all(), name
         assert comparison.metrics[name]["reached"], name
+
+
+def test_mobility_is_that_of_the_phase(tmp_path: Path) -> None:
+    made = scenario(tmp_path)
+    found = {name: study(made, phase=name).mobility for name in ("carry", "alone", "again")}
+    assert [(m.rank, m.freedom) for m in found.values()] == [(6, 4), (0, 10), (6, 4)]
+    # NAO's arm of five joints leaves the object five motions when it holds it alone.
+    assert [m.object_freedom for m in found.values()] == [4, 5, 4]
+    assert [m.tasks_rank for m in found.values()] == [3, 3, 3]
+    with pytest.raises(UnknownNameError, match="unknown phase 'aloan'; did you mean 'alone'"):
+        study(made, phase="aloan")
 
 
 # Plants with masses

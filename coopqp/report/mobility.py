@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -20,6 +21,7 @@ from rich.text import Text
 
 from coopqp import __version__
 from coopqp.comparison import run
+from coopqp.errors import UnknownNameError
 from coopqp.mobility_analysis import Mobility, Scheme, manipulability, mobility
 from coopqp.scenario import Scenario
 from coopqp.state import State
@@ -36,30 +38,48 @@ class Study:
 
     Attributes:
         scenario: what was analysed.
+        phase: name of the phase, if the scenario has phases.
         mobility: at generic poses and at the start.
         t: shape (K,) [s].
         manipulability: of the tasks along the run of the scenario's first controller, shape (K,).
     """
 
     scenario: Scenario
+    phase: str
     mobility: Mobility
     t: NDArray[np.float64]
     manipulability: NDArray[np.float64]
 
+    @property
+    def name(self) -> str:
+        """Of the scenario, and of the phase."""
+        return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
-def study(scenario: Scenario, asked: Sequence[str] | None = None) -> Study:
+
+def study(
+    scenario: Scenario, asked: Sequence[str] | None = None, *, phase: str | None = None
+) -> Study:
     """Analyse a scenario.
 
     Args:
         scenario: from :func:`coopqp.load`.
         asked: names of the joints of an actuation scheme, or q1, q2 ... by their order.
+        phase: name of the phase; the first if omitted.
 
     Raises:
-        CoopqpError: ``asked`` is no scheme, or the scenario cannot be built.
+        CoopqpError: ``asked`` is no scheme, there is no such phase, or the scenario cannot be
+            built.
     """
-    chain = scenario.chain
+    phases = [p.name for p in scenario.phases] or [""]
+    if phase is not None and phase not in phases:
+        raise UnknownNameError("phase", phase, phases)
+    number = phases.index(phase) if phase else 0
+    trace = run(scenario, controller=next(iter(scenario.controllers)))
+    # Where its first controller is when the phase begins.
+    problem = list(islice(scenario.problems(lambda first: trace.q[first]), number + 1))[-1]
+    chain = problem.chain
     state = State(chain)
-    tasks = TaskStack(scenario.schedule[0].tasks, state)
+    tasks = TaskStack(problem.tasks, state)
     tasks.update(state)
     rows = [
         (task.name, tasks.J[part].copy())
@@ -69,23 +89,25 @@ def study(scenario: Scenario, asked: Sequence[str] | None = None) -> Study:
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = [joints.get(name, name) for name in asked] if asked is not None else None
     found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
-    t, measure = _along(scenario, tasks, state)
-    return Study(scenario, found, t, measure)
+    first = scenario.first_ticks[number]
+    last = first + scenario.schedule[number].ticks(scenario.dt)
+    every = max(1, (last - first) // MOST_POINTS)
+    kept = slice(first, last + 1, every)
+    measure = _along(trace.t[kept] - trace.t[first], trace.q[kept], tasks, state)
+    return Study(scenario, phases[number], found, trace.t[kept], measure)
 
 
 def _along(
-    scenario: Scenario, tasks: TaskStack, state: State
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Manipulability along the run of the first controller."""
-    trace = run(scenario, controller=next(iter(scenario.controllers)))
-    every = max(1, len(trace.t) // MOST_POINTS)
+    times: NDArray[np.float64], path: NDArray[np.float64], tasks: TaskStack, state: State
+) -> NDArray[np.float64]:
+    """Manipulability along a path."""
     measure = []
-    for t, q in zip(trace.t[::every], trace.q[::every], strict=True):
+    for t, q in zip(times, path, strict=True):
         state.t, state.q[:] = float(t), q
         state.update()
         tasks.update(state)
-        measure.append(manipulability(scenario.chain, q, tasks.J))
-    return trace.t[::every], np.array(measure)
+        measure.append(manipulability(state.chain, q, tasks.J))
+    return np.array(measure)
 
 
 def as_json(result: Study) -> dict[str, Any]:
@@ -96,6 +118,7 @@ def as_json(result: Study) -> dict[str, Any]:
     data["uncontrolled"] = [_screw_json(s) for s in m.uncontrolled]
     data |= {
         "scenario": result.scenario.name,
+        "phase": result.phase,
         "verdict": m.verdict(),
         "inadmissible": m.inadmissible,
         "inadmissible_start": m.inadmissible_start,
@@ -157,7 +180,7 @@ def _conditions(s: Scheme) -> tuple[str, str]:
 
 def tables(result: Study) -> list[Table]:
     """For the terminal."""
-    first = Table(title=Text(f"mobility of {result.scenario.name}"), title_justify="left")
+    first = Table(title=Text(f"mobility of {result.name}"), title_justify="left")
     for heading in ("", "generic poses", "at the start"):
         first.add_column(heading)
     for row in rows(result):
@@ -191,7 +214,7 @@ def page(result: Study) -> str:
     template = (HERE / "mobility.html").read_text(encoding="utf-8")
     return Template(template).substitute(
         css=(HERE / "page.css").read_text(encoding="utf-8"),
-        title=html.escape(result.scenario.name),
+        title=html.escape(result.name),
         version=__version__,
         description=html.escape(result.scenario.description),
         verdict=html.escape(result.mobility.verdict()),
