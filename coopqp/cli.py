@@ -312,6 +312,8 @@ def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
 
     catalog = Catalog(task_folders)
     loaded = load(name, catalog)
+    for line in loaded.robot_model.warnings:
+        click.echo(f"warning: {line}", err=True)
     return with_solver(loaded, solver, catalog) if solver else loaded
 
 

@@ -251,6 +251,12 @@ class ClosedChain:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
 
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
+        kinds = (joint.shortname() for joint in itertools.islice(self.model.joints, 1, None))
+        return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+
     def object_jacobians(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
 
@@ -272,7 +278,8 @@ class ClosedChain:
     def loop_jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """J_c of eq. (14) with all rows of the closed loops, shape (6 L, n), world axes."""
         J = self.object_jacobians(q)[: self.holding]
-        return (J[1:] - J[0]).reshape(-1, self.n)
+        rows: NDArray[np.float64] = (J[1:] - J[0]).reshape(-1, self.n)
+        return rows
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Random configurations inside the limits, loops not closed, shape (count, n)."""

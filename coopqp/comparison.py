@@ -191,7 +191,8 @@ def _limits(trace: Trace) -> str:
     worst = int(beyond.argmax())
     if beyond[worst] <= ROUNDING:
         return "keeps every joint inside its limits"
-    return f"drives {trace.joints[worst]} {_round(beyond[worst])} rad beyond its limit"
+    far = f"{_round(beyond[worst])} {trace.units[worst]}"
+    return f"drives {trace.joints[worst]} {far} beyond its limit"
 
 
 def _speed(trace: Trace) -> str:

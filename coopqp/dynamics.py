@@ -402,8 +402,8 @@ def _check_released(chain: ClosedChain) -> None:
     for arm in chain.arms[chain.holding :]:
         if chain.grasps[arm.name].passive_joints(np.eye(3)):
             raise GraspError(
-                f"arm {arm.name}, when it lets go, would leave the joints of its passive grasp swinging "
-                "without mass; use plant: kinematic, or a rigid grasp"
+                f"arm {arm.name}, when it lets go, would leave the joints of its passive grasp "
+                "swinging without mass; use plant: kinematic, or a rigid grasp"
             )
 
 

@@ -141,6 +141,7 @@ class _Recorder:
             dt=problem.dt,
             kappa=problem.kappa,
             joints=chain.joint_names,
+            units=chain.joint_units,
             lower=chain.lower,
             upper=chain.upper,
             velocity=chain.velocity,

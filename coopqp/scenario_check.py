@@ -59,7 +59,9 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         raise ScenarioError([Fault(file.place(location), str(error))]) from None
     if not allowed:
         _check_passive(file, chain, passive, key)
-    _check_tasks(file, scenario)
+    faults = [*_unbound_tasks(file, scenario), *_unbound_limits(file, scenario)]
+    if faults:
+        raise ScenarioError(faults)
 
 
 def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
@@ -74,8 +76,8 @@ def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
     return faults
 
 
-def _check_tasks(file: YamlFile, scenario: Scenario) -> None:
-    """Bind every task, phase by phase, so that names and sizes that do not fit show their line.
+def _unbound_tasks(file: YamlFile, scenario: Scenario) -> list[Fault]:
+    """Tasks that name what is not there, or have a wrong size; each is bound in its phase.
 
     The later phases are tried where the first begins: nobody knows yet where the motion leads.
     """
@@ -87,8 +89,24 @@ def _check_tasks(file: YamlFile, scenario: Scenario) -> None:
             task.bind(starts[phase.name])
         except CoopqpError as error:
             faults.append(Fault(file.place(place), str(error)))
-    if faults:
-        raise ScenarioError(faults)
+    return faults
+
+
+def _unbound_limits(file: YamlFile, scenario: Scenario) -> list[Fault]:
+    """Limits that name what is not there, and rows of two limits with one name."""
+    chain, taken, faults = scenario.chain, set[str](), []
+    for i, limit in enumerate(scenario.limits):
+        try:
+            rows = set(limit.rows(chain))
+            limit.bind(chain, scenario.dt)
+        except CoopqpError as error:
+            faults.append(Fault(file.place(["limits", i]), str(error)))
+            continue
+        if twice := sorted(rows & taken):
+            words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
+            faults.append(Fault(file.place(["limits", i]), words))
+        taken |= rows
+    return faults
 
 
 def _check_passive(

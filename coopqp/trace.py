@@ -64,7 +64,7 @@ class Trace:
         controller: its name.
         solver: name of its QP solver; None for laws without one.
         dt: control period [s]. kappa: gain of the drift correction [1/s].
-        joints: names, shape (n,).
+        joints: names, shape (n,). units: of their coordinates, "rad" or "m".
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
@@ -93,6 +93,7 @@ class Trace:
     dt: float
     kappa: float
     joints: tuple[str, ...]
+    units: tuple[str, ...]
     lower: Array
     upper: Array
     velocity: Array

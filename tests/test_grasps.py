@@ -93,3 +93,11 @@ def test_a_passive_joint_has_no_motor() -> None:
 def test_a_ball_needs_a_cone_below_a_quarter_turn() -> None:
     with pytest.raises(ValueError, match="quarter turn"):
         Spherical(cone=1.6)
+
+
+def test_coordinates_that_slide_are_metres() -> None:
+    chain = held(Prismatic()).chain
+    units = dict(zip(chain.joint_names, chain.joint_units, strict=True))
+    sliding = {chain.joint_names[i] for i in chain.passive}
+    assert {name for name, unit in units.items() if unit == "m"} == sliding
+    assert set(units.values()) == {"m", "rad"}

@@ -44,6 +44,12 @@ FAULTS = [
         "the grasp does not close at the start: the grasp of arm 'left' puts the object",
     ),
     ("grasp: rigid", "grasps: {right: rigid}", "no grasp for arm left"),
+    ("tasks:", "tasks:\n  - posture: {goal: {rihgt: [1, 2]}}", "tasks[0]: posture.goal: unknown arm"),
+    ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0]}}, "
+     "{workspace: {normal: [0, 1, 0], through: [0, -1, 0]}}]", "limits[1]: another limit has a row "
+     "'workspace.object[0]' too; add 'name:'"),
+    ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0], "
+     "frames: [RHnd]}}]", "limits[0]: workspace: unknown frame 'RHnd'; did you mean 'RHand'"),
     ("start: ", "start_deg: {right: [0, 0, 0, 20, 0]}\nstart: ", "give one of start (radians)"),
 ]  # fmt: skip
 

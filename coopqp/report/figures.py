@@ -47,7 +47,7 @@ class Figures:
     def joints(self) -> list[Figure]:
         """One a joint; two arms of equal build side by side."""
         chain = self._chain
-        return [self._joint(i, joint_unit(chain, self._any.joints[i])) for i in joint_order(chain)]
+        return [self._joint(i, self._any.units[i]) for i in joint_order(chain)]
 
     @property
     def _chain(self) -> ClosedChain:
@@ -344,9 +344,3 @@ def joint_order(chain: ClosedChain) -> list[int]:
         found = list(joined(*arms))
     # A joint that carries both arms is on both lists; one that carries none is on no list.
     return list(dict.fromkeys([*found, *range(chain.n)]))
-
-
-def joint_unit(chain: ClosedChain, name: str) -> str:
-    """The unit of a joint's coordinate: metres where it slides."""
-    kind = chain.model.joints[chain.model.getJointId(name)].shortname()
-    return "m" if kind.startswith("JointModelP") else "rad"

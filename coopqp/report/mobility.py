@@ -79,12 +79,11 @@ def study(
     problem = list(islice(scenario.problems(lambda first: trace.q[first]), number + 1))[-1]
     chain = problem.chain
     state = State(chain)
-    tasks = TaskStack(problem.tasks, state)
+    tasks = TaskStack([task for task in problem.tasks if not task.joint_space], state)
     tasks.update(state)
     rows = [
         (task.name, tasks.J[part].copy())
         for task, part in zip(tasks.tasks, tasks.slices, strict=True)
-        if not task.joint_space
     ]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = [joints.get(name, name) for name in asked] if asked is not None else None
