@@ -66,6 +66,7 @@ def rollout(
         plant.step(state, command)
         if command.tau is not None:
             recorder.v[k] = state.v
+        recorder.record_velocities(k, state.v)
         recorder.record_signals(k, plant)
         if progress and k % PROGRESS_EVERY == 0:
             progress(k)
@@ -89,6 +90,8 @@ class _Recorder:
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
         self._parts = _parts(problem.tasks, problem.chain)
+        asking = [task for task in problem.tasks for _ in task.parts(problem.chain)]
+        self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error = np.zeros((rows, len(self._parts)))
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
@@ -107,7 +110,15 @@ class _Recorder:
         self.loop[k] = state.loop_position_error, state.loop_orientation_error
         self._tasks.update(state)
         for i, (_, part) in enumerate(self._parts):
-            self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
+            if i not in self._velocities:
+                self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
+
+    def record_velocities(self, k: int, v: Array) -> None:
+        """How far tick k missed the velocities that tasks ask for."""
+        for i in self._velocities:
+            part = self._parts[i][1]
+            missed = self._tasks.J[part].dot(v) - self._tasks.rate[part]
+            self.task_error[k + 1, i] = np.linalg.norm(missed)
 
     def record_signals(self, k: int, plant: PlantModel) -> None:
         """Keep what the plant tells after tick k."""

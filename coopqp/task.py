@@ -70,6 +70,8 @@ class Task:
     """Unit of the error."""
     joint_space: ClassVar[bool] = False
     """Whether J is the identity (rows = joints), so that the task can be a secondary objective."""
+    asks_velocity: ClassVar[bool] = False
+    """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 
     name: str = ""
     """Your name for it in tables and messages; its type's name if omitted."""

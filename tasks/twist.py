@@ -4,13 +4,13 @@
 
 J_O is the Jacobian of a point of the object, (v; omega), in the world's or the object's own axes.
 The share s grows from 0 to 1 with the profile, so that the object sets off without a jerk. There is
-no position to come back to, so the error is zero and the gain without effect.
+no position to come back to, so e is zero and the gain without effect; reports show J v - rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +30,9 @@ Command = Callable[[float], Sequence[float]]
 class Twist(Task):
     """The object moves at a velocity (a row for each component given); for teleoperation."""
 
+    unit: ClassVar[str] = "m/s"
+    asks_velocity: ClassVar[bool] = True
+
     velocity: Annotated[dict[Axis, float], Field(min_length=1)]
     """Of some of x, y, z, rot_x, rot_y, rot_z [m/s, rad/s]; zero holds still, left out is free."""
     point: Vector3 = (0.0, 0.0, 0.0)
@@ -41,7 +44,7 @@ class Twist(Task):
     command: SkipJsonSchema[Command | None] = None
     """In Python: time [s] to the components of ``velocity``, in their order here, instead of it."""
     tolerance_angle: Positive = 5e-3
-    """Without effect: the error is zero [rad]."""
+    """Error of the angular velocity at the end that still counts as reached [rad/s]."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The components given, translation first."""
@@ -51,8 +54,8 @@ class Twist(Task):
         """Translation and rotation, as far as given."""
         turns = sum(axis.startswith("rot") for axis in self.velocity)
         parts = (
-            Part("position", len(self.velocity) - turns, "m", self.tolerance),
-            Part("orientation", turns, "rad", self.tolerance_angle),
+            Part("velocity", len(self.velocity) - turns, "m/s", self.tolerance),
+            Part("angular velocity", turns, "rad/s", self.tolerance_angle),
         )
         return tuple(part for part in parts if part.rows)
 

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -21,6 +22,7 @@ from ruamel.yaml import YAML
 import coopqp.tasks
 from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
+from coopqp.comparison import run
 from coopqp.errors import CoopqpError
 from coopqp.geometry import Turn, axes_along
 from coopqp.grasp import Grasp, PassiveJoint
@@ -30,6 +32,7 @@ from coopqp.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario_file import chosen, one_of
+from coopqp.scenario_loader import load
 from coopqp.spec import Pose as PoseValue
 from coopqp.spec import spec
 from coopqp.state import State
@@ -646,6 +649,19 @@ def test_twist_can_be_commanded_from_python(chain: ClosedChain) -> None:
 
 
 @pytest.mark.parametrize("velocity", [{}, {"roll": 1.0}, {"x": math.nan}])
+@pytest.mark.parametrize(("duration", "reached"), [(0.5, True), (6.0, False)])
+def test_twist_is_missed_where_a_limit_stops_it(duration: float, reached: bool) -> None:
+    """Upwards at 3 cm/s: the arms can follow for a while."""
+    task = Twist(name="up", velocity={"z": 0.03})
+    scenario = replace(load("point_on_point"), tasks=(task,), secondary=(), duration=duration)
+    trace = run(scenario, controller="qp")
+    (info,) = trace.tasks
+    assert (info.name, info.unit) == ("up.velocity", "m/s")
+    speed = (trace.position[-1] - trace.position[-2])[2] / scenario.dt
+    assert trace.final_error[0] == pytest.approx(abs(0.03 - speed), abs=1e-3)
+    assert bool(trace.final_error[0] <= info.tolerance) == reached
+
+
 def test_twist_of_nothing_or_of_unknown_components_is_refused(velocity: dict[Any, float]) -> None:
     with pytest.raises(ValueError, match="velocity"):
         Twist(velocity=velocity)
