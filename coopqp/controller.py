@@ -29,7 +29,7 @@ class ControlProblem:
     Attributes:
         chain: the robot with the object in its hands.
         tasks: the main tasks.
-        secondary: joint-space objectives for what the tasks leave free.
+        secondary: objectives for what the tasks leave free.
         limits: hard bounds; the pseudoinverse laws ignore them.
         dt: control period [s].
         kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 0 is the paper's law, 1/dt
@@ -65,9 +65,10 @@ class ControlProblem:
                     f"task {task.name}: gain {task.gain} 1/s needs at most 1/dt = {1 / self.dt:g}"
                 )
         for task in self.secondary:
-            if not task.joint_space:
+            if task.mode != "soft":
                 raise InvalidValueError(
-                    f"secondary: '{task.name}' is not a joint-space objective; put it under tasks"
+                    f"secondary: '{task.name}' is {task.mode}, but objectives for what the tasks "
+                    "leave free are soft; put it under tasks"
                 )
 
 

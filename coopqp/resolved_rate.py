@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.task import TaskStack
+from coopqp.task import Task, TaskStack
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,8 @@ class ResolvedRateLaw(Law):
         try:
             inverse = self._invert(self._HJ)
             np.dot(inverse, self._rhs, out=command.v)
-            self._add_null_space(state, inverse)
+            if np.isfinite(command.v).all():
+                self._add_null_space(state, inverse)
             command.status = Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE
         except np.linalg.LinAlgError:  # the singular value decomposition did not converge
             command.status = Status.SOLVER_ERROR
@@ -72,6 +73,13 @@ class ResolvedRateLaw(Law):
         self._secondary.update(state)
         Z, stack = self._Z, self._secondary
         Z[:] = 0.0
-        for part, share in zip(stack.slices, self._shares, strict=True):
-            Z += share * stack.wanted[part]
+        for task, part, share in zip(stack.tasks, stack.slices, self._shares, strict=True):
+            Z += share * _alone(task, stack.J[part], stack.wanted[part])
         self.command.v += Z - inverse.dot(self._HJ.dot(Z))  # dot, unlike @, warns of nothing
+
+
+def _alone(task: Task, J: Array, wanted: Array) -> Array:
+    """The joint velocity of least norm that an objective asks for by itself, shape (n,)."""
+    if task.joint_space:
+        return wanted
+    return np.asarray(np.linalg.lstsq(J, wanted, rcond=None)[0], float)

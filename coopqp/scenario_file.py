@@ -163,7 +163,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
         ),
         "secondary": (
             _list_of(catalog, "tasks"),
-            Field(default=[], description="Joint-space objectives for what the tasks leave free."),
+            Field(default=[], description="Objectives for what the tasks leave free."),
         ),
         "limits": (
             _list_of(catalog, "limits"),

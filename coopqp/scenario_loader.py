@@ -244,5 +244,8 @@ class _Reader:
                 f"the reference of '{task.name}' arrives at {task.end:g} s, after the end at "
                 f"{duration:g} s; make it shorter or the duration longer",
             )
-        if place[0] == "secondary" and not task.joint_space:
-            self._fault(place, f"'{task.name}' steers the object; put it under tasks")
+        if place[0] == "secondary" and task.mode != "soft":
+            self._fault(
+                place,
+                f"'{task.name}' is {task.mode}, secondary objectives are soft; put it under tasks",
+            )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
@@ -20,6 +21,7 @@ from coopqp.controllers import (
     QPController,
 )
 from coopqp.controllers.qp import QPLaw
+from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.errors import InvalidValueError
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.profile import Profile
@@ -28,8 +30,8 @@ from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp
 from coopqp.spec import spec
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
-from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint
+from coopqp.task import Evaluate, Task, TaskRows, TaskStack
+from coopqp.tasks import JointCentering, MinimumKineticEnergy, PointOnPlane, PointOnPoint
 
 Array = NDArray[np.float64]
 Walk = Callable[[ClosedChain, int], list[Array]]
@@ -153,6 +155,45 @@ def test_qp_with_a_strictly_secondary_objective_is_the_null_space_law(
         assert np.abs(null_space - command(Pseudoinverse(), given, q)).max() > 1e-2
         qp = command(QPController(damping=1e-10, error_damping=0.0), given, q)
         assert np.abs(qp - null_space).max() < 1e-6 * max(1.0, np.abs(null_space).max())
+
+
+def test_least_kinetic_energy_as_a_secondary_objective_is_the_inertia_weighted_inverse(
+    chain: ClosedChain, closed_loop_walk: Walk
+) -> None:
+    """The closed form, v = A^-1 H' (H A^-1 H')^-1 b, Khatib's generalised inverse."""
+    task = PointOnPoint(goal=NEAR, profile=STEP, weight=1e3)
+    given = problem(
+        chain, task, secondary=[MinimumKineticEnergy(weight=1e4)], budget=Budget(accuracy=1e-2)
+    )
+    model = ClosedLoopDynamics(chain).model
+    for q in closed_loop_walk(chain, 5):
+        state = State(chain, q)
+        tasks = TaskStack([task], State(chain))
+        tasks.update(state)
+        H, b = np.vstack([tasks.J, state.J_loop]), np.concatenate([tasks.wanted, np.zeros(6)])
+        A_H = np.linalg.solve(pin.crba(model, model.createData(), q), H.T)
+        expected = A_H @ np.linalg.solve(H @ A_H, b)
+        assert np.abs(expected - command(Pseudoinverse(), given, q)).max() > 1e-2
+        qp = command(QPController(damping=1e-9, error_damping=0.0), given, q)
+        np.testing.assert_allclose(qp, expected, atol=1e-4)
+        # Resting is what this objective asks for by itself, so that Z = 0.
+        plain = command(Pseudoinverse(), given, q)
+        np.testing.assert_allclose(command(PseudoinverseNullSpace(), given, q), plain, atol=1e-9)
+
+
+def test_an_objective_of_the_object_moves_it_where_the_tasks_leave_it_free(
+    chain: ClosedChain,
+) -> None:
+    """Z = pinv(J) wanted, projected, closes in on the second point as far as the plane allows."""
+    plane = PointOnPlane(normal=(0, 0, 1), through=(0.18, 0, 0.06), profile=STEP)
+    given = problem(chain, plane, secondary=[PointOnPoint(goal=NEAR, profile=STEP)])
+    state = State(chain)
+    for law in (PseudoinverseNullSpace(), QPController(damping=1e-9, error_damping=0.0)):
+        v = command(law, given)
+        alone = command(Pseudoinverse(), given)
+        np.testing.assert_allclose(state.J_task[2] @ v, state.J_task[2] @ alone, atol=1e-6)
+        way = np.array(NEAR) - state.p_WO
+        assert (state.J_task[:2] @ v) @ way[:2] > (state.J_task[:2] @ alone) @ way[:2] + 1e-4
 
 
 def test_null_space_motion_does_not_disturb_task_or_loop(
@@ -512,7 +553,7 @@ def test_tick_leaves_the_state_alone_and_answers_alike_twice(
         ({"dt": np.nan}, "dt"),
         ({"kappa": -1.0}, "kappa"),
         ({"kappa": 1.1 / DT}, "kappa"),
-        ({"secondary": [PointOnPoint(goal=NEAR, name="reach")]}, "reach"),
+        ({"secondary": [JointCentering(name="centre", mode="hard")]}, "'centre' is hard, but"),
         ({"secondary": [JointCentering(name="centre", gain=101.0)]}, "centre"),
     ],
 )

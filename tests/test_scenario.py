@@ -44,6 +44,8 @@ FAULTS = [
         "the grasp does not close at the start: the grasp of arm 'left' puts the object",
     ),
     ("grasp: rigid", "grasps: {right: rigid}", "no grasp for arm left"),
+    ("joint_centering: {gain", "joint_centering: {mode: hard, gain",
+     "secondary[0]: 'joint_centering' is hard, secondary objectives are soft"),
     ("tasks:", "tasks:\n  - posture: {goal: {rihgt: [1, 2]}}", "tasks[0]: posture.goal: unknown arm"),
     ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0]}}, "
      "{workspace: {normal: [0, 1, 0], through: [0, -1, 0]}}]", "limits[1]: another limit has a row "
