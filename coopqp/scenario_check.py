@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain, arm_weights
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.phase import Phase
 from coopqp.robot import RobotModel
 from coopqp.scenario import Scenario, Start, arm_names, start_of
@@ -106,7 +107,21 @@ def _unbound_limits(file: YamlFile, scenario: Scenario) -> list[Fault]:
             words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
             faults.append(Fault(file.place(["limits", i]), words))
         taken |= rows
-    return faults
+    return [*faults, *_late_brakes(file, scenario)]
+
+
+def _late_brakes(file: YamlFile, scenario: Scenario) -> list[Fault]:
+    """Joints that would brake for a bound behind the one that they must not pass."""
+    margin = max((k.margin for k in scenario.limits if isinstance(k, JointPosition)), default=0.0)
+    return [
+        Fault(
+            file.place(["limits", i]),
+            f"margin: found {limit.margin:g}, needs at least joint_position's {margin:g}, so that "
+            "joints brake in time",
+        )
+        for i, limit in enumerate(scenario.limits)
+        if isinstance(limit, JointAcceleration) and limit.margin < margin
+    ]
 
 
 def _check_passive(

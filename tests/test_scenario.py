@@ -44,9 +44,11 @@ FAULTS = [
         "the grasp does not close at the start: the grasp of arm 'left' puts the object",
     ),
     ("grasp: rigid", "grasps: {right: rigid}", "no grasp for arm left"),
+    ("dt: 0.01", "dt: 0.01\nlimits: [{joint_position: {margin: 0.05}}, {joint_velocity: {}}, "
+     "{joint_acceleration: {max: 10}}]", "limits[2]: margin: found 0, needs at least"),
     ("joint_centering: {gain", "joint_centering: {mode: hard, gain",
      "secondary[0]: 'joint_centering' is hard, secondary objectives are soft"),
-    ("tasks:", "tasks:\n  - posture: {goal: {rihgt: [1, 2]}}", "tasks[0]: posture.goal: unknown arm"),
+    ("tasks:", "tasks:\n  - posture: {goal: {rihgt: [1, 2]}}", "tasks[0]: posture.goal: "),
     ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0]}}, "
      "{workspace: {normal: [0, 1, 0], through: [0, -1, 0]}}]", "limits[1]: another limit has a row "
      "'workspace.object[0]' too; add 'name:'"),
