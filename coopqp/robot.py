@@ -49,13 +49,13 @@ class Shape:
         placement: pose in that frame.
         kind: what it is; a mesh is read from ``mesh``.
         size: box: edges; cylinder and capsule: radius, length along z (without the capsule's
-            caps); sphere: radius [m]; mesh: scale along x, y, z.
+            caps); sphere: radius; ellipsoid: radii along x, y, z [m]; mesh: scale along x, y, z.
         mesh: file of a mesh.
     """
 
     frame: str
     placement: pin.SE3
-    kind: Literal["mesh", "box", "cylinder", "capsule", "sphere"]
+    kind: Literal["mesh", "box", "cylinder", "capsule", "sphere", "ellipsoid"]
     size: tuple[float, ...]
     mesh: Path | None = None
 
@@ -110,6 +110,10 @@ class RobotModel:
             if not self.model.existFrame(arm.tip):
                 frames = [frame.name for frame in self.model.frames]
                 raise UnknownNameError("frame", arm.tip, frames, f"arm {arm.name}: ")
+        for shape in self.shapes:
+            if not self.model.existFrame(shape.frame):
+                frames = [frame.name for frame in self.model.frames]
+                raise UnknownNameError("frame", shape.frame, frames, f"shape {shape.kind}: ")
         for capsule in self.capsules:
             if capsule.joint is not None and capsule.joint not in self.joint_names:
                 where = f"capsule {capsule.name}: "

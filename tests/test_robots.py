@@ -27,6 +27,7 @@ from coopqp.errors import (
 )
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
+from coopqp.mjcf_file import read_mjcf
 from coopqp.robot import Robot, RobotModel
 from coopqp.robots import (
     ExampleRobot,
@@ -40,9 +41,8 @@ from coopqp.robots import (
     nao_t14,
 )
 from coopqp.robots.mdh_table import TableRow, TableTip
-from coopqp.robots.mjcf import read_mjcf
-from coopqp.scenario import load, shipped
 from coopqp.scenario_file import check, chosen, file_model
+from coopqp.scenario_loader import load, shipped
 from coopqp.tasks import PointOnPoint
 from coopqp.yaml_file import read_yaml
 
@@ -556,7 +556,10 @@ def test_keyframes_and_missing_meshes_do_not_matter(tmp_path: Path) -> None:
     text = WORLD.replace("<default>", '<asset><mesh name="m" file="m.stl"/></asset><default>', 1)
     text = text.replace("</mujoco>", '<keyframe><key qpos="0"/></keyframe></mujoco>')
     robot = Mjcf(path=write_world(tmp_path, text), arms={"a": "tip_a", "b": "tip_b"}).build()
-    assert robot.warnings == ("world.xml: 1 of 1 meshes cannot be found (m.stl); not drawn",)
+    assert robot.warnings == (
+        "world.xml: 1 of 1 meshes cannot be found (m.stl); "
+        "links left without geometry are drawn as capsules",
+    )
 
 
 def test_a_floating_base_is_fixed_only_when_told(tmp_path: Path) -> None:
@@ -572,6 +575,45 @@ def test_a_floating_base_is_fixed_only_when_told(tmp_path: Path) -> None:
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, np.zeros(8))
     assert data.oMi[robot.model.getJointId("a1")].translation[2] == pytest.approx(1.0)
+
+
+UNLIMITED = """
+<mujoco>
+  <default>
+    <joint limited="false"/>
+    <default class="on"><joint limited="true"/><default class="in"/></default>
+    <default class="off"><joint axis="0 1 0"/></default>
+  </default>
+  <worldbody>
+    <body name="a" childclass="on"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <joint name="a1" range="-30 40"/><joint name="a2" class="off" range="-30 40"/>
+      <body name="a_hand"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <joint name="a3" class="in" range="-30 40"/></body>
+    </body>
+    <body name="b"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <joint name="b1" range="-30 40"/><joint name="b2" axis="1 0 0" limited="true" range="-30 40"/>
+      <joint name="b3" type="slide" limited="auto" range="-0.3 0.4"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_ranges_count_where_mujoco_counts_them(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "ranges.xml"
+    path.write_text(UNLIMITED, encoding="utf-8")
+    robot = Mjcf(path=path, arms={"a": "a_hand", "b": "b"}).build()
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    limited = []
+    for i, name in enumerate(robot.joint_names):
+        found = robot.model.lowerPositionLimit[i], robot.model.upperPositionLimit[i]
+        if theirs.joint(name).limited[0]:
+            limited.append(name)
+            np.testing.assert_allclose(found, theirs.joint(name).range)
+        else:
+            assert found == (-np.inf, np.inf)
+    assert limited == ["a1", "a3", "b2", "b3"]
 
 
 def test_an_equality_makes_a_joint_follow(tmp_path: Path) -> None:
@@ -663,7 +705,8 @@ def test_zero_speed_and_torque_mean_no_limit(tree: Callable[..., Urdf]) -> None:
 def test_meshes_are_found_or_left_out(tree: Callable[..., Urdf], tmp_path: Path) -> None:
     robot = tree().build()
     assert robot.warnings == (
-        "tree.urdf: 2 of 2 meshes cannot be found (package://tree/hand.stl, finger.stl); not drawn",
+        "tree.urdf: 2 of 2 meshes cannot be found (package://tree/hand.stl, finger.stl); "
+        "links left without geometry are drawn as capsules",
     )
     assert [shape.size for shape in robot.shapes] == [(1.0, 2.0, 3.0)]
     (tmp_path / "else" / "tree").mkdir(parents=True)

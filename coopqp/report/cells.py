@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,8 @@ from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.comparison import ROUNDING, Comparison
 from coopqp.scenario import Scenario
 from coopqp.trace import Trace
+
+MOST_LINES = 4  # task errors in one cell
 
 
 @dataclass(frozen=True)
@@ -121,13 +124,20 @@ def number(value: float) -> str:
 
 
 def _task_error(trace: Trace) -> Cell:
-    lines, missed = [], False
-    for task, error in zip(trace.tasks, trace.final_error, strict=True):
-        value, unit = length(float(error), task.unit)
+    ends = list(zip(trace.tasks, trace.final_error.tolist(), strict=True))
+    if not ends:
+        return Cell(("no task",), None)
+    missed = any(not error <= task.tolerance for task, error in ends)
+    lines = []
+    if len(ends) > MOST_LINES:
+        lines.append(f"worst of {len(ends)}:")
+        # A NaN is worse than any number.
+        ends = [max(ends, key=lambda e: math.inf if math.isnan(e[1]) else e[1] / e[0].tolerance)]
+    for task, error in ends:
+        value, unit = length(error, task.unit)
         name = f"{task.name}: " if len(trace.tasks) > 1 else ""
         lines.append(f"{name}{number(value)}\N{NO-BREAK SPACE}{unit}")
-        missed = missed or not error <= task.tolerance
-    return Cell(tuple(lines) or ("no task",), missed if lines else None)
+    return Cell(tuple(lines), missed)
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:

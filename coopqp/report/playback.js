@@ -1,23 +1,30 @@
 "use strict";
-// Draws the arms and the object on plain 2D canvases: no WebGL, and it prints.
+// Draws the robot and the object on plain 2D canvases: no WebGL, and it prints.
 (() => {
   const scene = JSON.parse(document.getElementById("scene").textContent);
   const root = document.getElementById("playback");
-  const [playButton, slider, clock, resetButton] =
-    ["play", "frame", "clock", "reset"].map((id) => document.getElementById(id));
+  const [playButton, slider, clock, looksButton, resetButton] =
+    ["play", "frame", "clock", "looks", "reset"].map((id) => document.getElementById(id));
   const HOME = { azimuth: 0.65, elevation: 0.42 };
   const camera = { ...HOME };
   const INSIDE = 0, AT = 1;
   const TRAIL = 30; // frames; of a law that loses its way more would hide the arms
-  const MARK = { at: "#E69F00", beyond: "#C1121F", arm: ["#3d4852", "#8592a0"], floor: "#dfe3e7" };
+  const MARK = { at: "#E69F00", beyond: "#C1121F", floor: "#dfe3e7" };
+  const ARMS = ["#3d4852", "#76688c", "#4a6b57", "#8a5a5e"];
+  const SURFACES = [[158, 182, 210], [204, 190, 222], [166, 204, 182], [220, 184, 186]]; // of arms
+  const STILL = [228, 230, 232], OBJECT = [242, 218, 146], PLANE = [86, 180, 233];
+  const OPACITY = 0.9, OPACITY_OF_PLANES = 0.3;
+  const STEP = 0.012; // of the view's diagonal: a jump in distance that has an outline
   const middle = scene.view.low.map((low, i) => (low + scene.view.high[i]) / 2);
   const last = scene.t.length - 1;
-  let frame = last, playing = false;
+  const layer = surfaceLayer();
+  let frame = last, playing = false, bodies = true;
 
   const add = (a, b) => a.map((x, i) => x + b[i]);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const distance = (a, b) => Math.hypot(...a.map((x, i) => x - b[i]));
   const diagonal = distance(scene.view.low, scene.view.high);
+  const counts = ({ first, last }) => first <= frame && frame <= last; // its phase
   const mean = (points) => points.reduce(add).map((x) => x / points.length);
 
   function axes() {
@@ -27,11 +34,13 @@
   }
 
   // The largest scale at which the whole view fits, whichever way it is turned about z.
-  function scaleFor(width, height) {
-    const [x, y, z] = scene.view.high.map((high, i) => high - scene.view.low[i]);
-    const across = Math.hypot(x, y);
-    const tall = z * Math.cos(camera.elevation) + across * Math.abs(Math.sin(camera.elevation));
-    return 0.9 * Math.min(width / across, height / tall);
+  function fit(width, height) {
+    const across = 2 * Math.max(...scene.view.rims.map(([, radius]) => radius));
+    const [c, s] = [Math.cos(camera.elevation), Math.abs(Math.sin(camera.elevation))];
+    const top = Math.max(...scene.view.rims.map(([z, radius]) => z * c + radius * s));
+    const bottom = Math.min(...scene.view.rims.map(([z, radius]) => z * c - radius * s));
+    const scale = 0.9 * Math.min(width / across, height / (top - bottom));
+    return { scale, center: [width / 2, height / 2 + scale * (top + bottom) / 2] };
   }
 
   function corners(position, rotation) {
@@ -54,10 +63,10 @@
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.lineCap = pen.lineJoin = "round";
-    const view = axes(), scale = scaleFor(width, height);
+    const view = axes(), { scale, center } = fit(width, height);
     const at = (p) => {
       const d = p.map((x, i) => x - middle[i]);
-      return [width / 2 + scale * dot(d, view.right), height / 2 - scale * dot(d, view.up)];
+      return [center[0] + scale * dot(d, view.right), center[1] - scale * dot(d, view.up)];
     };
     const path = (points, closed) => {
       pen.beginPath();
@@ -65,7 +74,63 @@
       if (closed) pen.closePath();
     };
     const depth = (points) => dot(mean(points), view.toViewer);
-    return { pen, at, path, depth, height, view };
+    return { pen, at, path, depth, width, height, ratio, center, scale, view };
+  }
+
+  const LEVEL = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+  // Rotation of a quaternion (x y z w), row by row.
+  const matrix = ([x, y, z, w]) => [
+    1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+    2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+    2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)];
+
+  // Points, three numbers each, from a body's frame to pixels of the layer.
+  function pixelsOf(points, position, rotation, { view, center, scale, ratio }) {
+    const size = scale * ratio, out = new Float32Array(points.length);
+    const start = [ratio * center[0], ratio * center[1], 0];
+    [view.right, view.up.map((x) => -x), view.toViewer].forEach((axis, k) => {
+      const [x, y, z] = [0, 1, 2].map((i) => size * dot(axis, [rotation[i], rotation[3 + i], rotation[6 + i]]));
+      const offset = start[k] + size * position.reduce((sum, p, i) => sum + axis[i] * (p - middle[i]), 0);
+      for (let i = 0; i < out.length; i += 3)
+        out[i + k] = offset + x * points[i] + y * points[i + 1] + z * points[i + 2];
+    });
+    return out;
+  }
+
+  // Each owner has an outline: all that stands still, each arm, each face of the object, each plane.
+  function drawBodies(brush, run) {
+    layer.clear(Math.round(brush.width * brush.ratio), Math.round(brush.height * brush.ratio));
+    let next = 0;
+    for (const { moves, arm, vertices, triangles } of scene.bodies) {
+      const pose = moves ? run.poses[frame].slice(next, (next += 7)) : [0, 0, 0, 0, 0, 0, 1];
+      const p = pixelsOf(vertices, pose.slice(0, 3), matrix(pose.slice(3)), brush);
+      const color = arm === null ? STILL : SURFACES[arm % SURFACES.length];
+      const owner = arm === null ? 1 : 2 + arm;
+      for (let i = 0; i < triangles.length; i += 3)
+        layer.triangle(p, 3 * triangles[i], 3 * triangles[i + 1], 3 * triangles[i + 2], color, owner);
+    }
+    let owner = 2 + run.arms.length;
+    const box = pixelsOf(corners([0, 0, 0], LEVEL).flat(), run.position[frame], run.rotation[frame], brush);
+    for (const face of FACES) drawFace(box, face, OBJECT, owner++);
+    for (const plane of scene.planes.filter(counts)) {
+      const p = pixelsOf(plane.corners[frame - plane.first].flat(), [0, 0, 0], LEVEL, brush);
+      drawFace(p, [0, 1, 2, 3], PLANE, owner++, OPACITY_OF_PLANES);
+    }
+    layer.outline(STEP * diagonal * brush.scale * brush.ratio);
+    layer.paint(brush.pen, brush.width, brush.height, OPACITY);
+  }
+
+  function drawFace(p, [a, b, c, d], color, owner, share = 1) {
+    layer.triangle(p, 3 * a, 3 * b, 3 * c, color, owner, share);
+    layer.triangle(p, 3 * a, 3 * c, 3 * d, color, owner, share);
+  }
+
+  function drawBox(brush, run, parts) {
+    const box = corners(run.position[frame], run.rotation[frame]);
+    for (const face of FACES) {
+      const points = face.map((i) => box[i]);
+      parts.push([brush.depth(points), () => polygon(brush, points, "rgba(240,228,190,0.72)", "#8a7a45", 1.2)]);
+    }
   }
 
   function drawFloor({ pen, path }) {
@@ -86,8 +151,8 @@
   }
 
   function segment({ pen, path }, ends, color) {
-    path(ends); pen.strokeStyle = "white"; pen.lineWidth = 11; pen.stroke();
-    path(ends); pen.strokeStyle = color; pen.lineWidth = 7.5; pen.stroke();
+    path(ends); pen.strokeStyle = "white"; pen.lineWidth = bodies ? 4 : 11; pen.stroke();
+    path(ends); pen.strokeStyle = color; pen.lineWidth = bodies ? 2 : 7.5; pen.stroke();
   }
 
   function joint({ pen, at }, point, state) {
@@ -113,9 +178,11 @@
     }
   }
 
-  function trail({ pen, path }, points, color) {
+  function trail({ pen, path }, { first, points }, color) {
+    const shown = frame - first + 1;
+    if (shown < 1) return;
     const long = points.slice(1).reduce((sum, p, i) => sum + distance(p, points[i]), 0) > 2 * diagonal;
-    path(points.slice(long ? Math.max(0, frame - TRAIL) : 0, frame + 1)); pen.strokeStyle = color; pen.lineWidth = 2; pen.stroke();
+    path(points.slice(long ? Math.max(0, shown - TRAIL) : 0, shown)); pen.strokeStyle = color; pen.lineWidth = 2; pen.stroke();
   }
 
   // Beside the base, on the side that the arm does not go to.
@@ -123,11 +190,14 @@
     const [x, y] = at(points[0]);
     const next = points.find((p) => distance(p, points[0]) > 0.02 * diagonal) || points[0];
     const [a, b] = [at(next)[0] - x, at(next)[1] - y], size = Math.hypot(a, b) || 1;
-    pen.fillText(name, x - (22 * a) / size, y - (17 * b) / size + 4);
+    pen.font = "11px system-ui, sans-serif"; pen.fillStyle = "#555"; pen.textAlign = "center";
+    const place = [name, x - (22 * a) / size, y - (17 * b) / size + 4];
+    pen.strokeStyle = "white"; pen.lineWidth = 3; pen.strokeText(...place);
+    pen.fillText(...place);
   }
 
   function triad({ pen, view, height }) {
-    pen.font = "11px system-ui, sans-serif"; pen.fillStyle = "#666";
+    pen.font = "11px system-ui, sans-serif"; pen.fillStyle = "#666"; pen.textAlign = "left";
     pen.strokeStyle = "#888"; pen.lineWidth = 1.4;
     ["x", "y", "z"].forEach((name, i) => {
       const [a, b] = [26 * view.right[i], -26 * view.up[i]];
@@ -137,36 +207,44 @@
   }
 
   function draw(canvas, run) {
-    const brush = painter(canvas), { pen, at, depth } = brush, parts = [];
+    if (!canvas.clientWidth || !canvas.clientHeight) return; // not laid out
+    const brush = painter(canvas);
     drawFloor(brush);
-    for (const plane of scene.planes)
-      polygon(brush, plane.corners[frame], "rgba(86,180,233,0.25)", "#3a86b0", 1);
-    const box = corners(run.position[frame], run.rotation[frame]);
-    for (const face of FACES) {
-      const points = face.map((i) => box[i]);
-      parts.push([depth(points), () => polygon(brush, points, "rgba(240,228,190,0.72)", "#8a7a45", 1.2)]);
+    if (bodies) drawBodies(brush, run);
+    drawLines(brush, run);
+    run.arms.forEach((arm) => label(brush, arm.name, arm.points[frame]));
+    drawJoints(brush, run);
+    run.tracked.forEach((way) => trail(brush, way, run.color));
+    scene.goals.filter(counts).forEach((goal) => target(brush, goal));
+    triad(brush);
+  }
+
+  // The arms as lines; without bodies also the object and the planes, farthest first.
+  function drawLines(brush, run) {
+    const parts = [];
+    if (!bodies) {
+      for (const plane of scene.planes.filter(counts))
+        polygon(brush, plane.corners[frame - plane.first], "rgba(86,180,233,0.25)", "#3a86b0", 1);
+      drawBox(brush, run, parts);
     }
     run.arms.forEach((arm, number) => {
-      const points = arm.points[frame], color = MARK.arm[number % 2];
+      const points = arm.points[frame], color = ARMS[number % ARMS.length];
       points.slice(1).forEach((end, i) => {
         const ends = [points[i], end];
         if (distance(end, points[i]) > 1e-6)
-          parts.push([depth(ends), () => segment(brush, ends, color)]);
-      });
-      // Where joints lie in one place, such as a shoulder, the worst is drawn on top.
-      points.slice(0, -1).forEach((point, i) => {
-        const state = arm.state[frame][i];
-        parts.push([depth([point]) + (0.05 + 0.02 * state) * diagonal, () => joint(brush, point, state)]);
+          parts.push([brush.depth(ends), () => segment(brush, ends, color)]);
       });
     });
     parts.sort((a, b) => a[0] - b[0]).forEach(([, paint]) => paint());
-    run.tracked.forEach((points) => trail(brush, points, run.color));
-    scene.goals.forEach((goal) => target(brush, goal));
-    pen.font = "11px system-ui, sans-serif"; pen.fillStyle = "#555";
-    pen.textAlign = "center";
-    run.arms.forEach((arm) => label(brush, arm.name, arm.points[frame]));
-    pen.textAlign = "left";
-    triad(brush);
+  }
+
+  // On top of everything. Where joints lie in one place, such as a shoulder, the worst comes last.
+  function drawJoints(brush, run) {
+    const parts = run.arms.flatMap((arm) => arm.points[frame].slice(0, -1).map((point, i) => {
+      const state = arm.state[frame][i];
+      return [brush.depth([point]) + 0.02 * state * diagonal, point, state];
+    }));
+    parts.sort((a, b) => a[0] - b[0]).forEach(([, point, state]) => joint(brush, point, state));
   }
 
   const panes = scene.controllers.map((run, i) => {
@@ -212,9 +290,15 @@
 
   document.getElementById("goal-key").hidden = !scene.goals.length;
   document.getElementById("plane-key").hidden = !scene.planes.length;
+  document.getElementById("notes").textContent = scene.notes.join(" · ");
   slider.max = last;
   slider.addEventListener("input", () => { play(false); show(Number(slider.value)); });
   playButton.addEventListener("click", () => play(!playing));
+  looksButton.addEventListener("click", () => {
+    bodies = !bodies;
+    looksButton.textContent = bodies ? "Skeleton" : "Bodies";
+    show(frame);
+  });
   resetButton.addEventListener("click", () => { Object.assign(camera, HOME); show(frame); });
   window.addEventListener("resize", () => show(frame));
   panes.forEach(({ canvas }) => turn(canvas));

@@ -12,7 +12,9 @@ from pydantic import BeforeValidator, Field
 
 from coopqp import mdh
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_file import Arms, Description, Locked, robot_model
+from coopqp.robot_description import Description
+from coopqp.robot_file import robot_model
+from coopqp.robot_keys import Arms, Locked
 from coopqp.spec import NonNegative, Positive, Vector3, numbers, one_angle, spec
 
 SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")

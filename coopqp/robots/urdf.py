@@ -5,8 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_file import Arms, FilePath, JointLimits, Locked, read_urdf, robot_model
+from coopqp.robot_file import robot_model
+from coopqp.robot_keys import Arms, FilePath, JointLimits, Locked
 from coopqp.spec import spec
+from coopqp.urdf_file import read_urdf
 
 
 @spec

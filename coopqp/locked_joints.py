@@ -1,0 +1,72 @@
+"""A robot without the joints that stay where they are.
+
+A locked joint stands at the value given, where its leader puts it, or at zero (or at its limit
+nearest to zero).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import InvalidValueError
+from coopqp.robot_description import Description
+
+
+def without_locked_joints(
+    description: Description, moving: set[str], locked: Mapping[str, float | None]
+) -> pin.Model:
+    """The model of the joints that move.
+
+    Args:
+        description: of the whole robot.
+        moving: names of those joints.
+        locked: where the others are [rad or m], as far as that is given.
+
+    Raises:
+        InvalidValueError: a value outside the limits, or for a joint of several coordinates.
+    """
+    model = description.model
+    q = np.array(pin.neutral(model))
+    for joint in range(1, model.njoints):
+        name, kind = model.names[joint], model.joints[joint]
+        if name in moving:
+            continue
+        if kind.nv == 1:
+            value = _locked_value(description, name, locked)
+            at = [math.cos(value), math.sin(value)] if kind.nq == 2 else [value]
+            q[kind.idx_q : kind.idx_q + kind.nq] = at
+        elif locked.get(name) is not None:
+            raise InvalidValueError(
+                f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
+            )
+    still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
+    return pin.buildReducedModel(model, still, q)
+
+
+def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:
+    """Where a joint with one coordinate is locked [rad or m]."""
+    model, given = description.model, locked.get(name)
+    follower = description.followers.get(name)
+    if given is None and follower:
+        leader = 0.0
+        if follower.leader in model.names:
+            unled = replace(description, followers={})  # a chain of followers would be a circle
+            leader = _locked_value(unled, follower.leader, locked)
+        return follower.ratio * leader + follower.offset
+    kind = model.joints[model.getJointId(name)]
+    lower, upper = -math.inf, math.inf
+    if kind.nq == 1:
+        lower = float(model.lowerPositionLimit[kind.idx_q])
+        upper = float(model.upperPositionLimit[kind.idx_q])
+    if given is None:
+        return min(max(0.0, lower), upper)
+    if not lower <= given <= upper:
+        raise InvalidValueError(
+            f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
+        )
+    return given

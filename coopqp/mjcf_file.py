@@ -1,0 +1,238 @@
+"""Reading MuJoCo files (MJCF).
+
+pinocchio reads MJCF, but of several bodies in the world only the first, of several joints in a
+body one composite, of bodies without a name nothing, and a slide's range as degrees. So it is
+handed a plain copy of the file: includes filled in, every body and joint named, one body round the
+whole world, one joint to a body, keyframes left out, bodies that are free in space fixed. A body
+with several joints keeps its name for the last of them.
+"""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import InvalidValueError
+from coopqp.mjcf_shapes import read_shapes
+from coopqp.robot_description import Description, Follower
+from coopqp.xml_file import numbers_of, pinocchio_says, read_xml
+
+#: Name of the body round the world; a slash keeps it apart from names in files.
+WORLD = "world/"
+NESTING = 20  # includes inside includes
+
+
+def read_mjcf(path: Path) -> Description:
+    """Read a MuJoCo file.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        InvalidValueError: no such file, or not an MJCF file.
+    """
+    xml = read_xml(path, "mujoco", "MJCF")
+    _fill_in(xml, path.resolve().parent)
+    if not xml.findall("worldbody/body"):
+        raise InvalidValueError(f"{path}: is not a robot: has no <body>")
+    folder = _absolute_folders(xml, path.resolve().parent)
+    floating = _prepare(xml)
+    try:
+        model, followers = _parsed(xml), _followers(xml)
+    except (ValueError, RuntimeError) as error:
+        raise InvalidValueError(
+            f"{path}: is not a robot that can be read: {pinocchio_says(error)}"
+        ) from None
+    shapes, warnings = read_shapes(xml, model, folder, path.name)
+    return Description(
+        name=xml.get("model") or path.stem,
+        model=model,
+        followers=followers,
+        floating=floating,
+        shapes=shapes,
+        warnings=warnings,
+    )
+
+
+def _parsed(xml: ET.Element) -> pin.Model:
+    model = _pinocchio(xml)
+    compiler = xml.find("compiler")
+    in_degrees = compiler is None or compiler.get("angle", "degree") == "degree"
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    for kind in list(model.joints)[1:]:
+        slides = "Prismatic" in kind.shortname() or kind.shortname()[-2:] in ("PX", "PY", "PZ")
+        if slides and in_degrees:
+            lower[kind.idx_q] /= _slide_scale()
+            upper[kind.idx_q] /= _slide_scale()
+    for name in _unlimited(xml):
+        kind = model.joints[model.getJointId(name)]
+        if kind.nq == 1:
+            lower[kind.idx_q], upper[kind.idx_q] = -np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    return model
+
+
+def _unlimited(xml: ET.Element) -> list[str]:
+    """Joints whose range does not count: ``limited="false"``, their own or their class's."""
+    by_class: dict[str | None, str] = {}
+
+    def read(default: ET.Element, name: str | None, inherited: str) -> None:
+        joint = default.find("joint")
+        by_class[name] = inherited if joint is None else joint.get("limited", inherited)
+        for child in default.findall("default"):
+            read(child, child.get("class"), by_class[name])
+
+    for default in xml.findall("default"):
+        read(default, None, "auto")  # the class of all that name none
+        by_class[default.get("class", "main")] = by_class[None]
+
+    def search(body: ET.Element, childclass: str | None) -> Iterator[str]:
+        childclass = body.get("childclass", childclass)
+        for joint in body.findall("joint"):
+            otherwise = by_class.get(joint.get("class", childclass), "auto")
+            if joint.get("limited", otherwise) == "false":
+                yield joint.get("name", "")
+        for inner in body.findall("body"):
+            yield from search(inner, childclass)
+
+    return [name for body in xml.findall("worldbody/body") for name in search(body, None)]
+
+
+@cache
+def _slide_scale() -> float:
+    """What pinocchio makes of a slide of 1 m when angles are in degrees: 4.1 takes it for one."""
+    body = '<body name="a"><joint name="s" type="slide" axis="1 0 0" range="0 1"/></body>'
+    xml = ET.fromstring(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    return float(_pinocchio(xml).upperPositionLimit[0])
+
+
+def _pinocchio(xml: ET.Element) -> pin.Model:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "robot.xml"
+        ET.ElementTree(xml).write(file, encoding="utf-8")
+        return pin.buildModelFromMJCF(str(file))
+
+
+def _fill_in(element: ET.Element, folder: Path, depth: int = 0) -> None:
+    """Put the files that are included where they are included; sections of a name become one."""
+    if depth > NESTING:
+        raise InvalidValueError(f"{folder}: files include each other without end")
+    children: list[ET.Element] = []
+    for child in element:
+        if child.tag == "include":
+            name = child.get("file", "")
+            try:
+                included = ET.parse(folder / name).getroot()
+            except OSError:
+                raise InvalidValueError(f"{folder / name}: included file cannot be read") from None
+            except ET.ParseError as error:
+                raise InvalidValueError(f"{folder / name}: is not XML: {error}") from None
+            _fill_in(included, folder, depth + 1)
+            children.extend(included)
+        else:
+            _fill_in(child, folder, depth)
+            children.append(child)
+    element[:] = _merged(children) if element.tag == "mujoco" else children
+
+
+def _merged(sections: list[ET.Element]) -> list[ET.Element]:
+    """Sections of one name as one, as MuJoCo reads them."""
+    first: dict[str, ET.Element] = {}
+    for section in sections:
+        same = first.setdefault(section.tag, section)
+        if same is not section:
+            same.attrib.update(section.attrib)
+            same.extend(list(section))
+    return list(first.values())
+
+
+def _absolute_folders(xml: ET.Element, folder: Path) -> Path:
+    """Make the folder of the meshes absolute, since the copy lies elsewhere; returns it."""
+    compiler = xml.find("compiler")
+    if compiler is None:
+        compiler = ET.Element("compiler")
+        xml.insert(0, compiler)
+    meshes = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
+    compiler.set("meshdir", str(meshes))
+    return meshes
+
+
+def _prepare(xml: ET.Element) -> dict[str, frozenset[str]]:
+    """Turn the world into one tree that pinocchio reads; returns the floating joints."""
+    for keyframe in xml.findall("keyframe"):
+        xml.remove(keyframe)
+    world = xml.find("worldbody")
+    assert world is not None  # it has bodies
+    _name_all(world)
+    floating = _without_floating(world)
+    for parent in reversed(list(world.iter())):  # inside before outside
+        for i, body in enumerate(list(parent)):
+            if body.tag == "body":
+                parent[i] = _one_joint_each(body)
+    everything = ET.Element("body", {"name": WORLD})
+    everything.extend(list(world))
+    world[:] = [everything]
+    return floating
+
+
+def _name_all(world: ET.Element) -> None:
+    """Name bodies and joints that have no name, after their place in the file."""
+    for i, body in enumerate(world.iter("body")):
+        body.set("name", body.get("name") or f"body_{i + 1}")
+        for k, joint in enumerate(_joints(body)):
+            joint.set("name", joint.get("name") or f"{body.get('name')}_joint_{k + 1}")
+
+
+def _joints(body: ET.Element) -> list[ET.Element]:
+    return [child for child in body if child.tag in ("joint", "freejoint")]
+
+
+def _without_floating(world: ET.Element) -> dict[str, frozenset[str]]:
+    """Fix floating bodies where the file puts them; returns what each of their joints moves."""
+    floating: dict[str, frozenset[str]] = {}
+    for body in world.iter("body"):
+        for joint in _joints(body):
+            if joint.tag == "freejoint" or joint.get("type") == "free":
+                moved = [e.get("name", "") for e in body.iter() if e.tag != "geom"]
+                floating[joint.get("name", "")] = frozenset(moved)
+                body.remove(joint)
+    return floating
+
+
+def _one_joint_each(body: ET.Element) -> ET.Element:
+    """The body, with one body round it for every joint but the last."""
+    others = _joints(body)[:-1]
+    if not others:
+        return body
+    inner = copy.copy(body)
+    inner.attrib = {k: v for k, v in body.attrib.items() if k in ("name", "childclass")}
+    outermost = ET.Element("body", {k: v for k, v in body.attrib.items() if k != "name"})
+    outer = outermost
+    for i, joint in enumerate(others):
+        if i:
+            outer = ET.SubElement(outer, "body")
+        outer.set("name", f"{body.get('name')}/{joint.get('name')}")
+        outer.append(joint)
+        inner.remove(joint)
+    outer.append(inner)
+    return outermost
+
+
+def _followers(xml: ET.Element) -> dict[str, Follower]:
+    """Joints that an equality ties to another one."""
+    followers = {}
+    for tie in xml.findall("equality/joint"):
+        if tie.get("active", "true") == "false":
+            continue
+        polynomial = (*numbers_of(tie.get("polycoef"), "0 1 0 0 0"), 0.0, 0.0)
+        followers[tie.get("joint1", "")] = Follower(
+            leader=tie.get("joint2", ""), ratio=polynomial[1], offset=polynomial[0]
+        )
+    return followers

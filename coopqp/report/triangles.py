@@ -1,0 +1,125 @@
+"""The surfaces of shapes and capsules as triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from coopqp.robot import Capsule, Shape
+
+Array = NDArray[np.float64]
+
+ROUND = 12  # corners of a circle
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A surface; which side is outside is not told.
+
+    Attributes:
+        vertices: shape (v, 3) [m].
+        corners: of each triangle, rows of vertices, shape (t, 3).
+    """
+
+    vertices: Array
+    corners: NDArray[np.int64]
+
+
+NOTHING = Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+
+
+def joined(parts: Sequence[Triangles]) -> Triangles:
+    """Several surfaces as one."""
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Triangles(
+        np.concatenate([NOTHING.vertices, *(part.vertices for part in parts)]),
+        np.concatenate(
+            [NOTHING.corners, *(p.corners + k for p, k in zip(parts, first[:-1], strict=True))]
+        ),
+    )
+
+
+def moved(surface: Triangles, X: pin.SE3) -> Triangles:
+    """The surface somewhere else."""
+    return Triangles(surface.vertices @ X.rotation.T + X.translation, surface.corners)
+
+
+def of_shape(shape: Shape) -> Triangles:
+    """The surface of a shape, about the shape's own origin.
+
+    Raises:
+        ValueError, RuntimeError: its mesh cannot be read.
+    """
+    size = shape.size
+    if shape.kind == "mesh":
+        assert shape.mesh is not None
+        return of_mesh(shape.mesh, size)
+    if shape.kind == "box":
+        return _box(size)
+    if shape.kind == "cylinder":
+        radius, half = size[0], 0.5 * size[1]
+        return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]))
+    if shape.kind == "capsule":
+        return _turned(_round_ends(size[0], size[1]))
+    radii = np.array(size if shape.kind == "ellipsoid" else 3 * size)
+    ball = _turned(_round_ends(1.0, 0.0))
+    return Triangles(ball.vertices * radii, ball.corners)
+
+
+def of_capsule(capsule: Capsule) -> Triangles:
+    """The surface of a capsule, in its joint's frame."""
+    start, end = np.array(capsule.start), np.array(capsule.end)
+    along = end - start
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+    surface = _turned(_round_ends(capsule.radius, float(np.linalg.norm(along))))
+    return moved(surface, pin.SE3(turn if along.any() else np.eye(3), 0.5 * (start + end)))
+
+
+def of_mesh(path: Path, scale: tuple[float, ...]) -> Triangles:
+    """The surface in a file of a kind that coal reads, such as STL, OBJ and DAE.
+
+    Raises:
+        ValueError, RuntimeError: it cannot be read, or has no surface.
+    """
+    mesh = coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), np.array(scale))
+    corners = [(t[0], t[1], t[2]) for t in map(mesh.tri_indices, range(mesh.num_tris))]
+    vertices = np.array(mesh.vertices())
+    if not corners or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
+        raise ValueError(f"{path}: has no surface")
+    return Triangles(vertices, np.array(corners, np.int64))
+
+
+def _box(edges: Sequence[float]) -> Triangles:
+    vertices = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"))
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    halves = [half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))]
+    return Triangles(vertices.reshape(3, 8).T * np.array(edges), np.array(halves))
+
+
+def _round_ends(radius: float, length: float) -> Array:
+    """Half the outline of a capsule along z, shape (p, 2): distance from z, height."""
+    quarter = np.linspace(0.0, 0.5 * np.pi, ROUND // 4 + 1)
+    angles = np.concatenate([-quarter[::-1], quarter])
+    half = np.repeat([-0.5, 0.5], len(quarter)) * length
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles) + half])
+
+
+def _turned(outline: Array) -> Triangles:
+    """What an outline sweeps when it is turned about z.
+
+    Args:
+        outline: distance from z and height of each point, shape (p, 2) [m].
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)
+    distance, height = outline[:, :1], np.broadcast_to(outline[:, 1:], (len(outline), ROUND))
+    rings = np.stack([distance * np.cos(angles), distance * np.sin(angles), height], axis=-1)
+    here = np.arange(rings[:-1, :, 0].size).reshape(-1, ROUND)
+    right, up = np.roll(here, -1, axis=1), here + ROUND
+    halves = [np.stack([here, right, up], -1), np.stack([right, np.roll(up, -1, axis=1), up], -1)]
+    return Triangles(rings.reshape(-1, 3), np.concatenate(halves).reshape(-1, 3))

@@ -1,0 +1,153 @@
+"""Reading URDF files: joints by pinocchio, looks and followers from the XML."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import InvalidValueError
+from coopqp.robot import Shape
+from coopqp.robot_description import Description, Follower
+from coopqp.xml_file import missing_meshes, numbers_of, pinocchio_says, read_xml
+
+
+def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
+    """Read a URDF file; meshes are looked for, but not read.
+
+    Args:
+        path: of the file.
+        package_dirs: folders that hold ``package://`` packages; the folders above the file are
+            searched anyway.
+
+    Raises:
+        InvalidValueError: no such file, or not a URDF file.
+    """
+    xml = read_xml(path, "robot", "URDF")
+    if any("xacro" in element.tag for element in xml.iter()):
+        raise InvalidValueError(f"{path}: is a xacro file; make a URDF of it first: xacro FILE")
+    if xml.find("link") is None:
+        raise InvalidValueError(f"{path}: is not a URDF file: has no <link>")
+    heard: list[str] = []
+    try:
+        with _stderr_lines(heard):
+            model = pin.buildModelFromUrdf(str(path))
+        followers = dict(_mimics(xml))
+        shapes, missing = _urdf_shapes(xml, path, package_dirs)
+    except (ValueError, RuntimeError) as error:
+        why = "; ".join(heard) or pinocchio_says(error)
+        raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
+    meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
+    return Description(
+        name=xml.get("name") or path.stem,
+        model=model,
+        followers=followers,
+        shapes=shapes,
+        warnings=(
+            *(f"{path.name}: {line}" for line in heard),
+            *missing_meshes(path.name, missing, meshes),
+        ),
+    )
+
+
+@contextmanager
+def _stderr_lines(heard: list[str]) -> Iterator[None]:
+    """Collect what the URDF parser, in C++, would print about errors."""
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            for line in file.read().decode("utf-8", "replace").splitlines():
+                word, _, text = line.partition(":")
+                if word in ("Error", "Warning"):
+                    heard.append(text.strip())
+
+
+def _mimics(xml: ET.Element) -> list[tuple[str, Follower]]:
+    found = []
+    for joint in xml.findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            (ratio,) = numbers_of(mimic.get("multiplier"), "1")
+            (offset,) = numbers_of(mimic.get("offset"), "0")
+            follower = Follower(leader=mimic.get("joint", ""), ratio=ratio, offset=offset)
+            found.append((joint.get("name", ""), follower))
+    return found
+
+
+def _urdf_shapes(
+    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
+) -> tuple[tuple[Shape, ...], list[str]]:
+    """What the links look like, and the meshes that cannot be found."""
+    shapes, missing = [], []
+    for link in xml.findall("link"):
+        for visual in link.findall("visual"):
+            geometry = visual.find("geometry")
+            if geometry is None or not len(geometry):
+                continue
+            place, part = _origin(visual.find("origin")), geometry[0]
+            frame, mesh = link.get("name", ""), None
+            if part.tag == "mesh":
+                uri = part.get("filename", "")
+                mesh = find_mesh(uri, path, package_dirs)
+                if mesh is None:
+                    missing.append(uri)
+                    continue
+            size = _urdf_size(part)
+            if size:
+                kind: Any = part.tag
+                shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
+    return tuple(shapes), missing
+
+
+def _urdf_size(part: ET.Element) -> tuple[float, ...]:
+    if part.tag == "mesh":
+        return numbers_of(part.get("scale"), "1 1 1")
+    if part.tag == "box":
+        return numbers_of(part.get("size"), "")
+    if part.tag in ("cylinder", "capsule"):
+        return numbers_of(part.get("radius"), "") + numbers_of(part.get("length"), "")
+    return numbers_of(part.get("radius"), "") if part.tag == "sphere" else ()
+
+
+def _origin(origin: ET.Element | None) -> pin.SE3:
+    if origin is None:
+        return pin.SE3.Identity()
+    roll, pitch, yaw = numbers_of(origin.get("rpy"), "0 0 0")
+    place = numbers_of(origin.get("xyz"), "0 0 0")
+    return pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), np.array(place))
+
+
+def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
+    """The file behind a mesh's address, or None.
+
+    Args:
+        uri: ``package://NAME/PATH`` (or ``model://``), ``file://PATH`` or a path, relative to
+            the URDF's folder.
+        urdf: the file that has the address.
+        package_dirs: folders that hold packages.
+    """
+    scheme, _, rest = uri.rpartition("://")
+    folder = urdf.resolve().parent
+    if scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        candidates = []
+        for parent in (*package_dirs, folder, *folder.parents):
+            candidates.append(parent / package / inside)
+            if parent.name == package:
+                candidates.append(parent / inside)
+    else:
+        candidates = [folder / rest]
+    return next((file for file in candidates if file.is_file()), None)
