@@ -31,8 +31,12 @@ from coopqp.task import TaskStack
 
 Array = NDArray[np.float64]
 
-#: A relaxation or a missed task below this is nothing [rad/s, m/s].
+#: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7
+
+#: A task row is missed by more than this [rad/s, m/s]. Damping alone holds ordinary ticks back by
+#: half of it; by more where the task error is large or the pose nearly singular.
+MISSED = 1e-4
 
 #: Task rows that the loops leave less than this share of are impossible, not merely blocked.
 IMPOSSIBLE = 1e-7
@@ -48,6 +52,7 @@ class TickRecord:
         t, q, v, memory: the state that the tick began with.
         dt: control period [s].
         damping: least curvature of the cost.
+        budget: what an answer may be off by.
         P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`.
         inequalities: number of rows of G in C.
         variables, inequality_names, equality_names: names.
@@ -66,6 +71,7 @@ class TickRecord:
     memory: list[float]
     dt: float
     damping: float
+    budget: Budget
     P: list[list[float]]
     q_cost: list[float]
     C: list[list[float]]
@@ -224,6 +230,7 @@ def record_tick(
         memory=memory,
         dt=problem.dt,
         damping=law.damping,
+        budget=problem.budget,
         P=qp.P.tolist(),
         q_cost=qp.q.tolist(),
         C=qp.C.tolist(),
@@ -267,7 +274,7 @@ def explain(record: TickRecord) -> Explanation:
     qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))
     wanted, names = np.array(record.wanted), record.task_names
     gap = np.abs(J @ np.array(record.answer) - wanted)
-    missed = tuple(name for name, g in zip(names, gap, strict=True) if g > NOTHING)
+    missed = tuple(name for name, g in zip(names, gap, strict=True) if g > MISSED)
     if not missed:
         return Explanation((), (), (), "nothing was in the way: every task row was met")
     possible = _possible_rows(_loops(record, qp), J)
@@ -284,7 +291,7 @@ def replay(record: TickRecord, solver: Solver) -> Replay:
     qp = record.qp()
     solution = Solution(qp)
     solver.open(qp, solution)()
-    status = Verifier(qp, solution, Budget(), record.damping).check()
+    status = Verifier(qp, solution, record.budget, record.damping).check()
     return Replay(
         status,
         solution.v.copy(),

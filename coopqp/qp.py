@@ -40,7 +40,8 @@ class QP:
     Attributes:
         P: shape (n, n), symmetric. q: shape (n,).
         C: [G; A], shape (p + m, n).
-        products: [P; C], so that one product with v serves the verification.
+        stacked: [q'; 0; C; P], shape (1 + 2 n + p + m, n), so that one product with the numbers
+            of a solution, [1; z_box; z; y; v], is q + C'[z; y] + P v.
         lower, upper: of [v; G v; A v], shape (n + p + m,).
     """
 
@@ -48,9 +49,10 @@ class QP:
         n, p, m = len(names.variables), len(names.inequalities), len(names.equalities)
         self.names = names
         self.n, self.p, self.m = n, p, m
-        self.products = np.zeros((n + p + m, n))
-        self.P, self.C = self.products[:n], self.products[n:]
-        self.P[:], self.q = np.eye(n), np.zeros(n)
+        self.stacked = np.zeros((1 + n + p + m + n, n))
+        self.q: Array = self.stacked[0]
+        self.C, self.P = self.stacked[1 + n : -n], self.stacked[-n:]
+        self.P[:] = np.eye(n)
         self.lower, self.upper = np.full(n + p + m, -np.inf), np.full(n + p + m, np.inf)
         self.G, self.A = self.C[:p], self.C[p:]
         self.h, self.b = self.upper[n : n + p], self.upper[n + p :]

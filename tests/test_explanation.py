@@ -13,6 +13,7 @@ import qpsolvers
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+import coopqp
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison, compare
 from coopqp.controller import ControlProblem
@@ -23,7 +24,8 @@ from coopqp.explanation import Explanation, Relaxation, TickRecord, explain, rec
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.profile import Profile
 from coopqp.report import files
-from coopqp.scenario import Scenario, load
+from coopqp.scenario import Scenario
+from coopqp.scenario_loader import load
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.spec import Pose as PoseValue
@@ -341,6 +343,22 @@ def test_tick_that_misses_nothing_says_so(mode: str, chain: ClosedChain) -> None
     assert found == Explanation((), (), (), nothing)
 
 
+@pytest.mark.parametrize("name", ["point_on_plane", "tilting_plane", "yeo_4_5"])
+def test_ordinary_tick_meets_its_tasks(name: str) -> None:
+    """No joint of these comes near a limit; all that is missing is what the damping costs."""
+    given = coopqp.load(name).problem()
+    law = QPController().build(given)
+    assert isinstance(law, QPLaw)
+    state = law.start()
+    for tick in range(200):
+        state.update()
+        kept = record(law, state, tick)
+        assert kept.status == "OPTIMAL"
+        assert explain(kept).missed == ()
+        state.q += given.dt * law.command.v
+        state.t += given.dt
+
+
 def test_task_that_damping_or_weights_keep_back_blames_no_limit(chain: ClosedChain) -> None:
     """Two goals for one point: one of them must be missed, with all limits far away."""
     tasks = [
@@ -463,6 +481,14 @@ def test_replay_of_an_impossible_tick_reports_the_failure(chain: ClosedChain) ->
     assert kept.status == "TASKS_GIVEN_UP"
     for solver in SOLVERS.values():
         assert not replay(kept, solver).status.usable
+
+
+def test_replay_checks_against_the_budget_of_the_run(chain: ClosedChain) -> None:
+    """Rounding alone breaks a budget of 1e-30."""
+    point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
+    strict = first_tick(chain, point, budget=Budget(equality=1e-30))
+    assert replay(strict, Daqp()).status is Status.EQUALITY_RESIDUAL
+    assert replay(replace(strict, budget=Budget()), Daqp()).status is Status.OPTIMAL
 
 
 def test_recording_a_stop_keeps_the_memory_from_before_the_tick(chain: ClosedChain) -> None:

@@ -28,7 +28,7 @@ from coopqp.profile import Profile
 from coopqp.qp import QP
 from coopqp.robot import RobotModel
 from coopqp.rollout import rollout
-from coopqp.scenario import load
+from coopqp.scenario_loader import load
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp
 from coopqp.spec import Pose as PoseValue
@@ -455,25 +455,17 @@ def test_recovery_ends(grasp: str, joints: str, nao: RobotModel) -> None:
     assert trace.status[-1] != "RECOVERING"
 
 
-@pytest.mark.parametrize(
-    "joints",
-    [
-        "both shoulders",
-        pytest.param(
-            "four joints",
-            marks=pytest.mark.xfail(
-                strict=True, reason="daqp finds some feasible programs infeasible: ticks hold still"
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("joints", ["both shoulders", "four joints"])
 def test_there_is_always_an_answer(joints: str, nao: RobotModel) -> None:
     """Also where several joints outside want more than the loops let them."""
     _, trace = coming_back(nao, "rigid", OUTSIDE[joints])
     assert trace.usable.all()
 
 
-@pytest.mark.xfail(strict=True, reason="known: the way back can stall where joints compete")
+@pytest.mark.xfail(
+    strict=True,
+    reason="known: where joints compete the loop opens up to its budget, and then no step fits",
+)
 def test_recovery_goes_on_where_the_drift_correction_is_given_up(nao: RobotModel) -> None:
     """As long as a linear program finds a motion along the loops that brings joints back."""
     chain, trace = coming_back(nao, "revolute", OUTSIDE["both shoulders"])
@@ -538,7 +530,8 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     trace = run(given, 300)
     counts = Counter(trace.status)
     assert counts["OPTIMAL"] > 150
-    assert counts["DRIFT_GIVEN_UP"] > 20  # the last attempt has an answer
+    assert counts["SOLVER_FAILED"] > 20  # the last attempt has an answer
+    assert counts["DRIFT_GIVEN_UP"] == 0  # nothing was in conflict
     failed = [k for k, status in enumerate(trace.status) if not Status[status].usable]
     assert failed  # it failed as well now and then
     assert not trace.v[failed].any()
@@ -576,13 +569,17 @@ def test_solver_that_always_fails_leaves_the_robot_standing(
     assert FallbackTicks().measure(trace) == {}
 
 
-@pytest.mark.xfail(strict=False, reason="known: newer numpy warns of overflow beyond 1e154")
-def test_answer_beyond_all_measure_is_refused_without_a_warning(chain: ClosedChain) -> None:
+@pytest.mark.parametrize("part", ["v", "multipliers"])
+@pytest.mark.parametrize("size", [1e155, 1e200, 1e308, np.inf])
+def test_answer_beyond_all_measure_is_refused_without_a_warning(
+    size: float, part: str, chain: ClosedChain
+) -> None:
     @spec
     class Beyond(Solver):
         def open(self, qp: QP, solution: Solution) -> Solve:
             def solve() -> None:
-                solution.v[:], solution.status = 1e200, Status.OPTIMAL
+                solution.v[:], solution.status = 0.0, Status.OPTIMAL
+                getattr(solution, part)[:] = size
 
             return solve
 

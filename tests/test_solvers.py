@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -434,6 +435,89 @@ def test_no_answer_lies_between_bounds_that_cross(lie: tuple[QP, Solution]) -> N
     qp.ub[3] = exact.v[3]
     qp.lb[3] = exact.v[3] + 1.0
     assert not verdict(qp, exact.v, exact).usable
+
+
+@pytest.mark.parametrize("where", ["at lb", "at ub", "between"])
+def test_no_answer_is_inside_bounds_that_cross_by_more_than_the_budget(where: str) -> None:
+    """Not even one that lies on a bound."""
+    qp = empty_qp(n=2, p=0, m=0)
+    qp.lb[0], qp.ub[0] = 1.0, 1.0 - 1e-3
+    v = np.array([{"at lb": 1.0, "at ub": 1.0 - 1e-3, "between": 1.0 - 5e-4}[where], 0.0])
+    assert verdict(qp, v) is Status.BOUND_RESIDUAL
+
+
+def test_residual_of_the_loop_is_that_of_the_clipped_answer() -> None:
+    """v_0 = 1 + 9e-7 closes the loop and is beyond its bound of 1: clipped, it is 9e-7 off."""
+    qp = empty_qp(n=2, p=0, m=1)
+    qp.A[:], qp.b[:], qp.ub[0] = [[1.0, 0.0]], 1.0 + 9e-7, 1.0
+    qp.seal()
+    solution = Solution(qp)
+    solution.v[:], solution.y[:], solution.status = [1.0 + 9e-7, 0.0], -1.0, Status.OPTIMAL
+    assert Verifier(qp, solution, Budget(equality=5e-7), 1.0).check() is Status.EQUALITY_RESIDUAL
+    assert solution.primal_residual == pytest.approx(9e-7)
+
+
+def nearly_clashing(rng: np.random.Generator) -> tuple[QP, Array, list[Fraction]]:
+    """Two rows that differ by 1e-5 in the joints that no bound holds, so that y is about 1e5.
+
+    Returns the problem, its optimum and y, solved in fractions: v_2 at its bound, v_0 and v_1 from
+    the rows, y from the gradient along v_0 and v_1.
+    """
+    qp = empty_qp(n=3, p=0, m=2)
+    a, c = rng.uniform(0.5, 1.0, 2)
+    near = a + 1e-5 * rng.uniform(0.5, 1.0)
+    qp.P[:], qp.q[:] = DAMPING * np.eye(3), [*rng.uniform(0.5, 1.0, 2), 0.0]
+    qp.A[:], qp.b[:] = [[a, c, 0.3], [near, c, -0.4]], rng.uniform(-0.1, 0.1, 2)
+    bound = rng.uniform(-0.1, 0.1)
+    (a11, a12, a13), (a21, a22, a23) = [[Fraction(x) for x in row] for row in qp.A.tolist()]
+    right = [Fraction(qp.b[0]) - a13 * Fraction(bound), Fraction(qp.b[1]) - a23 * Fraction(bound)]
+    det = a11 * a22 - a12 * a21
+    v = [(right[0] * a22 - a12 * right[1]) / det, (a11 * right[1] - a21 * right[0]) / det]
+    g = [Fraction(qp.q[i]) + Fraction(DAMPING) * v[i] for i in (0, 1)]
+    y = [(a21 * g[1] - a22 * g[0]) / det, (a12 * g[0] - a11 * g[1]) / det]
+    pull = a13 * y[0] + a23 * y[1] + Fraction(DAMPING) * Fraction(bound)
+    (qp.lb if pull > 0 else qp.ub)[2] = bound  # the cost pulls v_2 to that side
+    qp.seal()
+    return qp, np.array([float(v[0]), float(v[1]), bound]), y
+
+
+DAMPING = 1e-6
+
+
+def test_the_optimum_is_not_called_inaccurate_for_the_last_digits_of_its_multipliers(
+    rng: np.random.Generator,
+) -> None:
+    """Rounding y = 1e5 alone makes a gradient step of more than the accuracy."""
+    steps = []
+    for _ in range(100):
+        qp, v, y = nearly_clashing(rng)
+        solution = Solution(qp)
+        solution.v[:], solution.y[:] = v, [float(value) for value in y]
+        solution.status = Status.OPTIMAL
+        assert Verifier(qp, solution, Budget(), DAMPING).check() is Status.OPTIMAL
+        steps.append(solution.dual_residual / DAMPING)
+    assert np.median(steps) > Budget().accuracy
+
+
+def test_rounding_of_huge_multipliers_excuses_no_wrong_answer() -> None:
+    """The minimum of |v|^2 with v_0 = 1 twice is (1, 0); y = (1e12, -1e12) cancels exactly."""
+    qp = empty_qp(n=2, p=0, m=2)
+    qp.P[:], qp.A[:], qp.b[:] = DAMPING * np.eye(2), [[1.0, 0.0], [1.0, 0.0]], 1.0
+    qp.seal()
+    solution = Solution(qp)
+    solution.v[:], solution.y[:] = [1.0, 1e-3], [1e12, -1e12]
+    solution.status = Status.OPTIMAL
+    assert Verifier(qp, solution, Budget(), DAMPING).check() is Status.INACCURATE
+
+
+def test_refused_answers_have_no_residuals(lie: tuple[QP, Solution]) -> None:
+    """Those of an earlier tick are not left behind."""
+    qp, exact = lie
+    verifier = Verifier(qp, exact, Budget(), curvature(qp))
+    assert verifier.check() is Status.OPTIMAL
+    exact.status = Status.INFEASIBLE
+    verifier.check()
+    assert exact.primal_residual == exact.dual_residual == np.inf
 
 
 @pytest.mark.parametrize("broken", ["P", "q"])

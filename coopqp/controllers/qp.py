@@ -20,13 +20,13 @@ answer.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.linalg.blas import dnrm2
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.hierarchy import Bounds, Decided, Level, generic_rank, limit_names
@@ -244,15 +244,24 @@ class _Fallback:
     def solve(
         self, state: State, failed: Status, recovery: Recovery | None
     ) -> tuple[Status, Array]:
-        """The first attempt that has an answer, and what it gave up; else the first failure."""
+        """The first attempt that has an answer, and what it gave up; else the first failure.
+
+        That something left no motion is said only where the solver found so each time: one that
+        ran out of iterations or broke a row tells nothing about the problem.
+        """
         attempts = (
             (self._has_exact, self._soft, self._bounds, 1.0, Status.TASKS_GIVEN_UP),
             (self._has_sacrifice, self._free, self._slack, 1.0, Status.ACCELERATION_GIVEN_UP),
             (True, self._free, self._slack, 0.0, Status.DRIFT_GIVEN_UP),
         )
+        conflict = failed is Status.INFEASIBLE
         for makes_sense, level, bounds, drift, given_up in attempts:
-            if makes_sense and self._attempt(state, level, bounds, drift, recovery).usable:
-                return given_up, level.v
+            if not makes_sense:
+                continue
+            status = self._attempt(state, level, bounds, drift, recovery)
+            if status.usable:
+                return given_up if conflict else Status.SOLVER_FAILED, level.v
+            conflict = conflict and status is Status.INFEASIBLE
         return failed, self._free.v
 
     def _attempt(
@@ -286,26 +295,32 @@ class LoopProbe:
     def __init__(self, problem: ControlProblem) -> None:
         chain, budget = problem.chain, problem.budget
         self._model, self._data = chain.model, chain.model.createData()
-        self._frames = chain.frames
+        self._frames = frames = chain.frames[: chain.holding]
         self._dt = np.full(chain.n, problem.dt)
         self._q = np.zeros(chain.n)
         self._gap, self._turn = budget.loop_position, budget.loop_orientation
         pin.framesForwardKinematics(self._model, self._data, chain.q_start)
-        X_0, *others = (self._data.oMf[frame] for frame in chain.frames)
+        X_0, *others = (self._data.oMf[frame] for frame in frames)
         self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
         self._others = [(X.translation, X.rotation) for X in others]
-        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
+        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in frames])
         per_arm = moved * moved.sum(axis=1, keepdims=True)
         self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
+        self._steepest = float(self._second_order.max(initial=0.0))  # a bound that takes one norm
         self._reach, self._squares = chain.reach, np.zeros(chain.n)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
-        error = 2.0 * math.sqrt(state.loop_error.dot(state.loop_error))
-        opened = max(self._second_order.dot(np.multiply(v, v, self._squares)).tolist())
-        if error + self._reach * opened <= self._gap and error + opened <= self._turn:
+        if not self._others:  # one arm alone closes no loop
             return True
-        return self._look(state, v)
+        error, speed = 2.0 * dnrm2(state.closed_error), dnrm2(v)
+        if self._fits(error, self._steepest * speed * speed):
+            return True
+        opened = max(self._second_order.dot(np.multiply(v, v, self._squares)).tolist())
+        return self._fits(error, opened) or self._look(state, v)
+
+    def _fits(self, error: float, opened: float) -> bool:
+        return error + self._reach * opened <= self._gap and error + opened <= self._turn
 
     def _look(self, state: State, v: Array) -> bool:
         np.multiply(v, self._dt, self._q)
@@ -322,7 +337,7 @@ class LoopProbe:
 
     def _no_worse(self, state: State) -> bool:
         """A loop that is open already may be closed by steps that leave it open for now."""
-        before = np.linalg.norm(state.loop_error.reshape(-1, 2, 3), axis=2)
+        before = np.linalg.norm(state.closed_error.reshape(-1, 2, 3), axis=2)
         for (p, R), (gap, turn) in zip(self._others, before, strict=True):
             gap_after = np.linalg.norm(p - self._p_0)
             turn_after = np.linalg.norm(pin.log3(R.dot(self._R_0T)))

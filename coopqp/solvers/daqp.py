@@ -16,15 +16,16 @@ from coopqp.spec import Positive, spec
 
 EQUALITY = 5  # daqp's sense of a row that must hold with equality
 
-INFEASIBLE = -1
-
 STATUS = {
     1: Status.OPTIMAL,
     2: Status.OPTIMAL,
     -1: Status.INFEASIBLE,
     -3: Status.UNBOUNDED,
     -4: Status.ITERATION_LIMIT,
+    -6: Status.INFEASIBLE,  # equality rows contradict each other
 }
+
+WORTH_ANOTHER_TRY = (-1, -2)  # infeasible, cycling
 
 
 @spec
@@ -35,32 +36,43 @@ class Daqp(Solver):
     """Largest overrun of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
     second_tol: Positive = 1e-7
     """The same for a second try, when the first found no feasible point."""
+    last_tol: Positive = 3e-7
+    """The same for a last try, with proximal steps."""
+    prox: Positive = 1e-3
+    """Curvature that a proximal step adds about the last iterate [s2/rad2]."""
     dual_tol: Positive = 1e-12
     """Smallest multiplier that counts as negative."""
     iter_limit: int = 1000
     """Most changes of the active set."""
 
     def open(self, qp: QP, solution: Solution) -> Solve:
-        """Nothing is kept between ticks: starting cold is as fast at this size."""
+        """Nothing is kept between ticks: starting cold is as fast at this size.
+
+        daqp fails on some feasible programs. Where bounds and rows touch in one point, the
+        tight tolerance finds nothing. Where the cost is steep along some joints and nearly flat
+        along others, as for joints on their way back, rounding hides what there is; proximal steps
+        see it, but end less accurately. So it is asked up to three times, and what the later
+        answers overrun is clipped and checked before it is used.
+        """
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY
         sense = clean.copy()
-        options = {
+        first = {
             "primal_tol": self.primal_tol,
             "dual_tol": self.dual_tol,
             "iter_limit": self.iter_limit,
         }
-
-        second = {**options, "primal_tol": self.second_tol}
+        second = {**first, "primal_tol": self.second_tol}
+        last = {**first, "primal_tol": self.last_tol, "eps_prox": self.prox}
 
         def solve() -> None:
-            sense[:] = clean
-            v, _, flag, info = daqp.solve(qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **options)
-            if flag == INFEASIBLE:
-                # Where bounds and rows touch in one point, the tight tolerance finds nothing. What
-                # this overruns is clipped and checked before it is used.
+            for settings in (first, second, last):
                 sense[:] = clean
-                v, _, flag, info = daqp.solve(qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **second)
+                v, _, flag, info = daqp.solve(
+                    qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **settings
+                )
+                if flag not in WORTH_ANOTHER_TRY:
+                    break
             solution.v[:] = v
             solution.multipliers[:] = info["lam"]
             solution.status = STATUS.get(flag, Status.SOLVER_ERROR)

@@ -42,8 +42,10 @@ class Qpsolvers(Solver):
 
         def solve() -> None:
             solution.v[:], solution.multipliers[:] = 0.0, 0.0
-            crossed = (qp.lb > qp.ub).any()  # some backends print when asked that
-            answer = None if crossed else _ask(problem, self.backend)
+            if (qp.lb > qp.ub).any():  # some backends print when asked that
+                solution.status = Status.INFEASIBLE
+                return
+            answer = _ask(problem, self.backend)
             if answer is None:
                 solution.status = Status.SOLVER_ERROR
                 return
