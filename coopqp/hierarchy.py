@@ -148,7 +148,7 @@ class Level:
         self._weighted_J.T.dot(tasks.J, self._P)
         np.subtract(self._diagonal, self._P, self._P)
         if self._error_damping:
-            error = tasks.e.dot(tasks.e)
+            error = tasks.squared_error(state.v)
             np.add(self._P_diagonal, self._error_damping * error, self._P_diagonal)
         tasks.wanted.dot(self._weighted_J, self._q)
         if not self._whole:

@@ -141,6 +141,9 @@ class TaskStack:
         self.sizes = tuple(sizes)
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
         self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
+        self._asking = [
+            part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
+        ]
         self._evaluate: list[tuple[Evaluate, TaskRows]] = []
         for task, part in zip(tasks, self.slices, strict=True):
             if task.joint_space:
@@ -154,3 +157,15 @@ class TaskStack:
             evaluate(state, block)
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
+
+    def squared_error(self, v: Array) -> float:
+        """Sum of e^2 over all rows; of (J v - rate)^2 for tasks that ask for a velocity.
+
+        Args:
+            v: velocity, shape (n,).
+        """
+        squared = float(self.e.dot(self.e))
+        for part in self._asking:
+            missed = self.J[part].dot(v) - self.rate[part]
+            squared += float(missed.dot(missed))
+        return squared

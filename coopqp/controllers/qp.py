@@ -7,7 +7,8 @@
 
 with d = damping + error_damping sum_i |e_i|^2 (Sugihara 2011). The second part fades as the
 tasks are met; without it a goal out of reach can make the arms rattle at full speed about the
-singular pose where they are stretched.
+singular pose where they are stretched. For a task that asks for a velocity alone, such as twist,
+J_i v_last - rate_i stands for e_i: what the last tick has missed.
 
 Soft tasks of a later priority, and the secondary objectives after them all, are solved in what the
 earlier ones leave free (:mod:`coopqp.hierarchy`).
