@@ -69,7 +69,7 @@ class Task:
     unit: ClassVar[str] = "m"
     """Unit of the error."""
     joint_space: ClassVar[bool] = False
-    """Whether J is the identity (rows = joints): a wish of the joints that steers no object."""
+    """Whether J is the identity, zero in rows that ask nothing: it steers joints, no object."""
     asks_velocity: ClassVar[bool] = False
     """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 

@@ -31,7 +31,9 @@ class Posture(Task):
     joint_space: ClassVar[bool] = True
 
     goal: dict[str, float | list[float]] | list[float]
-    """Values by arm (base first) or joint, or all of them in the order of the joints [rad, m]."""
+    """Values by arm (base first) or joint, or all of them in the order of the joints [rad, m].
+
+    Joints that are not named stay free: their rows are zero."""
     profile: Profile = Profile()
     """How the reference moves from the start to the goal."""
 
@@ -55,9 +57,11 @@ class Posture(Task):
         given = np.isfinite(goal).astype(float)
         q_start = start.q.copy()
         way = np.where(given > 0.0, goal - q_start, 0.0)
+        diagonal = np.arange(start.chain.n)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             share, speed = profile.at(state.t)
+            rows.J[diagonal, diagonal] = given  # joints without a goal are not asked to stand still
             np.multiply(way, share, rows.rate)
             np.subtract(state.q, q_start, rows.e)
             np.subtract(rows.e, rows.rate, rows.e)

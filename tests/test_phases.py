@@ -256,6 +256,18 @@ def _as_comparison(regrasped: tuple[Scenario, Trace]) -> tuple[Scenario, Mapping
     return made, {"qp": trace}
 
 
+def test_a_posture_of_one_arm_leaves_the_other_to_the_object(tmp_path: Path) -> None:
+    """Both count alike; the joints of the arm that holds the object are not asked to rest."""
+    stay, lifted = "0.01, 0.06], gain: 5, profile: {duration: 0.1}", "-0.01, 0.07], gain: 5"
+    lift = PHASES.replace(stay, lifted + ", profile: {duration: 0.3}")
+    assert lift != PHASES
+    text = HEAD + lift.replace("    duration: 0.6\n    released", "    duration: 1.5\n    released")
+    trace = run(scenario(tmp_path, text + TAIL), controller="qp")
+    reached = dict(zip([t.name for t in trace.tasks], trace.final_error, strict=True))
+    assert reached["alone.stay"] < 5e-4
+    assert reached["alone.away"] < 0.01
+
+
 def test_one_phase_is_the_same_as_none(tmp_path: Path) -> None:
     tasks = "- point_on_point: {name: reach, goal: [0.17, 0.01, 0.06], gain: 5}\n"
     plain = scenario(tmp_path, f"{HEAD}duration: 1.0\ntasks:\n  {tasks}{TAIL}")
