@@ -284,6 +284,7 @@ def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> No
     if as_json:
         click.echo(json.dumps(rows, indent=2))
         return
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, show_header=False, pad_edge=False)
@@ -292,7 +293,7 @@ def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> No
     for k, lines in rows.items():
         table.add_row(f"{k}:", "")
         for name, text in lines.items():
-            table.add_row(f"  {name}", text)
+            table.add_row(f"  {name}", escape(text))
     _console().print(table)
 
 

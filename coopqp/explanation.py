@@ -358,8 +358,8 @@ def _named(record: TickRecord, r: Array) -> tuple[Relaxation, ...]:
 def _unit(name: str) -> str:
     if name.startswith("limit.position"):
         return "rad"
-    in_metres = ("limit.object_speed", "limit.workspace", "limit.self_collision")
-    return "m/s" if name.startswith(in_metres) and ".rot_" not in name else "rad/s"
+    of_joints = ("limit.velocity", "limit.acceleration")
+    return "rad/s" if name.startswith(of_joints) or ".rot_" in name else "m/s"
 
 
 def _sentence(

@@ -244,6 +244,8 @@ WITHOUT_PHASES = ("tasks", "duration")
 
 def _phases_or_not(file: YamlFile) -> list[Fault]:
     """What is missing or too much, with phases or without."""
+    if "phases" in file.data and not file.data["phases"]:
+        return [Fault(file.place(["phases"]), "needs at least one phase")]
     if "phases" not in file.data:
         missing = [key for key in WITHOUT_PHASES if key not in file.data]
         return [Fault(file.place([]), f"needs the key '{key}'") for key in missing]

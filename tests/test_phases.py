@@ -417,6 +417,7 @@ FAULTS = [
     ("goal: {left:", "goal: {leftt:", "phases[1].tasks[1]: "),
     ("controllers", "duration: 3\ncontrollers", "duration: belongs into each phase"),
     ("phases:", "tasks: []\nphases:", "tasks: belongs into each phase"),
+    (PHASES, "phases:\n", "phases: needs at least one phase"),
     ("phases:", "phasen:", "unknown key 'phasen'; did you mean 'phases'"),
 ]  # fmt: skip
 

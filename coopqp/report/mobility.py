@@ -21,7 +21,7 @@ from rich.text import Text
 
 from coopqp import __version__
 from coopqp.comparison import run
-from coopqp.errors import UnknownNameError
+from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.mobility_analysis import Mobility, Scheme, manipulability, mobility
 from coopqp.scenario import Scenario
 from coopqp.state import State
@@ -70,6 +70,8 @@ def study(
         CoopqpError: ``asked`` is no scheme, there is no such phase, or the scenario cannot be
             built.
     """
+    if phase is not None and not scenario.phases:
+        raise InvalidValueError("phase: this scenario has no phases; leave it out")
     phases = [p.name for p in scenario.phases] or [""]
     if phase is not None and phase not in phases:
         raise UnknownNameError("phase", phase, phases)
