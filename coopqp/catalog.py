@@ -1,7 +1,8 @@
 """From a name to its file to its class: what can be written in a scenario, and where it comes from.
 
 The YAML name of a plug-in is the name of its file in the collection's folder. Nothing is
-registered: a new file is found because it is there. A file holds one class of its kind.
+registered: a new file is found because it is there. A file holds one class of its kind; a file
+whose name begins with ``_`` holds helpers of its collection.
 """
 
 from __future__ import annotations
@@ -97,9 +98,10 @@ class Catalog:
 
 def _shipped(kind: str) -> Iterator[Entry]:
     package = importlib.import_module(f"coopqp.{kind}")
-    for module in sorted(pkgutil.iter_modules(package.__path__), key=lambda m: m.name):
-        loaded = importlib.import_module(f"coopqp.{kind}.{module.name}")
-        yield _entry(module.name, loaded, kind)
+    names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+    for name in (name for name in names if not name.startswith("_")):
+        loaded = importlib.import_module(f"coopqp.{kind}.{name}")
+        yield _entry(name, loaded, kind)
 
 
 def _users_tasks(folder: Path) -> Iterator[Entry]:

@@ -22,8 +22,8 @@ from coopqp.errors import InvalidValueError
 from coopqp.grasps import Rigid
 from coopqp.plant import PlantModel
 from coopqp.plants import RigidBody
+from coopqp.plants._servo import Servo
 from coopqp.robot import RobotModel
-from coopqp.servo import Servo
 from coopqp.solvers import Daqp
 from coopqp.state import State
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.controller import Controller, ControlProblem, Law
-from coopqp.resolved_rate import ResolvedRateLaw
+from coopqp.controllers._resolved_rate import ResolvedRateLaw
 from coopqp.spec import Positive, spec
 
 

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
+from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.dynamics import null_space
 from coopqp.errors import InvalidValueError
 from coopqp.solver import Status
 from coopqp.spec import NonNegative, spec
 from coopqp.state import State
 from coopqp.task import TaskStack
-from coopqp.torque_level import TaskDynamics, require_motor_freedom
 
 Array = NDArray[np.float64]
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]

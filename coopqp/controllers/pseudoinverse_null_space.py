@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.controller import Controller, ControlProblem, Law
-from coopqp.resolved_rate import ResolvedRateLaw
+from coopqp.controllers._resolved_rate import ResolvedRateLaw
 from coopqp.spec import Positive, spec
 
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.controller import Command, Controller, ControlProblem, Law
+from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.qp import QP, RowNames
 from coopqp.solver import Solution, Verifier
 from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
-from coopqp.torque_level import TaskDynamics, require_motor_freedom
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.dynamic_plant import DynamicModel
 from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant, PlantModel
-from coopqp.servo import Servo
+from coopqp.plants._dynamic import DynamicModel
+from coopqp.plants._servo import Servo
 from coopqp.spec import Positive, spec
 
 Array = NDArray[np.float64]

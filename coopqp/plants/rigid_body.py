@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.dynamic_plant import DynamicModel
 from coopqp.dynamics import ClosedLoopDynamics, Friction
 from coopqp.plant import Plant, PlantModel
-from coopqp.servo import Servo
+from coopqp.plants._dynamic import DynamicModel
+from coopqp.plants._servo import Servo
 from coopqp.spec import Positive, spec
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
 from coopqp.plant import PlantModel
-from coopqp.servo import Servo, ServoLaw
+from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.state import State
 
 Array = NDArray[np.float64]
