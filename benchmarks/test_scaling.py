@@ -28,10 +28,10 @@ from coopqp.disturbance import Disturbance
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.mdh import MdhParameters, MdhRow, Tip, build_model
 from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_files.mdh import MdhParameters, MdhRow, Tip, build_model
 from coopqp.solvers import Daqp
 from coopqp.tasks import PointOnPoint
 

@@ -32,7 +32,7 @@ from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
-from coopqp.robot_file import copy_per_velocity
+from coopqp.robot_files.selection import copy_per_velocity
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 from pydantic import BeforeValidator
 
 from coopqp.errors import InvalidValueError
-from coopqp.mdh import check_inertia, inertia_matrix
+from coopqp.robot_files.mdh import check_inertia, inertia_matrix
 from coopqp.spec import Lengths3, NonNegative, Pose, Vector3, numbers, spec
 
 Six = Annotated[

@@ -11,13 +11,13 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import mdh
 from coopqp.closed_chain import ClosedChain, matrix_rank
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table
 from coopqp.spec import Pose, spec
 from coopqp.state import State

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from test_closed_chain import planar_pair, three_arms
 from test_dynamics import Hinge, closed_states, small_arm
 
-from coopqp import mdh
 from coopqp.closed_chain import ClosedChain
 from coopqp.constraint_equations import ConstraintEquations, constraint_equations
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_files import mdh
 from coopqp.robots.planar_pair import PlanarPair
 
 Array = NDArray[np.float64]

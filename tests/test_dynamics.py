@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from test_closed_chain import planar_pair, spherical_pair, three_arms
 
-from coopqp import mdh
 from coopqp.closed_chain import ClosedChain
 from coopqp.constraint_equations import constraint_equations
 from coopqp.dynamics import ClosedLoopDynamics, Friction
@@ -25,6 +24,7 @@ from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_files import mdh
 from coopqp.spec import Vector3, spec
 from coopqp.state import State
 

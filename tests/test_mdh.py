@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import mdh
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.robot_files import mdh
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from coopqp.errors import (
 )
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
-from coopqp.mjcf_file import read_mjcf
 from coopqp.robot import Robot, RobotModel
+from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robots import (
     ExampleRobot,
     MdhTable,

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 from shipped_here import LOADABLE
 
-from coopqp import mdh
 from coopqp.cli import main
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
@@ -22,6 +21,7 @@ from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
+from coopqp.robot_files import mdh
 from coopqp.robots import NaoT14, PlanarPair
 from coopqp.scenario_loader import load, load_and_solve, shipped
 from coopqp.spec import Pose

@@ -13,10 +13,10 @@ from pydantic import Field
 
 from coopqp.errors import MissingDependencyError, UnknownNameError
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_file import robot_model
-from coopqp.robot_keys import Arms, JointLimits, Locked
+from coopqp.robot_files.keys import Arms, JointLimits, Locked
+from coopqp.robot_files.selection import robot_model
+from coopqp.robot_files.urdf import read_urdf
 from coopqp.spec import spec
-from coopqp.urdf_file import read_urdf
 
 PACKAGE = "example-robot-data"
 FOLDER = "cmeel.prefix/share/example-robot-data/robots"

@@ -1,6 +1,6 @@
 """A robot from the user's own table of modified Denavit-Hartenberg parameters.
 
-Columns after Khalil and Kleinfinger (1986), the paper's eq. (2): see :mod:`coopqp.mdh`.
+Columns after Khalil and Kleinfinger (1986), the paper's eq. (2): see :mod:`coopqp.robot_files.mdh`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from coopqp import mdh
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_description import Description
-from coopqp.robot_file import robot_model
-from coopqp.robot_keys import Arms, Locked
+from coopqp.robot_files import mdh
+from coopqp.robot_files.description import Description
+from coopqp.robot_files.keys import Arms, Locked
+from coopqp.robot_files.selection import robot_model
 from coopqp.spec import NonNegative, Positive, Vector3, numbers, one_angle, spec
 
 SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
@@ -103,7 +103,7 @@ class TableRow:
             raise ValueError("com and inertia need a mass")
 
     def read(self) -> mdh.MdhRow:
-        """As :mod:`coopqp.mdh` has it."""
+        """As :mod:`coopqp.robot_files.mdh` has it."""
         parameters = mdh.MdhParameters(
             gamma=self._radians("gamma", 0.0), b=self.b, alpha=self._radians("alpha", 0.0),
             d=self.d, theta=self._radians("theta", 0.0), r=self.r,

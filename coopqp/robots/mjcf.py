@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from coopqp.mjcf_file import read_mjcf
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_file import robot_model
-from coopqp.robot_keys import Arms, FilePath, JointLimits, Locked
+from coopqp.robot_files.keys import Arms, FilePath, JointLimits, Locked
+from coopqp.robot_files.mjcf import read_mjcf
+from coopqp.robot_files.selection import robot_model
 from coopqp.spec import spec
 
 

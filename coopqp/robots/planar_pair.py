@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from coopqp import mdh
 from coopqp.robot import Arm, Robot, RobotModel
+from coopqp.robot_files import mdh
 from coopqp.spec import Lengths3, Positive, spec
 
 

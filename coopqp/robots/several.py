@@ -11,7 +11,7 @@ from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.robot import Arm, Capsule, Robot, RobotModel
-from coopqp.robot_file import copy_per_velocity
+from coopqp.robot_files.selection import copy_per_velocity
 from coopqp.spec import Pose, spec
 
 

@@ -20,9 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
-from coopqp.mjcf_shapes import read_shapes
-from coopqp.robot_description import Description, Follower
-from coopqp.xml_file import numbers_of, pinocchio_says, read_xml
+from coopqp.robot_files.description import Description, Follower
+from coopqp.robot_files.shapes import read_shapes
+from coopqp.robot_files.xml import numbers_of, pinocchio_says, read_xml
 
 #: Name of the body round the world; a slash keeps it apart from names in files.
 WORLD = "world/"

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.robot_description import Description
-from coopqp.robot_keys import ArmJoints
+from coopqp.robot_files.description import Description
+from coopqp.robot_files.keys import ArmJoints
 
 #: Names and kinds of pinocchio's joints with more than one coordinate of motion.
 KINDS = {

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
-from coopqp.robot_description import Description
+from coopqp.robot_files.description import Description
 
 
 def without_locked_joints(

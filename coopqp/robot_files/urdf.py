@@ -15,8 +15,8 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot import Shape
-from coopqp.robot_description import Description, Follower
-from coopqp.xml_file import missing_meshes, numbers_of, pinocchio_says, read_xml
+from coopqp.robot_files.description import Description, Follower
+from coopqp.robot_files.xml import missing_meshes, numbers_of, pinocchio_says, read_xml
 
 
 def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:

@@ -2,8 +2,8 @@
 
 A description has all joints of a robot; what is controlled are the joints that move a tip:
 
-1. free are the joints on the arms' ways to their tips (:mod:`coopqp.free_joints`);
-2. all others are locked (:mod:`coopqp.locked_joints`);
+1. free are the joints on the arms' ways to their tips (:mod:`coopqp.robot_files.free_joints`);
+2. all others are locked (:mod:`coopqp.robot_files.locked_joints`);
 3. joints that turn without end get one coordinate, an angle without limits;
 4. a velocity or effort limit that is 0 or missing counts as no limit.
 """
@@ -19,11 +19,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.free_joints import free_joints, still_followers
-from coopqp.locked_joints import without_locked_joints
 from coopqp.robot import Arm, RobotModel
-from coopqp.robot_description import Description
-from coopqp.robot_keys import ArmJoints, JointLimits
+from coopqp.robot_files.description import Description
+from coopqp.robot_files.free_joints import free_joints, still_followers
+from coopqp.robot_files.keys import ArmJoints, JointLimits
+from coopqp.robot_files.locked_joints import without_locked_joints
 
 #: Data of a pinocchio model with one number per velocity coordinate.
 PER_VELOCITY = (

@@ -18,7 +18,7 @@ import coal
 import pinocchio as pin
 
 from coopqp.robot import Shape
-from coopqp.xml_file import missing_meshes, pinocchio_says
+from coopqp.robot_files.xml import missing_meshes, pinocchio_says
 
 MESH_FILES = "asset/mesh[@file]"
 TRIANGLE, SUFFIX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ".obj"
