@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from coopqp.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.scenario import Scenario
 
 CALLS = 200

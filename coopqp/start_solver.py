@@ -26,10 +26,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.closed_chain import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.closed_loop.mobility import LENGTH
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
 from coopqp.held_object import HeldObject
-from coopqp.mobility_analysis import LENGTH
 from coopqp.qp import QP, RowNames
 from coopqp.robot import RobotModel
 from coopqp.solver import Solution

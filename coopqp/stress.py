@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
-from coopqp.dynamics import null_space
 from coopqp.explanation import explain, record_tick
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid

@@ -17,7 +17,7 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.spec import NonNegative, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows

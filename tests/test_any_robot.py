@@ -17,11 +17,11 @@ from shipped_here import HAS_ROBOTS, LOADABLE
 
 import coopqp
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.comparison import Comparison
 from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
-from coopqp.mobility_analysis import Mobility, mobility
 from coopqp.robot import RobotModel
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario_loader import load, shipped

@@ -13,7 +13,7 @@ from test_closed_chain import planar_pair, three_arms
 from test_dynamics import Hinge, closed_states, small_arm
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.constraint_equations import ConstraintEquations, constraint_equations
+from coopqp.closed_loop.constraint_equations import ConstraintEquations, constraint_equations
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import coopqp.controllers
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import (
     DampedPseudoinverse,
@@ -21,7 +22,6 @@ from coopqp.controllers import (
     QPController,
 )
 from coopqp.controllers.qp import QPLaw
-from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.errors import InvalidValueError
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.profile import Profile

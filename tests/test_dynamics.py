@@ -17,8 +17,8 @@ from pydantic import ValidationError
 from test_closed_chain import planar_pair, spherical_pair, three_arms
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.constraint_equations import constraint_equations
-from coopqp.dynamics import ClosedLoopDynamics, Friction
+from coopqp.closed_loop.constraint_equations import constraint_equations
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import coopqp
+from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.comparison import run
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
-from coopqp.mobility_analysis import Mobility, mobility
 from coopqp.plants import RigidBody
 from coopqp.scenario import Scenario
 

@@ -17,10 +17,10 @@ from test_dynamics import Hinge, closed_states, ring
 
 from coopqp.cli import main
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.mobility import LENGTH, Mobility, Screw, manipulability, mobility
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
-from coopqp.mobility_analysis import LENGTH, Mobility, Screw, manipulability, mobility
 from coopqp.robot import RobotModel
 from coopqp.state import State
 

@@ -18,8 +18,8 @@ from test_closed_chain import three_arms
 
 from coopqp import cli
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import compare, run, summarize
-from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
 from coopqp.explanation import TickRecord
 from coopqp.grasps import Revolute, Rigid

@@ -15,11 +15,11 @@ from test_phases import HEAD, PHASES, TAIL, scenario
 
 from coopqp import cli
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import run, summarize
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers.qp import QPLaw
 from coopqp.disturbance import Disturbance
-from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.errors import CoopqpError, ScenarioError
 from coopqp.explanation import TickRecord
 from coopqp.grasps import Rigid

@@ -15,9 +15,9 @@ from test_dynamics import BOX, Hinge, closed_states, heavy, ring, with_mass
 
 import coopqp
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import Friction
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.dynamics import Friction
 from coopqp.errors import InvalidValueError
 from coopqp.grasps import Rigid
 from coopqp.plant import PlantModel

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.mobility import mobility
 from coopqp.controller import ControlProblem
-from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.errors import GraspError
-from coopqp.mobility_analysis import mobility
 from coopqp.state import State
 from coopqp.task import TaskStack
 

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
-from coopqp.dynamics import null_space
 from coopqp.errors import InvalidValueError
 from coopqp.solver import Status
 from coopqp.spec import NonNegative, spec

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command
-from coopqp.dynamics import ClosedLoopDynamics
 from coopqp.spec import Positive, spec
 
 Array = NDArray[np.float64]

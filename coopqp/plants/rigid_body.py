@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.dynamics import ClosedLoopDynamics, Friction
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import Servo

@@ -20,9 +20,9 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp import __version__
+from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
 from coopqp.comparison import run
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.mobility_analysis import Mobility, Scheme, manipulability, mobility
 from coopqp.scenario import Scenario
 from coopqp.state import State
 from coopqp.task import TaskStack

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.closed_chain import ClosedChain, matrix_rank
-from coopqp.constraint_equations import SINGULAR_CONDITION, scheme
-from coopqp.dynamics import null_space
+from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
+from coopqp.closed_loop.dynamics import null_space
 
 Array = NDArray[np.float64]
 
