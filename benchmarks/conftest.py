@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import coopqp
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 
 CALLS = 200
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controllers import QPController
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 
 TICKS = 1_000_000
 WARM_UP = 50_000  # caches and allocators have settled

@@ -18,7 +18,7 @@ from pink.tasks import FrameTask, RelativeFrameTask
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controllers import QPController
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 
 TICKS = 300  # the scenario's length: every round does the whole motion
 

@@ -16,8 +16,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
 from coopqp.explanation import explain, record_tick
-from coopqp.scenario import Scenario
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 
 TICKS = 300

@@ -174,8 +174,8 @@ def explain(
 def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
     from coopqp import explanation
-    from coopqp.catalog import Catalog
-    from coopqp.scenario_loader import solver_by_name, solver_names
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.loader import solver_by_name, solver_names
 
     catalog, record = Catalog(), explanation.TickRecord.read(file)
     rows = {}
@@ -240,9 +240,9 @@ def solve_start(
 
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
-    from coopqp.catalog import Catalog
-    from coopqp.scenario_loader import load_and_solve
-    from coopqp.start_solver import yaml_text
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.loader import load_and_solve
+    from coopqp.scenario.start_solver import yaml_text
 
     with _progress(["solving"], 1) as progress:
         report = (lambda done, total: progress("solving", done / total)) if progress else None
@@ -301,15 +301,15 @@ def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> No
 @TASKS
 def schema(task_folders: tuple[Path, ...]) -> None:
     """Print the JSON Schema of scenario files, for editors."""
-    from coopqp.catalog import Catalog
-    from coopqp.scenario_file import file_model
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.form import file_model
 
     click.echo(json.dumps(file_model(Catalog(task_folders)).model_json_schema(), indent=2))
 
 
 def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
-    from coopqp.catalog import Catalog
-    from coopqp.scenario_loader import load, with_solver
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.loader import load, with_solver
 
     catalog = Catalog(task_folders)
     loaded = load(name, catalog)
@@ -397,13 +397,13 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
 def _help_lines(kind: str, task_folders: tuple[Path, ...]) -> dict[str, str]:
     """A line of help for each name of a collection."""
     if kind == "scenarios":
-        from coopqp.scenario_loader import shipped
-        from coopqp.yaml_file import read_yaml
+        from coopqp.scenario.loader import shipped
+        from coopqp.scenario.yaml import read_yaml
 
         return {
             name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
         }
-    from coopqp.catalog import Catalog
+    from coopqp.scenario.catalog import Catalog
 
     lines = {name: e.help for name, e in Catalog(task_folders).entries(kind).items()}
     if kind == "solvers":

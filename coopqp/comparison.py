@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.catalog import Catalog
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.controller import Controller
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.plant import PlantModel
 from coopqp.rollout import rollout
-from coopqp.scenario import Scenario
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import metadata
 
-from coopqp.scenario_loader import shipped
+from coopqp.scenario.loader import shipped
 
 
 def _installed(package: str) -> bool:

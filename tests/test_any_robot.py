@@ -24,7 +24,7 @@ from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robots import ExampleRobot, Several, example_robot
-from coopqp.scenario_loader import load, shipped
+from coopqp.scenario.loader import load, shipped
 from coopqp.state import State
 
 Array = NDArray[np.float64]

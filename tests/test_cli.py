@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from shipped_here import LOADABLE
 
 from coopqp.cli import main
-from coopqp.scenario_loader import shipped
+from coopqp.scenario.loader import shipped
 
 
 def coopqp(*words: str | Path) -> Result:

@@ -11,11 +11,11 @@ import pytest
 from shipped_here import LOADABLE
 
 import coopqp
-from coopqp.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.comparison import run
 from coopqp.controller import Controller
-from coopqp.scenario import Scenario
-from coopqp.scenario_loader import load, with_solver
+from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
+from coopqp.scenario.loader import load, with_solver
+from coopqp.scenario.scenario import Scenario
 from coopqp.solvers import qpsolvers
 
 CATALOG = Catalog()

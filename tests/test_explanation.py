@@ -24,8 +24,8 @@ from coopqp.explanation import Explanation, Relaxation, TickRecord, explain, rec
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.profile import Profile
 from coopqp.report import files
-from coopqp.scenario import Scenario
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.spec import Pose as PoseValue

@@ -28,7 +28,7 @@ from coopqp.profile import Profile
 from coopqp.qp import QP
 from coopqp.robot import RobotModel
 from coopqp.rollout import rollout
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp
 from coopqp.spec import Pose as PoseValue

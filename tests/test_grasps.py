@@ -14,7 +14,7 @@ from coopqp.errors import GraspError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
 from coopqp.plants import RigidBody
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 
 BELOW = (0.0, 0.0, -0.05)
 

@@ -17,7 +17,7 @@ from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import InvalidValueError
 from coopqp.plants import Kinematic, Mujoco, RigidBody
-from coopqp.scenario_loader import load, shipped
+from coopqp.scenario.loader import load, shipped
 from coopqp.trace import Trace
 
 PLANTS = {"rigid_body": RigidBody(), "mujoco": Mujoco()}

@@ -28,8 +28,8 @@ from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.report import files
 from coopqp.report.mobility import study
 from coopqp.robot import RobotModel
-from coopqp.scenario import Scenario
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.trace import Trace
 

@@ -17,7 +17,6 @@ from shipped_here import HAS_ROBOTS, LOADABLE
 
 import coopqp
 from coopqp.errors import UnknownNameError
-from coopqp.phase import Phase
 from coopqp.report.page import render
 from coopqp.report.playback import MOST_FRAMES, scene
 from coopqp.report.robot_bodies import MOST_TRIANGLES, Body, robot_bodies
@@ -25,8 +24,9 @@ from coopqp.report.thinning import count_thinned, thinned
 from coopqp.report.triangles import Triangles
 from coopqp.robot import Capsule, Robot, RobotModel, Shape
 from coopqp.robots import Mjcf, NaoT14, PlanarPair, Several, Urdf
-from coopqp.scenario import Scenario
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
+from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 needs_robots = pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")

@@ -27,7 +27,7 @@ from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.rollout import rollout
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Status
 from coopqp.solvers import Daqp
 from coopqp.spec import Pose as PoseValue

@@ -30,7 +30,7 @@ from coopqp.plants import RigidBody
 from coopqp.qp import QP, RowNames
 from coopqp.report import robot_bodies
 from coopqp.report.triangles import Triangles
-from coopqp.scenario_loader import load
+from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Status, Verifier
 from coopqp.solvers import Daqp, Osqp
 from coopqp.state import State

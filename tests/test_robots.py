@@ -15,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import run
 from coopqp.errors import (
@@ -41,10 +40,11 @@ from coopqp.robots import (
     nao_t14,
 )
 from coopqp.robots.mdh_table import TableRow, TableTip
-from coopqp.scenario_file import check, chosen, file_model
-from coopqp.scenario_loader import load, shipped
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.form import check, chosen, file_model
+from coopqp.scenario.loader import load, shipped
+from coopqp.scenario.yaml import read_yaml
 from coopqp.tasks import PointOnPoint
-from coopqp.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 HANDS = {"right": "RHand", "left": "LHand"}

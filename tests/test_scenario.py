@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp.catalog import Catalog
 from coopqp.errors import CoopqpError, ScenarioError, UnknownNameError
-from coopqp.scenario_file import file_model
-from coopqp.scenario_loader import load, shipped, with_solver
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.form import file_model
+from coopqp.scenario.loader import load, shipped, with_solver
 
 GOOD = shipped()["point_on_point"].read_text(encoding="utf-8")
 

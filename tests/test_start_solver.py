@@ -23,11 +23,11 @@ from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots import NaoT14, PlanarPair
-from coopqp.scenario_loader import load, load_and_solve, shipped
+from coopqp.scenario.loader import load, load_and_solve, shipped
+from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start, yaml_text
+from coopqp.scenario.yaml import read_yaml
 from coopqp.spec import Pose
-from coopqp.start_solver import TRIES, StartSolution, solve_start, yaml_text
 from coopqp.state import State
-from coopqp.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 CLOSED = 1e-9  # loop error of a start [m, rad]

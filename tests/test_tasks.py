@@ -20,7 +20,6 @@ from pydantic import TypeAdapter
 from ruamel.yaml import YAML
 
 import coopqp.tasks
-from coopqp.catalog import Catalog
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import run
 from coopqp.errors import CoopqpError
@@ -31,8 +30,9 @@ from coopqp.held_object import HeldObject
 from coopqp.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.robots import PlanarPair
-from coopqp.scenario_file import chosen, one_of
-from coopqp.scenario_loader import load
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.form import chosen, one_of
+from coopqp.scenario.loader import load
 from coopqp.spec import Pose as PoseValue
 from coopqp.spec import spec
 from coopqp.state import State

@@ -9,7 +9,7 @@ from typing import Any
 
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.comparison import ROUNDING, Comparison
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
 MOST_LINES = 4  # task errors in one cell

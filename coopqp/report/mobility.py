@@ -23,7 +23,7 @@ from coopqp import __version__
 from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
 from coopqp.comparison import run
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.task import TaskStack
 

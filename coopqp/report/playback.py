@@ -19,7 +19,7 @@ from coopqp.report.figures import margin
 from coopqp.report.robot_bodies import Body, body_places, robot_bodies
 from coopqp.report.style import styles
 from coopqp.report.view import view
-from coopqp.scenario import Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.spec import unit
 from coopqp.task import Task
 from coopqp.trace import Trace

@@ -19,10 +19,10 @@ from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.phase import Phase
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel
+from coopqp.scenario.phase import Phase
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
 from coopqp.task import Task

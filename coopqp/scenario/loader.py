@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from coopqp.catalog import Catalog
 from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
-from coopqp.phase import Phase
-from coopqp.scenario import Scenario, Start
-from coopqp.scenario_check import built, check_start, placed_tasks
-from coopqp.scenario_file import SOLVE, check, chosen, file_model
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.checks import built, check_start, placed_tasks
+from coopqp.scenario.form import SOLVE, check, chosen, file_model
+from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Scenario, Start
+from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
+from coopqp.scenario.yaml import Location, YamlFile, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
-from coopqp.start_solver import Progress, StartSolution, solve_start
 from coopqp.task import Task
-from coopqp.yaml_file import Location, YamlFile, read_yaml
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:

@@ -24,16 +24,16 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from coopqp.catalog import Catalog
 from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
 from coopqp.errors import Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
 from coopqp.robot import Robot
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.yaml import YamlFile
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 from coopqp.spec import NonNegative, Positive
-from coopqp.yaml_file import YamlFile
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from coopqp.closed_chain import ClosedChain, arm_weights
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.limits import JointAcceleration, JointPosition
-from coopqp.phase import Phase
 from coopqp.robot import RobotModel
-from coopqp.scenario import Scenario, Start, arm_names, start_of
+from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
+from coopqp.scenario.yaml import Location, YamlFile
 from coopqp.state import State
 from coopqp.task import Task
-from coopqp.yaml_file import Location, YamlFile
 
 T = TypeVar("T")
 

@@ -1,0 +1,1 @@
+"""A file becomes a :class:`coopqp.scenario.scenario.Scenario`, or a list of all its faults."""
