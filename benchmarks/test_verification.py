@@ -15,10 +15,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
-from coopqp.explanation import explain, record_tick
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
+from coopqp.study.explanation import explain, record_tick
 
 TICKS = 300
 TURNS = 61

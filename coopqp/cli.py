@@ -151,8 +151,8 @@ def explain(
     """
     from dataclasses import asdict
 
-    from coopqp import explanation
     from coopqp.report import files
+    from coopqp.study import explanation
 
     record = _tick(trace, tick, controller, task_folders)
     found = explanation.explain(record)
@@ -173,9 +173,9 @@ def explain(
 @JSON
 def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
-    from coopqp import explanation
     from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import solver_by_name, solver_names
+    from coopqp.study import explanation
 
     catalog, record = Catalog(), explanation.TickRecord.read(file)
     rows = {}
@@ -211,7 +211,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
 
-    from coopqp import stress as trial
+    from coopqp.study import stress as trial
 
     with _progress(["rollouts"], rollouts) as progress:
         report = (lambda done: progress("rollouts", done)) if progress else None
@@ -327,8 +327,8 @@ def _tick(
 
     from coopqp.controllers.qp import QPLaw
     from coopqp.errors import InvalidValueError, UnknownNameError
-    from coopqp.explanation import record_tick
-    from coopqp.trace_file import blocked_tick, controllers_of, state_from_trace
+    from coopqp.study.explanation import record_tick
+    from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
 
     path = trace / "trace.csv" if trace.is_dir() else trace
     names = controllers_of(path)

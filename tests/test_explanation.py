@@ -20,7 +20,6 @@ from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.controllers.qp import QPLaw
 from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.explanation import Explanation, Relaxation, TickRecord, explain, record_tick, replay
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.profile import Profile
 from coopqp.report import files
@@ -30,9 +29,17 @@ from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.spec import Pose as PoseValue
 from coopqp.state import State
+from coopqp.study.explanation import (
+    Explanation,
+    Relaxation,
+    TickRecord,
+    explain,
+    record_tick,
+    replay,
+)
+from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
 from coopqp.task import Task
 from coopqp.tasks import PointOnPoint, Pose
-from coopqp.trace_file import blocked_tick, controllers_of, state_from_trace
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,6 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import compare, run, summarize
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
-from coopqp.explanation import TickRecord
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.plants import Kinematic, Mujoco, RigidBody
@@ -31,6 +30,7 @@ from coopqp.robot import RobotModel
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
+from coopqp.study.explanation import TickRecord
 from coopqp.trace import Trace
 
 Array = NDArray[np.float64]

@@ -21,7 +21,6 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.controllers.qp import QPLaw
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, ScenarioError
-from coopqp.explanation import TickRecord
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import SelfCollision
@@ -34,6 +33,7 @@ from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Status, Verifier
 from coopqp.solvers import Daqp, Osqp
 from coopqp.state import State
+from coopqp.study.explanation import TickRecord
 from coopqp.task import TaskStack
 from coopqp.tasks import Manipulability, RelativeMotion
 

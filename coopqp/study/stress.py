@@ -22,7 +22,6 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
-from coopqp.explanation import explain, record_tick
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
@@ -33,6 +32,7 @@ from coopqp.solver import Budget
 from coopqp.solvers import Daqp
 from coopqp.spec import Pose as PoseValue
 from coopqp.state import State
+from coopqp.study.explanation import explain, record_tick
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint, Pose
 
