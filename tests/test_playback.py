@@ -18,10 +18,10 @@ from shipped_here import HAS_ROBOTS, LOADABLE
 import coopqp
 from coopqp.errors import UnknownNameError
 from coopqp.report.page import render
-from coopqp.report.playback import MOST_FRAMES, scene
-from coopqp.report.robot_bodies import MOST_TRIANGLES, Body, robot_bodies
-from coopqp.report.thinning import count_thinned, thinned
-from coopqp.report.triangles import Triangles
+from coopqp.report.scene.bodies import MOST_TRIANGLES, Body, robot_bodies
+from coopqp.report.scene.playback import MOST_FRAMES, scene
+from coopqp.report.scene.thinning import count_thinned, thinned
+from coopqp.report.scene.triangles import Triangles
 from coopqp.robot import Capsule, Robot, RobotModel, Shape
 from coopqp.robots import Mjcf, NaoT14, PlanarPair, Several, Urdf
 from coopqp.scenario.loader import load

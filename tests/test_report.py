@@ -22,7 +22,7 @@ from coopqp.errors import CoopqpError
 from coopqp.report import curves, files
 from coopqp.report.figures import Figures, joint_window
 from coopqp.report.page import render
-from coopqp.report.playback import MOST_FRAMES, scene
+from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.report.style import styles
 from coopqp.report.table import summary
 

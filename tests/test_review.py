@@ -27,8 +27,8 @@ from coopqp.limits import SelfCollision
 from coopqp.plant import PlantModel
 from coopqp.plants import RigidBody
 from coopqp.qp import QP, RowNames
-from coopqp.report import robot_bodies
-from coopqp.report.triangles import Triangles
+from coopqp.report.scene import bodies as robot_bodies
+from coopqp.report.scene.triangles import Triangles
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Status, Verifier
 from coopqp.solvers import Daqp, Osqp

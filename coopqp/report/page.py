@@ -17,7 +17,7 @@ from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, Cell, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures import Figures
-from coopqp.report.playback import scene
+from coopqp.report.scene.playback import scene
 from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.comparison import Comparison
-from coopqp.report.robot_bodies import Body, body_places
-from coopqp.report.triangles import joined, moved
+from coopqp.report.scene.bodies import Body, body_places
+from coopqp.report.scene.triangles import joined, moved
 from coopqp.robot import RobotModel
 from coopqp.trace import Trace
 

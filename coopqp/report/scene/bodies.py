@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.report.thinning import count_thinned, thinned
-from coopqp.report.triangles import Triangles, joined, moved, of_capsule, of_shape
+from coopqp.report.scene.thinning import count_thinned, thinned
+from coopqp.report.scene.triangles import Triangles, joined, moved, of_capsule, of_shape
 from coopqp.robot import Capsule, RobotModel, Shape
 from coopqp.trace import Trace
 

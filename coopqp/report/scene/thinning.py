@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.report.triangles import Triangles
+from coopqp.report.scene.triangles import Triangles
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

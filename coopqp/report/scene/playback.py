@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures import margin
-from coopqp.report.robot_bodies import Body, body_places, robot_bodies
+from coopqp.report.scene.bodies import Body, body_places, robot_bodies
+from coopqp.report.scene.view import view
 from coopqp.report.style import styles
-from coopqp.report.view import view
 from coopqp.scenario.scenario import Scenario
 from coopqp.spec import unit
 from coopqp.task import Task

@@ -1,0 +1,1 @@
+"""What the playback of the page draws."""
