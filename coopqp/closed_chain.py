@@ -26,8 +26,8 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 import scipy.linalg
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
@@ -126,7 +126,7 @@ class ClosedChain:
     def __init__(
         self,
         robot: RobotModel,
-        q_start: NDArray[np.float64],
+        q_start: Array,
         grasps: Grasp | Mapping[str, Grasp],
         held: HeldObject,
         *,
@@ -165,7 +165,7 @@ class ClosedChain:
         self.velocity = np.array(self.model.velocityLimit)
         self.loops = self._independent_rows()
 
-    def moved(self, q: NDArray[np.float64]) -> ClosedChain:
+    def moved(self, q: Array) -> ClosedChain:
         """The same chain with another start, the object held as it is.
 
         Args:
@@ -176,7 +176,7 @@ class ClosedChain:
         other.start_position = self.object_pose(other.q_start).translation.copy()
         return other
 
-    def handed_over(self, q: NDArray[np.float64], released: Collection[str] = ()) -> ClosedChain:
+    def handed_over(self, q: Array, released: Collection[str] = ()) -> ClosedChain:
         """The same robot with other arms holding the object, where everything is now.
 
         An arm that holds on holds it as before. One that takes hold does so where its hand is, so
@@ -208,7 +208,7 @@ class ClosedChain:
         other.loops = other._independent_rows()
         return other
 
-    def object_pose(self, q: NDArray[np.float64]) -> pin.SE3:
+    def object_pose(self, q: Array) -> pin.SE3:
         """Pose of the object in the world, the mean over the arms that hold it.
 
         Args:
@@ -257,7 +257,7 @@ class ClosedChain:
         kinds = (joint.shortname() for joint in itertools.islice(self.model.joints, 1, None))
         return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
 
-    def object_jacobians(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
 
         Where q does not close the loops the object counts as grasped anew, midway between where
@@ -275,28 +275,26 @@ class ClosedChain:
             jacobians.append(J)
         return np.array(jacobians)
 
-    def loop_jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def loop_jacobian(self, q: Array) -> Array:
         """J_c of eq. (14) with all rows of the closed loops, shape (6 L, n), world axes."""
         J = self.object_jacobians(q)[: self.holding]
-        rows: NDArray[np.float64] = (J[1:] - J[0]).reshape(-1, self.n)
+        rows: Array = (J[1:] - J[0]).reshape(-1, self.n)
         return rows
 
-    def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Random configurations inside the limits, loops not closed, shape (count, n)."""
         lower = np.where(np.isfinite(self.lower), self.lower, self.q_start - UNLIMITED_SAMPLE)
         upper = np.where(np.isfinite(self.upper), self.upper, self.q_start + UNLIMITED_SAMPLE)
         return rng.uniform(lower, upper, (count, self.n))
 
-    def _tip_orientation(self, arm: Arm) -> NDArray[np.float64]:
+    def _tip_orientation(self, arm: Arm) -> Array:
         model = self.robot.model
         data = model.createData()
         pin.framesForwardKinematics(model, data, self._robot_start)
-        R: NDArray[np.float64] = data.oMf[model.getFrameId(arm.tip)].rotation.copy()
+        R: Array = data.oMf[model.getFrameId(arm.tip)].rotation.copy()
         return R
 
-    def _extended(
-        self, q: NDArray[np.float64], passive_start: Mapping[str, float]
-    ) -> NDArray[np.float64]:
+    def _extended(self, q: Array, passive_start: Mapping[str, float]) -> Array:
         """Configuration of the model with its passive joints."""
         passive = [name for name in self.joint_names if name not in self.robot.joint_names]
         for name in passive_start:
@@ -407,7 +405,7 @@ class ClosedChain:
         return LoopRows(names=names, closed=closed, kept=tuple(kept), rank=rank)
 
 
-def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> list[int]:
+def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
     """Indices of a largest set of independent rows, in their own order, by pivoted QR.
 
     Args:
@@ -422,7 +420,7 @@ def independent_rows(matrix: NDArray[np.float64], most: int | None = None) -> li
     return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
 
 
-def matrix_rank(matrix: NDArray[np.float64]) -> int:
+def matrix_rank(matrix: Array) -> int:
     """Rank with the tolerance used everywhere in coopqp."""
     if not matrix.size:
         return 0
@@ -489,7 +487,7 @@ def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int
     )
 
 
-def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> NDArray[np.float64]:
+def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
     """Weights of the arms in the absolute variables, in the order of the arms, shape (N,).
 
     Args:
@@ -537,7 +535,7 @@ def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dic
     return {name: grasps[name] for name in names}
 
 
-def _mixing_matrix(alpha: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mixing_matrix(alpha: Array) -> Array:
     """M with [J_tsk; J_rel] = M [J_0; J_1; ...], eq. (30)-(31), shape (6 N, 6 N)."""
     arms = len(alpha)
     blocks = np.zeros((arms, arms))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.controller import Controller
 from coopqp.errors import InvalidValueError, UnknownNameError
@@ -18,8 +18,6 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
-
-Array = NDArray[np.float64]
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""

@@ -8,17 +8,16 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit
 from coopqp.solver import Budget, Solver, Status
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Task
 
-Array = NDArray[np.float64]
 OnInfeasible = Literal["scale", "hold", "stop"]
 
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from coopqp.spec import NonNegative, Positive, Vector3, spec
-
-Array = NDArray[np.float64]
+from coopqp.checked import Array, NonNegative, Positive, Vector3, spec
 
 
 @spec

@@ -19,13 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coopqp.checked import Array, Direction, Vector3, one_angle, spec, unit
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Vector3, one_angle, spec, unit
 from coopqp.state import PointOfObject, State
-
-Array = NDArray[np.float64]
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-12  # sine of an angle, or [m]

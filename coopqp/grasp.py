@@ -13,11 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from coopqp.spec import Pose, spec, unit
-
-Array = NDArray[np.float64]
+from coopqp.checked import Array, Pose, spec, unit
 
 
 @dataclass(frozen=True, kw_only=True)

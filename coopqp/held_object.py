@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 from pydantic import BeforeValidator
 
+from coopqp.checked import Lengths3, NonNegative, Pose, Vector3, numbers, spec
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.mdh import check_inertia, inertia_matrix
-from coopqp.spec import Lengths3, NonNegative, Pose, Vector3, numbers, spec
 
 Six = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(lambda v: numbers(v, 6))

@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain, matrix_rank
 from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, Tighten
@@ -22,8 +22,6 @@ from coopqp.qp import QP, RowNames
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-
-Array = NDArray[np.float64]
 
 
 class Bounds:

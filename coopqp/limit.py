@@ -10,11 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 #: Depth up to which what crossed a limit in space is asked back [m].
 SHALLOW = 1e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, ClassVar
 
-from coopqp.spec import spec
+from coopqp.checked import spec
 from coopqp.trace import Trace
 
 

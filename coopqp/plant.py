@@ -5,12 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from coopqp.checked import Array, spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.spec import spec
 from coopqp.state import State
 
 
@@ -25,14 +22,14 @@ class PlantModel(ABC):
     def __init__(self) -> None:
         self.signals = {}
 
-    signals: dict[str, NDArray[np.float64]]
+    signals: dict[str, Array]
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
         """Carry the command out for one dt: writes t, q and v of the state, nothing else."""
 
     @abstractmethod
-    def configuration(self, state: State) -> NDArray[np.float64]:
+    def configuration(self, state: State) -> Array:
         """Where the joints really are, which is not what noisy sensors say, shape (n,).
 
         Args:

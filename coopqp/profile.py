@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from coopqp.spec import NonNegative, Positive, spec
+from coopqp.checked import NonNegative, Positive, spec
 
 #: Share of a trapezoid's duration spent speeding up, and again slowing down.
 RAMP = 0.25

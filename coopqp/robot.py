@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 
@@ -129,7 +129,7 @@ class RobotModel:
         tip = self.model.frames[self.model.getFrameId(arm.tip)]
         return tuple(self.model.names[j] for j in self.model.supports[tip.parentJoint] if j > 0)
 
-    def configuration(self, values: Mapping[str, float | Sequence[float]]) -> NDArray[np.float64]:
+    def configuration(self, values: Mapping[str, float | Sequence[float]]) -> Array:
         """Configuration from values by arm or joint name; joints not named stay at neutral.
 
         Args:

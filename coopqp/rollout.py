@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Law
 from coopqp.plant import PlantModel
@@ -16,8 +16,6 @@ from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
-
-Array = NDArray[np.float64]
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""

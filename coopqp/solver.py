@@ -8,13 +8,10 @@ from abc import abstractmethod
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dnrm2
 
+from coopqp.checked import Positive, spec
 from coopqp.qp import QP
-from coopqp.spec import Positive, spec
-
-Array = NDArray[np.float64]
 
 
 class Status(enum.Enum):

@@ -10,12 +10,11 @@ import math
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain, independent_rows
-
-Array = NDArray[np.float64]
 
 
 class State:

@@ -17,14 +17,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from coopqp.checked import Array
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 
+from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach
 from coopqp.profile import Profile
-from coopqp.spec import Positive, Vector3, spec
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
 

@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Positive, Vector3, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

@@ -19,10 +19,10 @@ import math
 
 import numpy as np
 
+from coopqp.checked import Direction, Positive, Vector3, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end, polar
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Positive, Vector3, spec, unit
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

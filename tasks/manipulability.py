@@ -24,16 +24,14 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import lapack
 
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
-Array = NDArray[np.float64]
 Axis = Literal["x", "y", "z"]
 
 ALL: tuple[Axis, ...] = ("x", "y", "z")

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import lapack
 
+from coopqp.checked import NonNegative, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.spec import NonNegative, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

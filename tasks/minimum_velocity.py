@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

@@ -12,11 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from coopqp.checked import Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.profile import Profile
-from coopqp.spec import Pose, Positive, Vector3, one_angle, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

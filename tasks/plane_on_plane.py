@@ -15,10 +15,10 @@ the axis points the opposite way. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
+from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Positive, Vector3, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

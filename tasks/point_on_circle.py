@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
+from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Positive, Vector3, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

@@ -11,10 +11,10 @@ One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
 
 from __future__ import annotations
 
+from coopqp.checked import Direction, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Vector3, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

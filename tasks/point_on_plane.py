@@ -9,10 +9,10 @@ from where the point starts to 0:
 
 from __future__ import annotations
 
+from coopqp.checked import Direction, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Vector3, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

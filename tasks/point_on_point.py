@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.profile import Profile
-from coopqp.spec import Vector3, spec
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
 

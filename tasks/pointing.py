@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from coopqp.checked import Direction, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Reference, Turn, last_end
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Positive, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Pose as PoseValue
+from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.profile import Profile
-from coopqp.spec import Pose as PoseValue
-from coopqp.spec import Positive, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

@@ -13,12 +13,11 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.profile import Profile
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -71,9 +70,7 @@ class Posture(Task):
         return evaluate
 
 
-def posture(
-    goal: Mapping[str, float | list[float]] | list[float], chain: ClosedChain
-) -> NDArray[np.float64]:
+def posture(goal: Mapping[str, float | list[float]] | list[float], chain: ClosedChain) -> Array:
     """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given.
 
     Raises:

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Direction, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, RotationError, Turn, last_end
 from coopqp.grasp import pose_matrix
 from coopqp.profile import Profile
-from coopqp.spec import Direction, Pose, Positive, Vector3, one_angle, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

@@ -21,12 +21,12 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checked import Pose, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
 from coopqp.geometry import Approach, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.profile import Profile
-from coopqp.spec import Pose, Positive, spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

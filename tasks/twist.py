@@ -16,9 +16,9 @@ import numpy as np
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
+from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.profile import Profile
-from coopqp.spec import Positive, Vector3, spec
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from coopqp.checked import Pose, spec
 from coopqp.closed_chain import ClosedChain, matrix_rank
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint
@@ -19,7 +20,6 @@ from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table
-from coopqp.spec import Pose, spec
 from coopqp.state import State
 
 Array = NDArray[np.float64]

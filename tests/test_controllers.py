@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import coopqp.controllers
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller, ControlProblem
@@ -28,7 +29,6 @@ from coopqp.profile import Profile
 from coopqp.qp import QP
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows, TaskStack
 from coopqp.tasks import JointCentering, MinimumKineticEnergy, PointOnPlane, PointOnPoint

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from test_closed_chain import planar_pair, spherical_pair, three_arms
 
+from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import constraint_equations
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
@@ -25,7 +26,6 @@ from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
-from coopqp.spec import Vector3, spec
 from coopqp.state import State
 
 Array = NDArray[np.float64]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import coopqp
+from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison, compare
 from coopqp.controller import ControlProblem
@@ -27,7 +28,6 @@ from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
-from coopqp.spec import Pose as PoseValue
 from coopqp.state import State
 from coopqp.study.explanation import (
     Explanation,

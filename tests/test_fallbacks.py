@@ -11,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from coopqp.checked import Pose as PoseValue
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
@@ -31,8 +33,6 @@ from coopqp.rollout import rollout
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp
-from coopqp.spec import Pose as PoseValue
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Pose

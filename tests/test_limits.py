@@ -14,6 +14,7 @@ import pytest
 import qpsolvers
 from numpy.typing import NDArray
 
+from coopqp.checked import Pose as PoseSpec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
@@ -33,7 +34,6 @@ from coopqp.profile import Profile
 from coopqp.robot import Capsule, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.solvers import Daqp
-from coopqp.spec import Pose as PoseSpec
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Pose

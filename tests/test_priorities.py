@@ -14,6 +14,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from coopqp.checked import Pose as PoseValue
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
@@ -30,8 +32,6 @@ from coopqp.rollout import rollout
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Status
 from coopqp.solvers import Daqp
-from coopqp.spec import Pose as PoseValue
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint, Pose, Posture

@@ -146,7 +146,7 @@ def test_a_solver_can_be_changed_by_name() -> None:
 USERS_TASK = '''"""Holds the height of the object."""
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.spec import spec
+from coopqp.checked import spec
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 

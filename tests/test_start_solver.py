@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 from shipped_here import LOADABLE
 
+from coopqp.checked import Pose
 from coopqp.cli import main
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
@@ -26,7 +27,6 @@ from coopqp.robots import NaoT14, PlanarPair
 from coopqp.scenario.loader import load, load_and_solve, shipped
 from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start, yaml_text
 from coopqp.scenario.yaml import read_yaml
-from coopqp.spec import Pose
 from coopqp.state import State
 
 Array = NDArray[np.float64]

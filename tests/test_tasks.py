@@ -20,6 +20,8 @@ from pydantic import TypeAdapter
 from ruamel.yaml import YAML
 
 import coopqp.tasks
+from coopqp.checked import Pose as PoseValue
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import run
 from coopqp.errors import CoopqpError
@@ -33,8 +35,6 @@ from coopqp.robots import PlanarPair
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import chosen, one_of
 from coopqp.scenario.loader import load
-from coopqp.spec import Pose as PoseValue
-from coopqp.spec import spec
 from coopqp.state import State
 from coopqp.task import Task, TaskRows, TaskStack
 from coopqp.tasks import (

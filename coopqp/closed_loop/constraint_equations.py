@@ -19,12 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain, independent_rows
 from coopqp.errors import InvalidValueError, UnknownNameError
-
-Array = NDArray[np.float64]
 
 #: Condition number of G_p beyond which a scheme counts as singular.
 SINGULAR_CONDITION = 1e8

@@ -25,11 +25,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain, independent_rows
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.spec import NonNegative, Positive, spec
-
-Array = NDArray[np.float64]
 
 #: Reciprocal condition number below which a system counts as singular.
 SINGULAR = 1e-12

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-
-Array = NDArray[np.float64]
 
 Invert = Callable[[Array], NDArray[np.floating[Any]]]
 

@@ -8,7 +8,6 @@ second derivative of its own.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
@@ -16,8 +15,6 @@ from coopqp.controller import ControlProblem
 from coopqp.errors import GraspError
 from coopqp.state import State
 from coopqp.task import TaskStack
-
-Array = NDArray[np.float64]
 
 #: Step of the forward difference [s]: its error is this times a second derivative.
 STEP = 1e-6

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.checked import Array, Positive, spec
 from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
-from coopqp.spec import Positive, spec
 
 
 @spec
@@ -26,7 +26,7 @@ class DampedPseudoinverse(Controller):
         """Damped inverse with the secondary objectives as Z."""
         squared = self.damping**2
 
-        def invert(J: NDArray[np.float64]) -> NDArray[np.floating[Any]]:
+        def invert(J: Array) -> NDArray[np.floating[Any]]:
             gram = J.dot(J.T)  # which, unlike @, warns of nothing
             gram.flat[:: len(gram) + 1] += squared
             return np.linalg.solve(gram, J).T

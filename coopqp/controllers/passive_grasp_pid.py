@@ -22,19 +22,17 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from coopqp.checked import Array, NonNegative, spec
 from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.errors import InvalidValueError
 from coopqp.solver import Status
-from coopqp.spec import NonNegative, spec
 from coopqp.state import State
 from coopqp.task import TaskStack
 
-Array = NDArray[np.float64]
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Positive, spec
 from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
-from coopqp.spec import Positive, spec
 
 
 @spec

@@ -26,19 +26,16 @@ from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.linalg.blas import dnrm2
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.hierarchy import Bounds, Decided, Level, generic_rank, limit_names
 from coopqp.limit import movers
 from coopqp.qp import QP
 from coopqp.solver import Solution, Status
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-
-Array = NDArray[np.float64]
 
 ERROR_DAMPING = 0.1  # default: 1e-3 at an error of 10 cm, 1e-7 at one of a millimetre
 SHORTEN = 0.5  # a step that opens a loop too far is halved ...

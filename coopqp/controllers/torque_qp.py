@@ -16,16 +16,13 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.qp import QP, RowNames
 from coopqp.solver import Solution, Verifier
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 class TorqueQpLaw(Law):

@@ -19,16 +19,13 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 #: Room of a joint without bounds [rad or m]; infinity would end in inf - inf.
 UNLIMITED = 1e9

@@ -7,14 +7,12 @@ standing still is always allowed. What brings it back is the controller.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
 
-Array = NDArray[np.float64]
 ZERO = np.zeros(1)
 
 

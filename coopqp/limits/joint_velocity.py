@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
-from coopqp.spec import spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 @spec

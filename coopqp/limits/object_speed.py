@@ -6,14 +6,11 @@ J_task v <= bound and -J_task v <= bound. The object's velocity is that of its o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, states_along
-from coopqp.spec import Positive, spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 @spec

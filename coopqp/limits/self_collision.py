@@ -20,16 +20,13 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
 from coopqp.robot import Capsule
-from coopqp.spec import NonNegative, Positive, spec
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 OBJECT = "object"
 

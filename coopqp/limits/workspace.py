@@ -15,15 +15,12 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, Direction, Positive, Vector3, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
-from coopqp.spec import Direction, Positive, Vector3, spec, unit
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 @spec

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.spec import spec
 from coopqp.trace import Trace
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 
+from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.solver import Status
-from coopqp.spec import spec
 from coopqp.trace import Trace
 
 

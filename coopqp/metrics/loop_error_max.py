@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.spec import spec
 from coopqp.trace import Trace
 
 

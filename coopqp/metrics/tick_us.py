@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.spec import spec
 from coopqp.trace import Trace
 
 

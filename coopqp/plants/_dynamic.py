@@ -6,16 +6,14 @@ from abc import abstractmethod
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
 from coopqp.plant import PlantModel
 from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 
 class DynamicModel(PlantModel):

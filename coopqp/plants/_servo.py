@@ -13,14 +13,11 @@ torque command goes to the motors as it is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command
-from coopqp.spec import Positive, spec
-
-Array = NDArray[np.float64]
 
 
 @spec

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
-from coopqp.spec import spec
 from coopqp.state import State
 
 
@@ -34,7 +33,7 @@ class KinematicModel(PlantModel):
         state.v[:] = command.v
         state.t += float(self._dt)
 
-    def configuration(self, state: State) -> NDArray[np.float64]:
+    def configuration(self, state: State) -> Array:
         """As told: the sensors are perfect."""
         return state.q
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
@@ -20,9 +20,6 @@ from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import Servo
-from coopqp.spec import Positive, spec
-
-Array = NDArray[np.float64]
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6

@@ -7,17 +7,14 @@ the control period, and projects q and v back on the closed loops after every st
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import Servo
-from coopqp.spec import Positive, spec
-
-Array = NDArray[np.float64]
 
 
 class RigidBodyModel(DynamicModel):

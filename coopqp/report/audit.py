@@ -6,15 +6,13 @@ import html
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.metrics.limits_audit import AT_BOUND
 from coopqp.report import curves
 from coopqp.report.curves import Figure
 from coopqp.report.style import Style
 from coopqp.trace import Trace
-
-Array = NDArray[np.float64]
 
 SHOWN = 10  # limits of each controller in the table
 MOST_LINES = 14  # of the timeline

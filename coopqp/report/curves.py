@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.report.style import Style
 
-Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 MOST_POINTS = 1000  # a line, more cannot be seen

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from itertools import chain as joined
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION, ClosedChain
 from coopqp.comparison import ROUNDING, Comparison
 from coopqp.report import curves
@@ -16,8 +16,6 @@ from coopqp.report.cells import length
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.style import Style, styles
 from coopqp.trace import Trace
-
-Array = NDArray[np.float64]
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad]

@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.errors import CoopqpError
 from coopqp.report.page import render
 from coopqp.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:

@@ -14,12 +14,12 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 from rich.table import Table
 from rich.text import Text
 
 from coopqp import __version__
+from coopqp.checked import Array
 from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
 from coopqp.comparison import run
 from coopqp.errors import InvalidValueError, UnknownNameError
@@ -47,8 +47,8 @@ class Study:
     scenario: Scenario
     phase: str
     mobility: Mobility
-    t: NDArray[np.float64]
-    manipulability: NDArray[np.float64]
+    t: Array
+    manipulability: Array
 
     @property
     def name(self) -> str:
@@ -98,9 +98,7 @@ def study(
     return Study(scenario, phases[number], found, trace.t[kept], measure)
 
 
-def _along(
-    times: NDArray[np.float64], path: NDArray[np.float64], tasks: TaskStack, state: State
-) -> NDArray[np.float64]:
+def _along(times: Array, path: Array, tasks: TaskStack, state: State) -> Array:
     """Manipulability along a path."""
     measure = []
     for t, q in zip(times, path, strict=True):

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo
 
-from coopqp.spec import NonNegative, Positive, spec
+from coopqp.checked import NonNegative, Positive, spec
 
 
 def _beside_the_scenario(path: Path, info: ValidationInfo) -> Path:

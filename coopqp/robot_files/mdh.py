@@ -16,8 +16,8 @@ from typing import Literal, get_args
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 #: sin(alpha) below which two axes count as parallel; a grasp is never known to a nanoradian.
@@ -64,7 +64,7 @@ class Link:
         check_inertia(self.matrix, "link inertia")
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Array:
         """Inertia about the centre of mass, shape (3, 3) [kg m2]."""
         return inertia_matrix(self.inertia)
 
@@ -123,13 +123,13 @@ class Tip:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def inertia_matrix(six: Sequence[float]) -> NDArray[np.float64]:
+def inertia_matrix(six: Sequence[float]) -> Array:
     """Symmetric matrix from ixx ixy ixz iyy iyz izz, shape (3, 3) [kg m2]."""
     xx, xy, xz, yy, yz, zz = six
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def check_inertia(matrix: NDArray[np.float64], what: str) -> None:
+def check_inertia(matrix: Array, what: str) -> None:
     """Refuse an inertia no body can have: a negative or too large principal moment.
 
     Raises:
@@ -278,6 +278,6 @@ def _add_tips(
         model.addFrame(pin.Frame(name, joint, X_WJ.inverse() * X_WT, pin.FrameType.OP_FRAME))
 
 
-def _rot_z(angle: float) -> NDArray[np.float64]:
+def _rot_z(angle: float) -> Array:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files.description import Description
@@ -151,7 +151,7 @@ def _set_limits(
     model.velocityLimit, model.effortLimit = velocity, effort
 
 
-def _or_infinite(limits: NDArray[np.float64]) -> NDArray[np.float64]:
+def _or_infinite(limits: Array) -> Array:
     """Limits with "no limit" where a file has 0 or nothing."""
     values = np.array(limits)
     return np.where(values > 0.0, values, np.inf)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from pydantic import Field
 
+from coopqp.checked import spec
 from coopqp.errors import MissingDependencyError, UnknownNameError
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.keys import Arms, JointLimits, Locked
 from coopqp.robot_files.selection import robot_model
 from coopqp.robot_files.urdf import read_urdf
-from coopqp.spec import spec
 
 PACKAGE = "example-robot-data"
 FOLDER = "cmeel.prefix/share/example-robot-data/robots"

@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from coopqp.checked import NonNegative, Positive, Vector3, numbers, one_angle, spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import Arms, Locked
 from coopqp.robot_files.selection import robot_model
-from coopqp.spec import NonNegative, Positive, Vector3, numbers, one_angle, spec
 
 SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
 

@@ -13,9 +13,9 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checked import spec
 from coopqp.robot import Arm, Capsule, Robot, RobotModel
 from coopqp.robot_files import mdh
-from coopqp.spec import spec
 
 B1, R1, D3, R3, R5 = 0.100, 0.098, 0.015, 0.105, 0.05595  # [m], Table 1
 HAND = (0.05775, 0.0, -0.01231)  # from the wrist, base axes at the zero pose [m]

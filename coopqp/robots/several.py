@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
+from coopqp.checked import Pose, spec
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.robot import Arm, Capsule, Robot, RobotModel
 from coopqp.robot_files.selection import copy_per_velocity
-from coopqp.spec import Pose, spec
 
 
 def _read(value: Any, info: ValidationInfo) -> Robot:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from coopqp.checked import spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.keys import Arms, FilePath, JointLimits, Locked
 from coopqp.robot_files.selection import robot_model
 from coopqp.robot_files.urdf import read_urdf
-from coopqp.spec import spec
 
 
 @spec

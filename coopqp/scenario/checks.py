@@ -6,9 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain, arm_weights
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.limits import JointAcceleration, JointPosition
@@ -139,7 +137,7 @@ def _check_passive(
 
 
 def outside_limits(
-    robot: RobotModel, start: Start, q: NDArray[np.float64], key: str
+    robot: RobotModel, start: Start, q: Array, key: str
 ) -> list[tuple[Location, str]]:
     """Where a start leaves the position limits, and by how much."""
     faults: list[tuple[Location, str]] = []

@@ -24,6 +24,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
+from coopqp.checked import NonNegative, Positive
 from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
 from coopqp.errors import Fault, ScenarioError, unknown_name
@@ -33,7 +34,6 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import YamlFile
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
-from coopqp.spec import NonNegative, Positive
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, OnInfeasible
 from coopqp.disturbance import Disturbance
@@ -141,7 +141,7 @@ class Scenario:
             on_infeasible=self.on_infeasible,
         )
 
-    def problems(self, where: Callable[[int], NDArray[np.float64]]) -> Iterator[ControlProblem]:
+    def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:
         """The problem of each phase in turn.
 
         Args:

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
 from coopqp.closed_loop.mobility import LENGTH
 from coopqp.errors import GraspError
@@ -35,7 +35,6 @@ from coopqp.robot import RobotModel
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called after each try with the number of tries made and the most there can be."""
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
+from coopqp.checked import Positive, spec
 from coopqp.qp import QP
 from coopqp.solver import Solution, Solve, Solver, Status
-from coopqp.spec import Positive, spec
 
 EQUALITY = 5  # daqp's sense of a row that must hold with equality
 

@@ -6,9 +6,9 @@ import numpy as np
 import osqp
 import scipy.sparse
 
+from coopqp.checked import Positive, spec
 from coopqp.qp import QP
 from coopqp.solver import Solution, Solve, Solver, Status
-from coopqp.spec import Positive, spec
 
 STATUS = {
     osqp.SolverStatus.OSQP_SOLVED: Status.OPTIMAL,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from proxsuite import proxqp
 
+from coopqp.checked import Positive, spec
 from coopqp.qp import QP
 from coopqp.solver import Solution, Solve, Solver, Status
-from coopqp.spec import Positive, spec
 
 STATUS = {
     proxqp.PROXQP_SOLVED: Status.OPTIMAL,

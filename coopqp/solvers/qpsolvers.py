@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import qpsolvers
 
+from coopqp.checked import spec
 from coopqp.errors import UnknownNameError
 from coopqp.qp import QP
 from coopqp.solver import Solution, Solve, Solver, Status
-from coopqp.spec import spec
 
 #: Backends stop at loose tolerances by default, which the verification would refuse.
 TIGHT: dict[str, dict[str, float]] = {

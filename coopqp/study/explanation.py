@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, with_config
 from scipy.optimize import linprog
 
+from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
 from coopqp.errors import CoopqpError
@@ -28,8 +28,6 @@ from coopqp.qp import QP, RowNames
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.state import State
 from coopqp.task import TaskStack
-
-Array = NDArray[np.float64]
 
 #: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7

@@ -16,8 +16,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
+from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import ControlProblem
@@ -30,13 +31,10 @@ from coopqp.profile import Profile
 from coopqp.robots.nao_t14 import NaoT14
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp
-from coopqp.spec import Pose as PoseValue
 from coopqp.state import State
 from coopqp.study.explanation import explain, record_tick
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint, Pose
-
-Array = NDArray[np.float64]
 
 DT, TICKS, MOST_ROUNDS = 0.01, 300, 5  # [s], ticks a round, rounds while it still moves
 EXCESS = 1e-9  # what a bound may be exceeded by, rounding [rad, rad/s]

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.checked import Array, unit
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures import margin
@@ -20,11 +21,9 @@ from coopqp.report.scene.bodies import Body, body_places, robot_bodies
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
 from coopqp.scenario.scenario import Scenario
-from coopqp.spec import unit
 from coopqp.task import Task
 from coopqp.trace import Trace
 
-Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 MOST_FRAMES = 80

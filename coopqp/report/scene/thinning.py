@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.report.scene.triangles import Triangles
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FLAT = 1e-2  # share of a cell's largest eigenvalue below which its planes leave the point free

@@ -11,9 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.robot import Capsule, Shape
-
-Array = NDArray[np.float64]
 
 ROUND = 12  # corners of a circle
 

@@ -9,15 +9,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.report.scene.bodies import Body, body_places
 from coopqp.report.scene.triangles import joined, moved
 from coopqp.robot import RobotModel
 from coopqp.trace import Trace
-
-Array = NDArray[np.float64]
 
 WIDEST = 0.5  # times the size at the start; further out the view does not follow
 SLICES = 8  # of what is shown, to find the largest scale at which it fits

@@ -11,11 +11,15 @@ import math
 from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
 T = TypeVar("T")
+
+Array = NDArray[np.float64]
+"""An array of numbers, as all signatures have it."""
 
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
@@ -96,7 +100,7 @@ def one_angle(name: str, radians: object, degrees: object, *, needed: bool = Fal
         raise ValueError(f"needs {name} (radians) or {name}_deg (degrees)")
 
 
-def unit(direction: tuple[float, float, float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def unit(direction: tuple[float, float, float]) -> Array:
     """The direction as a unit vector, shape (3,)."""
     vector = np.array(direction, float)
     vector /= np.linalg.norm(vector)

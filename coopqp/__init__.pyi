@@ -1,0 +1,51 @@
+"""The public names of coopqp, and where they live; read by type checkers and by __init__.py."""
+
+from coopqp.checked import Array as Array
+from coopqp.checked import Pose as Pose
+from coopqp.checked import spec as spec
+from coopqp.closed_chain import ClosedChain as ClosedChain
+from coopqp.closed_loop.mobility import mobility as mobility
+from coopqp.comparison import Comparison as Comparison
+from coopqp.comparison import compare as compare
+from coopqp.controller import Command as Command
+from coopqp.controller import Controller as Controller
+from coopqp.controller import ControlProblem as ControlProblem
+from coopqp.controller import Law as Law
+from coopqp.controller_run import run as run
+from coopqp.disturbance import Disturbance as Disturbance
+from coopqp.errors import CoopqpError as CoopqpError
+from coopqp.errors import GraspError as GraspError
+from coopqp.errors import InvalidValueError as InvalidValueError
+from coopqp.errors import MissingDependencyError as MissingDependencyError
+from coopqp.errors import ScenarioError as ScenarioError
+from coopqp.errors import UnknownNameError as UnknownNameError
+from coopqp.grasp import Grasp as Grasp
+from coopqp.grasp import PassiveJoint as PassiveJoint
+from coopqp.held_object import HeldObject as HeldObject
+from coopqp.limit import Limit as Limit
+from coopqp.limit import LimitRows as LimitRows
+from coopqp.limit import Tighten as Tighten
+from coopqp.metric import Metric as Metric
+from coopqp.plant import Plant as Plant
+from coopqp.plant import PlantModel as PlantModel
+from coopqp.profile import Profile as Profile
+from coopqp.qp import QP as QP
+from coopqp.robot import Arm as Arm
+from coopqp.robot import Robot as Robot
+from coopqp.robot import RobotModel as RobotModel
+from coopqp.scenario.catalog import Catalog as Catalog
+from coopqp.scenario.loader import load as load
+from coopqp.scenario.phase import Phase as Phase
+from coopqp.scenario.scenario import Scenario as Scenario
+from coopqp.solver import Budget as Budget
+from coopqp.solver import Solution as Solution
+from coopqp.solver import Solver as Solver
+from coopqp.solver import Status as Status
+from coopqp.state import State as State
+from coopqp.task import Evaluate as Evaluate
+from coopqp.task import Part as Part
+from coopqp.task import Task as Task
+from coopqp.task import TaskRows as TaskRows
+from coopqp.trace import Trace as Trace
+
+__version__: str
