@@ -25,22 +25,18 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-import scipy.linalg
 
 from coopqp.checked import Array
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
-from coopqp.robot import Arm, RobotModel
-from coopqp.robot_files.selection import copy_per_velocity
+from coopqp.rank import independent_rows, matrix_rank
+from coopqp.robot import Arm, RobotModel, copy_per_velocity
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
 #: Largest gap of given grasps at the start that still counts as closed.
 CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
-
-#: Singular values below this share of the largest count as zero when ranks are taken.
-RANK_TOLERANCE = 1e-8
 
 #: The weights alpha must sum to 1 within this.
 WEIGHT_SUM = 1e-6
@@ -403,28 +399,6 @@ class ClosedChain:
         kept = independent_rows(np.hstack(jacobians))
         rank = max(matrix_rank(J) for J in jacobians)
         return LoopRows(names=names, closed=closed, kept=tuple(kept), rank=rank)
-
-
-def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
-    """Indices of a largest set of independent rows, in their own order, by pivoted QR.
-
-    Args:
-        matrix: shape (m, n).
-        most: not more rows than this; the best pivots are kept.
-    """
-    if not matrix.size:
-        return []
-    _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
-    diagonal = np.abs(np.diag(R))
-    rank = int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], 1e-300)))
-    return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
-
-
-def matrix_rank(matrix: Array) -> int:
-    """Rank with the tolerance used everywhere in coopqp."""
-    if not matrix.size:
-        return 0
-    return int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
 
 
 def with_passive_joints(

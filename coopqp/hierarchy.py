@@ -15,10 +15,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain, matrix_rank
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, Tighten
 from coopqp.qp import QP, RowNames
+from coopqp.rank import matrix_rank
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.state import State
 from coopqp.task import Task, TaskStack

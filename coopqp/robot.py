@@ -169,3 +169,24 @@ class RobotModel:
                     by_arm[joint] = (key, number)
                 q[self.model.idx_qs[self.model.getJointId(joint)]] = number
         return q
+
+
+#: Data of a pinocchio model with one number per velocity coordinate.
+PER_VELOCITY = (
+    "velocityLimit", "effortLimit", "armature", "damping", "rotorInertia", "rotorGearRatio"
+)  # fmt: skip
+
+
+def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:
+    """Copy limits, friction and rotors of the source's joints, found by name in the target.
+
+    Args:
+        source: from where; one velocity coordinate per joint.
+        target: to where.
+        prefix: of the joints' names in the target.
+    """
+    at = [target.idx_vs[target.getJointId(prefix + name)] for name in list(source.names)[1:]]
+    for key in PER_VELOCITY:
+        values = np.array(getattr(target, key))
+        values[at] = getattr(source, key)
+        setattr(target, key, values)

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain, independent_rows
+from coopqp.closed_chain import ClosedChain
+from coopqp.rank import independent_rows, least_squares
 
 
 class State:
@@ -101,7 +102,7 @@ class State:
         J = self.J_loop
         _, x, info = lapack.dposv(J.dot(J.T), rows)
         if info:  # not positive definite: the loops are singular here
-            return np.asarray(np.linalg.lstsq(J, rows, rcond=1e-10)[0], float)
+            return least_squares(J, rows)
         return np.asarray(J.T.dot(x), float)
 
     def point(self, p_O: Array) -> Array:

@@ -12,11 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from coopqp.checked import Pose, spec
-from coopqp.closed_chain import ClosedChain, matrix_rank
+from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
+from coopqp.rank import matrix_rank
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table

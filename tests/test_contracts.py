@@ -11,8 +11,8 @@ import pytest
 from shipped_here import LOADABLE
 
 import coopqp
-from coopqp.comparison import run
 from coopqp.controller import Controller
+from coopqp.controller_run import run
 from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.loader import load, with_solver
 from coopqp.scenario.scenario import Scenario

@@ -9,7 +9,7 @@ import pytest
 
 import coopqp
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.comparison import run
+from coopqp.controller_run import run
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical

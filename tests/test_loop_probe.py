@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coopqp
-from coopqp.closed_loop.dynamics import null_space
 from coopqp.controllers.qp import LoopProbe
+from coopqp.rank import null_space
 from coopqp.solver import Budget
 from coopqp.state import State
 

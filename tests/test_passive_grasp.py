@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import coopqp
 from coopqp.cli import main
-from coopqp.comparison import run
+from coopqp.controller_run import run
 from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import InvalidValueError

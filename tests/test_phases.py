@@ -19,7 +19,8 @@ from test_closed_chain import three_arms
 from coopqp import cli
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.comparison import compare, run, summarize
+from coopqp.comparison import compare, summarize
+from coopqp.controller_run import run
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject

@@ -16,8 +16,9 @@ from test_phases import HEAD, PHASES, TAIL, scenario
 from coopqp import cli
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.comparison import run, summarize
+from coopqp.comparison import summarize
 from coopqp.controller import Command, ControlProblem
+from coopqp.controller_run import run
 from coopqp.controllers.qp import QPLaw
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, ScenarioError

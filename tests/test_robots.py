@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import run
+from coopqp.controller_run import run
 from coopqp.errors import (
     CoopqpError,
     InvalidValueError,

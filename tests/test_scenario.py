@@ -174,7 +174,7 @@ def test_a_users_task_is_one_file(tmp_path: Path) -> None:
     (tmp_path / "hold_height.py").write_text(USERS_TASK, encoding="utf-8")
     catalog = Catalog((tmp_path,))
     text = GOOD.split("tasks:", 1)[0] + "tasks:\n  - hold_height: {height: 0.06}\nduration: 2\n"
-    from coopqp.comparison import run
+    from coopqp.controller_run import run
 
     trace = run(load(write(tmp_path, text), catalog), controller="qp")
     assert abs(trace.position[-1, 2] - 0.06) < 1e-4

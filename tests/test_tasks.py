@@ -23,7 +23,7 @@ import coopqp.tasks
 from coopqp.checked import Pose as PoseValue
 from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import run
+from coopqp.controller_run import run
 from coopqp.errors import CoopqpError
 from coopqp.geometry import Turn, axes_along
 from coopqp.grasp import Grasp, PassiveJoint

@@ -21,8 +21,9 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain, independent_rows
+from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.rank import independent_rows
 
 #: Condition number of G_p beyond which a scheme counts as singular.
 SINGULAR_CONDITION = 1e8

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain, independent_rows
+from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.rank import independent_rows, least_squares, null_space
 
 #: Reciprocal condition number below which a system counts as singular.
 SINGULAR = 1e-12
@@ -355,17 +356,7 @@ class Saddle:
             rcond, _ = lapack.dgecon(lu, math.sqrt(self._flat.dot(self._flat)))
             if rcond > SINGULAR:
                 return lapack.dgetrs(lu, pivots, rhs)[0], False
-        return np.asarray(np.linalg.lstsq(self._K, rhs, rcond=1e-10)[0], float), True
-
-
-def null_space(J: Array, tolerance: float = 1e-9) -> Array:
-    """Orthonormal basis of the null space of J (m, n), shape (n, n - rank)."""
-    if not len(J):
-        return np.identity(J.shape[1])
-    _, values, Vt = np.linalg.svd(J)
-    rank = int(np.sum(values > tolerance * max(values[0], 1e-300)))
-    basis: Array = np.ascontiguousarray(Vt[rank:].T)
-    return basis
+        return least_squares(self._K, rhs), True
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain, matrix_rank
+from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
-from coopqp.closed_loop.dynamics import null_space
+from coopqp.rank import matrix_rank, null_space
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000
@@ -239,7 +239,7 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
     J_arms = chain.object_jacobians(q)
     J_c = (J_arms[1 : chain.holding] - J_arms[0]).reshape(-1, chain.n)
     J_o = np.tensordot(chain.alpha, J_arms, axes=1)
-    return _Pose(J_c, J_o, null_space(J_c, 1e-8))
+    return _Pose(J_c, J_o, null_space(J_c))
 
 
 def _scaled(twists: Array) -> Array:
@@ -258,7 +258,7 @@ def _motion_rank(motions: Array) -> int:
 
 def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
     """Object twists that happen with every motor locked, shape (6, .)."""
-    locked = null_space(pose.N[list(active)], 1e-8) if pose.N.size else np.zeros((0, 0))
+    locked = null_space(pose.N[list(active)]) if pose.N.size else np.zeros((0, 0))
     return pose.J_o @ pose.N @ locked
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
+from coopqp.rank import least_squares
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -81,4 +82,4 @@ def _alone(task: Task, J: Array, wanted: Array) -> Array:
     """The joint velocity of least norm that an objective asks for by itself, shape (n,)."""
     if task.joint_space:
         return wanted
-    return np.asarray(np.linalg.lstsq(J, wanted, rcond=None)[0], float)
+    return least_squares(J, wanted)

@@ -25,10 +25,10 @@ import numpy as np
 from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, spec
-from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.errors import InvalidValueError
+from coopqp.rank import least_squares, null_space
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -54,7 +54,7 @@ class KinematicPid(Law):
         wanted = tasks.rate - kp * tasks.e - ki * state.memory
         wanted -= kd * (tasks.J.dot(state.v) - tasks.rate)
         N = null_space(state.J_loop)
-        command.v[:] = N @ np.linalg.lstsq(tasks.J @ N, wanted, rcond=1e-8)[0]
+        command.v[:] = N @ least_squares(tasks.J @ N, wanted)
         command.v -= np.linalg.pinv(state.J_loop) @ (self.problem.kappa * state.e_loop)
         command.status = Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE
         if not command.status.usable:
@@ -97,7 +97,7 @@ class TorquePid(Law):
             return dynamics.gravity(state.q)
         rows = np.vstack([level.tasks.J, dynamics.J])
         wanted = -np.concatenate([level.drift, dynamics.drift])
-        a_r = np.linalg.lstsq(rows, wanted, rcond=1e-8)[0]
+        a_r = least_squares(rows, wanted)
         return np.asarray(dynamics.A.dot(a_r) + dynamics.H, float)
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.comparison import ROUNDING, Comparison
+from coopqp.comparison import Comparison
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
+from coopqp.verdict import ROUNDING
 
 MOST_LINES = 4  # task errors in one cell
 

@@ -21,7 +21,7 @@ from rich.text import Text
 from coopqp import __version__
 from coopqp.checked import Array
 from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
-from coopqp.comparison import run
+from coopqp.controller_run import run
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State

@@ -59,7 +59,7 @@ def render(comparison: Comparison) -> str:
         figures=script_json(plots),
         css=_read("page.css"),
         plotly=get_plotlyjs(),
-        playback_js=_read("surfaces.js") + _read("playback.js"),
+        playback_js=_read("scene/surfaces.js") + _read("scene/playback.js"),
         curves_js=_read("curves.js"),
     )
 

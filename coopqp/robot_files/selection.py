@@ -19,16 +19,11 @@ import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.robot import Arm, RobotModel
+from coopqp.robot import Arm, RobotModel, copy_per_velocity
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.free_joints import free_joints, still_followers
 from coopqp.robot_files.keys import ArmJoints, JointLimits
 from coopqp.robot_files.locked_joints import without_locked_joints
-
-#: Data of a pinocchio model with one number per velocity coordinate.
-PER_VELOCITY = (
-    "velocityLimit", "effortLimit", "armature", "damping", "rotorInertia", "rotorGearRatio"
-)  # fmt: skip
 
 
 def robot_model(
@@ -100,21 +95,6 @@ def _with_one_coordinate(model: pin.Model) -> pin.Model:
     for frame in list(model.frames)[1:]:
         single.addFrame(frame, False)
     return single
-
-
-def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:
-    """Copy limits, friction and rotors of the source's joints, found by name in the target.
-
-    Args:
-        source: from where; one velocity coordinate per joint.
-        target: to where.
-        prefix: of the joints' names in the target.
-    """
-    at = [target.idx_vs[target.getJointId(prefix + name)] for name in list(source.names)[1:]]
-    for key in PER_VELOCITY:
-        values = np.array(getattr(target, key))
-        values[at] = getattr(source, key)
-        setattr(target, key, values)
 
 
 def _tell_frames_apart(model: pin.Model) -> None:

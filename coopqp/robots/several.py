@@ -11,8 +11,7 @@ from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
 from coopqp.checked import Pose, spec
 from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.robot import Arm, Capsule, Robot, RobotModel
-from coopqp.robot_files.selection import copy_per_velocity
+from coopqp.robot import Arm, Capsule, Robot, RobotModel, copy_per_velocity
 
 
 def _read(value: Any, info: ValidationInfo) -> Robot:

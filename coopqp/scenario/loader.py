@@ -81,7 +81,7 @@ def _solved(
 
 def shipped() -> dict[str, Path]:
     """The scenarios that come with coopqp, by name."""
-    folder = Path(__file__).parent / "scenarios"
+    folder = Path(__file__).parents[1] / "scenarios"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 

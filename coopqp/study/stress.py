@@ -20,7 +20,6 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
-from coopqp.closed_loop.dynamics import null_space
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPLaw
 from coopqp.grasp import Grasp
@@ -28,6 +27,7 @@ from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.profile import Profile
+from coopqp.rank import null_space
 from coopqp.robots.nao_t14 import NaoT14
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp

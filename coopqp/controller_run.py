@@ -1,0 +1,88 @@
+"""Run one controller through all phases of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from coopqp.checked import Array
+from coopqp.controller import Controller
+from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.plant import PlantModel
+from coopqp.rollout import rollout
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
+from coopqp.trace import PhaseInfo, Trace, join
+
+Progress = Callable[[str, int], None]
+"""Called now and then with the controller's name and the number of ticks it has done."""
+
+
+def run(scenario: Scenario, *, controller: str, progress: Progress | None = None) -> Trace:
+    """Run one controller of a scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controller: its name in the scenario, or any controller's type name.
+        progress: called every few ticks.
+
+    Raises:
+        UnknownNameError: no such controller.
+        CoopqpError: the controller or the plant cannot be built for this scenario.
+    """
+    chosen = scenario.controllers.get(controller)
+    if chosen is None:
+        known = Catalog().entries("controllers")
+        if controller not in known:
+            raise UnknownNameError("controller", controller, {*known, *scenario.controllers})
+        chosen = known[controller].cls()
+        assert isinstance(chosen, Controller)  # what the catalogue holds there
+    if chosen.commands_torques and not scenario.plant.takes_torques:
+        raise InvalidValueError(
+            f"controller '{controller}' commands torques, which this plant does not take; use "
+            "plant: rigid_body or plant: mujoco"
+        )
+    solver = scenario.solver_name if chosen.uses_solver else None
+    legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
+    return join(legs) if scenario.phases else legs[0][1]
+
+
+def _legs(
+    scenario: Scenario,
+    chosen: Controller,
+    name: str,
+    solver: str | None,
+    progress: Progress | None,
+) -> Iterator[tuple[PhaseInfo, Trace]]:
+    """Run the phases one after the other, each from where the one before has ended."""
+    ended: tuple[PlantModel, State] | None = None
+
+    def where(_: int) -> Array:
+        assert ended
+        return ended[0].configuration(ended[1])
+
+    problems = scenario.problems(where)
+    for phase, first in zip(scenario.schedule, scenario.first_ticks, strict=True):
+        problem = next(problems)
+        law = chosen.build(problem)
+        plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+        state = law.start()
+        if ended:
+            plant.resume(ended[0])
+            state.v[:] = ended[1].v
+        leg = rollout(
+            law,
+            plant,
+            phase.ticks(scenario.dt),
+            controller=name,
+            solver=solver,
+            progress=_shifted(progress, name, first),
+            state=state,
+        )
+        yield PhaseInfo(phase.name, first, phase.released), leg
+        ended = plant, state
+
+
+def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:
+    """Progress of a phase as progress of the whole run."""
+    return (lambda k: progress(name, first + k)) if progress else None

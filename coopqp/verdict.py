@@ -1,0 +1,81 @@
+"""One sentence on a run: does it get there, keep the limits and the loops closed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.trace import Trace
+
+#: A limit overrun below this is rounding [rad, rad/s].
+ROUNDING = 1e-9
+
+
+def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
+    """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
+    parts = [_arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _ticks(metrics)]
+    text = "; ".join(part for part in parts if part)
+    return text[0].upper() + text[1:] + "."
+
+
+def _arrival(trace: Trace) -> str:
+    missed = [
+        (task, error)
+        for task, error in zip(trace.tasks, trace.final_error, strict=True)
+        if error > task.tolerance
+    ]
+    if not missed:
+        return "reaches the goal"
+    task, error = max(missed, key=lambda pair: pair[1] / pair[0].tolerance)
+    far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
+    at_limit = _joints_at_limit(trace)
+    why = f", held back by {at_limit}" if at_limit else ""
+    return f"ends {far} off the goal of '{task.name}'{why}"
+
+
+def _joints_at_limit(trace: Trace) -> str:
+    """Joints that end at a limit they never left."""
+    end, beyond = trace.q[-1], np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+    near = np.minimum(np.abs(end - trace.lower), np.abs(trace.upper - end)) < 1e-6
+    kept = beyond.max(axis=0) <= ROUNDING
+    return " and ".join(np.array(trace.joints)[near & kept][:3])
+
+
+def _limits(trace: Trace) -> str:
+    beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper).max(axis=0)
+    worst = int(beyond.argmax())
+    if beyond[worst] <= ROUNDING:
+        return "keeps every joint inside its limits"
+    far = f"{_round(beyond[worst])} {trace.units[worst]}"
+    return f"drives {trace.joints[worst]} {far} beyond its limit"
+
+
+def _speed(trace: Trace) -> str:
+    share = np.abs(trace.v).max(axis=0, initial=0.0) / trace.velocity
+    worst = int(share.argmax())
+    if share[worst] <= 1.0 + ROUNDING:
+        return ""
+    return f"asks {_round(share[worst])} times the speed {trace.joints[worst]} has"
+
+
+def _loop(metrics: Mapping[str, Any]) -> str:
+    error = metrics["loop_error_max"]
+    if error["position"] <= CLOSED_POSITION and error["orientation"] <= CLOSED_ORIENTATION:
+        return ""
+    return (
+        f"lets the loop open by {_round(1e3 * error['position'])} mm and "
+        f"{_round(np.degrees(error['orientation']))} degrees"
+    )
+
+
+def _round(value: float) -> str:
+    """Two digits, and never an exponent for large numbers."""
+    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
+
+
+def _ticks(metrics: Mapping[str, Any]) -> str:
+    failed = metrics["failed_ticks"]
+    return f"holds still in {failed} of {metrics['ticks']} ticks" if failed else ""
