@@ -116,7 +116,7 @@ class Law(ABC):
 
 
 @spec
-class Controller:
+class Controller(ABC):
     """A plug-in in ``controllers/``: settings, and how to build the law."""
 
     uses_solver: ClassVar[bool] = False
@@ -137,4 +137,3 @@ class Controller:
         Raises:
             CoopqpError: the controller cannot be used for this problem.
         """
-        raise NotImplementedError

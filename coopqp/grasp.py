@@ -7,7 +7,7 @@ always the six of "the object is in one place", so they follow from the grasp by
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -36,7 +36,7 @@ class PassiveJoint:
 
 
 @spec
-class Grasp:
+class Grasp(ABC):
     """A plug-in in ``grasps/``: one arm's hold on the object."""
 
     object_in_hand: Pose | None = None
@@ -50,7 +50,6 @@ class Grasp:
             R_WT: orientation of the tip frame at the start, shape (3, 3), for axes that are given
                 in the world.
         """
-        raise NotImplementedError
 
 
 def axis_frame(

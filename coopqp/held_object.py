@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 
 from coopqp.checked import Lengths3, NonNegative, Pose, Vector3, numbers, spec
 from coopqp.errors import InvalidValueError
-from coopqp.robot_files.mdh import check_inertia, inertia_matrix
+from coopqp.inertia import check_inertia, inertia_matrix
 
 Six = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(lambda v: numbers(v, 6))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -37,7 +37,7 @@ Tighten = Callable[[State, LimitRows], None]
 
 
 @spec
-class Limit:
+class Limit(ABC):
     """A plug-in in ``limits/``: a hard bound on the motion."""
 
     constant: ClassVar[bool] = False
@@ -61,7 +61,6 @@ class Limit:
             chain: what is limited.
             dt: control period [s].
         """
-        raise NotImplementedError
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
         """How far a run stayed away from this limit, for the audit.

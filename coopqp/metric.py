@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 from coopqp.checked import spec
@@ -10,7 +10,7 @@ from coopqp.trace import Trace
 
 
 @spec
-class Metric:
+class Metric(ABC):
     """A plug-in in ``metrics/``: a pure function of a trace; its name is its key in the JSON."""
 
     unit: ClassVar[str] = ""
@@ -19,4 +19,3 @@ class Metric:
     @abstractmethod
     def measure(self, trace: Trace) -> Any:
         """The value, made of numbers, strings, lists and dicts, so that JSON can hold it."""
-        raise NotImplementedError

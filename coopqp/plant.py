@@ -46,7 +46,7 @@ class PlantModel(ABC):
 
 
 @spec
-class Plant:
+class Plant(ABC):
     """A plug-in in ``plants/``: settings, and how to build the plant."""
 
     takes_torques: ClassVar[bool] = True
@@ -64,4 +64,3 @@ class Plant:
         Raises:
             CoopqpError: the plant cannot be built for this problem.
         """
-        raise NotImplementedError

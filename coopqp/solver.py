@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -88,7 +88,7 @@ Solve = Callable[[], None]
 
 
 @spec
-class Solver:
+class Solver(ABC):
     """A plug-in in ``solvers/``: settings, and how to open it on a QP's arrays."""
 
     @abstractmethod
@@ -100,7 +100,6 @@ class Solver:
         Raises:
             MissingDependencyError: the solver is not installed.
         """
-        raise NotImplementedError
 
 
 @spec

@@ -11,7 +11,7 @@ becomes J v = rate - gain e, the rows h_dot of the paper's eq. (32).
 from __future__ import annotations
 
 import itertools
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
@@ -60,7 +60,7 @@ class Part:
 
 
 @spec
-class Task:
+class Task(ABC):
     """A plug-in in ``tasks/``: what the object, or the joints, shall do."""
 
     unit: ClassVar[str] = "m"
@@ -86,7 +86,6 @@ class Task:
     @abstractmethod
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """A name for each row, such as x, y, z; their number is the task's dimension."""
-        raise NotImplementedError
 
     @abstractmethod
     def bind(self, start: State) -> Evaluate:
@@ -95,7 +94,6 @@ class Task:
         Args:
             start: the state from which the reference sets out.
         """
-        raise NotImplementedError
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""

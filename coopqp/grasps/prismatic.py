@@ -7,8 +7,8 @@ from typing import Literal
 
 import pinocchio as pin
 
-from coopqp.checked import Direction, spec
-from coopqp.grasp import Array, Grasp, PassiveJoint, axis_frame
+from coopqp.checked import Array, Direction, spec
+from coopqp.grasp import Grasp, PassiveJoint, axis_frame
 
 
 @spec

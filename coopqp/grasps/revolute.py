@@ -12,8 +12,8 @@ from typing import Literal
 
 import pinocchio as pin
 
-from coopqp.checked import Direction, Vector3, spec
-from coopqp.grasp import Array, Grasp, PassiveJoint, axis_frame
+from coopqp.checked import Array, Direction, Vector3, spec
+from coopqp.grasp import Grasp, PassiveJoint, axis_frame
 
 
 @spec

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from coopqp.checked import spec
-from coopqp.grasp import Array, Grasp, PassiveJoint
+from coopqp.checked import Array, spec
+from coopqp.grasp import Grasp, PassiveJoint
 
 
 @spec

@@ -11,8 +11,8 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.grasp import Array, Grasp, PassiveJoint
+from coopqp.checked import Array, Positive, Vector3, spec
+from coopqp.grasp import Grasp, PassiveJoint
 
 
 @spec
