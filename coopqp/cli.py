@@ -325,8 +325,8 @@ def _tick(
     from bisect import bisect_right
     from itertools import islice
 
-    from coopqp.controllers.qp import QPLaw
     from coopqp.errors import InvalidValueError, UnknownNameError
+    from coopqp.qp_law.law import QPLaw
     from coopqp.study.explanation import record_tick
     from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
 

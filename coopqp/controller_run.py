@@ -76,6 +76,7 @@ def _legs(
             phase.ticks(scenario.dt),
             controller=name,
             solver=solver,
+            heeds=chosen.heeds,
             progress=_shifted(progress, name, first),
             state=state,
         )

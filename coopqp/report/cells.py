@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.comparison import Comparison
+from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 from coopqp.verdict import ROUNDING

@@ -110,7 +110,7 @@ class Scenario:
         """The closed chain at the start, built once."""
         robot = self.robot_model
         start, passive = start_of(robot, self.start)
-        return ClosedChain(
+        return ClosedChain.take_hold(
             robot,
             robot.configuration(start),
             self.grasps,
