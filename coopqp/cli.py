@@ -310,11 +310,14 @@ def schema(task_folders: tuple[Path, ...]) -> None:
 def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
     from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import load, with_solver
+    from coopqp.scenario.notes import notes
 
     catalog = Catalog(task_folders)
     loaded = load(name, catalog)
     for line in loaded.robot_model.warnings:
         click.echo(f"warning: {line}", err=True)
+    for line in notes(loaded):
+        click.echo(f"note: {line}", err=True)
     return with_solver(loaded, solver, catalog) if solver else loaded
 
 
