@@ -37,14 +37,11 @@ class ExactTasks:
 
     def update(self, state: State) -> None:
         """Evaluate the tasks."""
-        if self.rows:
-            self.hard.update(state)
-            self.scaled.update(state)
+        self.hard.update(state)
+        self.scaled.update(state)
 
     def fill(self, A: Array, b: Array) -> None:
         """Write the rows, shapes (k, n + shares) and (k,)."""
-        if not self.rows:
-            return
         n, k = self._n, len(self.hard.e)
         A[:k, :n], b[:k] = self.hard.J, self.hard.wanted
         A[k:, :n], b[k:] = self.scaled.J, 0.0

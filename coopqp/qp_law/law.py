@@ -66,18 +66,22 @@ class QPLaw(Law):
         self.damping, self._error_damping = damping, error_damping
         self._bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
         self._exact = exact = ExactTasks(problem, start)
-        self._stacks = stacks = [TaskStack(group, start) for group in groups(problem)]
+        stacks = [TaskStack(group, start) for group in groups(problem)]
         rows = (*chain.loops.solver_rows, *exact.rows)
         self.first = Level(problem, stacks[0], rows, bounds, damping, exact.scaled_names)
-        self._later = [
-            LaterLevel(problem, stacks[:i], exact, stacks[i], bounds, damping)
-            for i in range(1, len(stacks))
-        ]
+        self._later = []
+        for i, stack in enumerate(stacks[1:], 1):
+            later = LaterLevel(problem, stacks[:i], exact, stack, bounds, damping)
+            if later.nothing_free:
+                break
+            self._later.append(later)
+        self._stacks = stacks[: len(self._later) + 1]
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping)
         self._probe = LoopProbe(problem)
         self._recovery = None if chain.starts_inside else Recovery(problem)
-        self._scales = bool(exact.scaled_names)
+        self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
+        self._stops = problem.on_infeasible == "stop"
 
     @property
     def qp(self) -> QP:
@@ -91,28 +95,31 @@ class QPLaw(Law):
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify, level by level; the command is safe whatever happened."""
-        stopped = state.memory["stopped"]
-        if stopped[0]:
+        if self._stops and state.memory["stopped"][0]:
             return self._stand_still(Status.INFEASIBLE)
         self.assemble(state)
         status = self.first.solve()
+        v, scale = self.first.v, self.first.scale if self._scales else 1.0
         if status.usable:
             status, v = self._improve(state, status)
-            scale = self.first.scale
         elif self.problem.on_infeasible == "scale":
             status, v = self._fallback.solve(state, status, self._recovery)
             scale = 0.0 if self._scales else 1.0
-        else:
-            stopped[0] = self.problem.on_infeasible == "stop"
+        elif self._stops:
+            state.memory["stopped"][0] = 1.0
         if not status.usable:
             return self._stand_still(status)
-        return self._move(state, v, status, scale)
+        command = self.command
+        command.v[:], command.status, command.scale = v, status, scale
+        self._probe.shorten(state, command)
+        if self._recovery and self._recovery.active:
+            command.status = Status.RECOVERING
+        return command
 
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
         first, m = self.first, len(state.e_loop)
         self._bounds.update(state)
-        self._exact.update(state)
         for stack in self._stacks:
             stack.update(state)
         first.assemble(self._bounds)
@@ -120,7 +127,9 @@ class QPLaw(Law):
         if self._recovery:
             self._recovery.pull(state, first.qp)
         loop_rows(state.J_loop, state.e_loop, self.problem.kappa, first.A[:m], first.b[:m])
-        self._exact.fill(first.qp.A[m:], first.b[m:])
+        if self._has_exact:
+            self._exact.update(state)
+            self._exact.fill(first.qp.A[m:], first.b[m:])
 
     def _improve(self, state: State, status: Status) -> tuple[Status, Array]:
         """What the later levels make of the first one's answer."""
@@ -130,14 +139,6 @@ class QPLaw(Law):
         for later in self._later:
             status, v = later.improve(state, self._bounds, v, status)
         return status, v
-
-    def _move(self, state: State, v: Array, status: Status, scale: float) -> Command:
-        command = self.command
-        command.v[:], command.status, command.scale = v, status, scale
-        self._probe.shorten(state, command)
-        if self._recovery and self._recovery.active:
-            command.status = Status.RECOVERING
-        return command
 
     def _stand_still(self, status: Status) -> Command:
         command = self.command

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
@@ -34,6 +33,7 @@ class Level:
         qp, solution: of the last tick. qp's variables are v, then s.
         tasks: as given.
         P, q, A: the parts of the QP that belong to v, shapes (n, n), (n,) and (m, n).
+        b: right side of the equality rows, shape (m,).
         v: the velocities of the answer, shape (n,).
     """
 
@@ -52,7 +52,7 @@ class Level:
         self.tasks, self._damping, self._n = tasks, damping, n
         self.qp = qp = QP(Rows(variables, bounds.rows, equalities))
         self.solution = Solution(qp)
-        self.P, self.q, self.A = qp.P[:n, :n], qp.q[:n], qp.A[:, :n]
+        self.P, self.q, self.A, self.b = qp.P[:n, :n], qp.q[:n], qp.A[:, :n], qp.b
         self.v = self.solution.v[:n]
         if scaled:
             qp.lb[n:], qp.ub[n:] = 0.0, 1.0
@@ -77,11 +77,6 @@ class Level:
         return status
 
     @property
-    def b(self) -> Array:
-        """Right side of the equality rows, shape (m,)."""
-        return self.qp.b
-
-    @property
     def scale(self) -> float:
-        """Least share of the answer."""
+        """Least share of the answer; 1 without scaled tasks."""
         return float(self.solution.v[self._n :].min(initial=1.0))

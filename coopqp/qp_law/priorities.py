@@ -57,6 +57,10 @@ class LaterLevel:
         tasks: the soft tasks of this level.
         bounds: the limits.
         damping: cost of |v|^2.
+
+    Attributes:
+        nothing_free: whether the levels before it decide all joints.
+        level: its QP.
     """
 
     def __init__(
@@ -71,7 +75,7 @@ class LaterLevel:
         stacks = (*before, exact.hard, exact.scaled)
         self._decided = Decided(problem.chain, stacks)
         rank = self._decided.rank
-        self._full = rank == problem.chain.n
+        self.nothing_free = rank == problem.chain.n
         rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(rank))
         self.level = Level(problem, tasks, rows, bounds, damping)
 
@@ -79,8 +83,6 @@ class LaterLevel:
         self, state: State, bounds: Bounds, v: Array, status: Status
     ) -> tuple[Status, Array]:
         """Improve v where it is still free; keep it when this level fails."""
-        if self._full:
-            return status, v
         level, Q = self.level, self._decided.basis(state)
         level.assemble(bounds)
         level.A[:] = Q
@@ -104,7 +106,7 @@ class Decided:
     """
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
-        self._stacks = stacks
+        self._blocks = [stack.J for stack in stacks]
         self.rank = 0
         state = State(chain)
         for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
@@ -112,16 +114,14 @@ class Decided:
             state.update()
             for stack in stacks:
                 stack.update(state)
-            self.rank = max(self.rank, matrix_rank(self._rows(state)))
+            rows = np.vstack([state.J_loop, *self._blocks])
+            self.rank = max(self.rank, matrix_rank(rows))
         self.rank = min(self.rank, chain.n)
 
     def basis(self, state: State) -> Array:
         """Q at a state for which the stacks are up to date, shape (rank, n)."""
-        rows = self._rows(state)
+        rows = np.vstack([state.J_loop, *self._blocks])
         if not np.isfinite(rows).all():
             return np.full((self.rank, rows.shape[1]), np.nan)
         Vt: Array = np.linalg.svd(rows, full_matrices=self.rank > len(rows))[2]
         return Vt[: self.rank]
-
-    def _rows(self, state: State) -> Array:
-        return np.vstack([state.J_loop, *(stack.J for stack in self._stacks)])
