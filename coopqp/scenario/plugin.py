@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -108,6 +109,10 @@ def _wrong_with(cls: type, base: type) -> str:
         )
     if not (is_pydantic_dataclass(cls) and cls.__dataclass_params__.frozen):  # type: ignore[attr-defined]
         return f"{cls.__name__} needs '@spec' above it: from coopqp import spec"
+    try:
+        typing.get_type_hints(cls)
+    except NameError as error:  # deferred annotations are only looked up now
+        return f"{cls.__name__} has a field whose type is not known: {error}"
     if base is Metric and (needed := [f.name for f in dataclasses.fields(cls) if _needed(f)]):
         return f"'{needed[0]}' needs a default, because scenarios have no keys for metrics"
     return ""

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from pydantic import BaseModel
+from pydantic import BaseModel, PydanticUserError
 
 from coopqp.errors import Fault, unknown_name
 from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
@@ -139,6 +139,6 @@ def _place(error: BaseException, file: Path) -> str:
 def _said(error: BaseException) -> str:
     """An error in one line."""
     words = error.msg if isinstance(error, SyntaxError) else str(error)
-    # pydantic adds a paragraph with its web address.
-    words = words.partition("\n\nFor further information")[0]
+    if isinstance(error, PydanticUserError):
+        words = words.partition(". ")[0]  # what follows is about pydantic's settings
     return f"{type(error).__name__}: {' '.join(words.split())}"
