@@ -177,8 +177,13 @@ def explain(
 
     from coopqp.report import files
     from coopqp.study import explanation
+    from coopqp.study.recorded_tick import recorded_tick
+    from coopqp.study.trace_file import controllers_of
 
-    record = _tick(trace, tick, controller, catalog)
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    controllers_of(path)  # a trace that is missing is said before its scenario is
+    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
+    record = recorded_tick(path, scenario, controller, tick)
     found = explanation.explain(record)
     if save:
         files.write_one(save, record.text())
@@ -202,28 +207,16 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
     from coopqp.study import explanation
 
     record = explanation.TickRecord.read(file)
-    rows = {}
-    for name in solver or solver_names(catalog):
-        answer = explanation.replay(record, solver_by_name(name, catalog))
-        rows[name] = {
-            "status": answer.status.value,
-            "primal_residual": answer.primal_residual,
-            "dual_residual": answer.dual_residual,
-            "difference": answer.difference,
-            "v": answer.v.tolist(),
-        }
+    answers = {
+        name: explanation.replay(record, solver_by_name(name, catalog))
+        for name in solver or solver_names(catalog)
+    }
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
+        click.echo(json.dumps({name: a.as_json() for name, a in answers.items()}, indent=2))
         return
-    from rich.table import Table
+    from coopqp.report import table
 
-    table = Table(title=f"{record.scenario}, {record.controller}, tick {record.tick}")
-    for heading in ("solver", "status", "primal residual", "dual residual", "off the saved answer"):
-        table.add_column(heading)
-    for name, row in rows.items():
-        numbers = (row["primal_residual"], row["dual_residual"], row["difference"])
-        table.add_row(name, str(row["status"]), *(f"{number:.2g}" for number in numbers))
-    _console().print(table)
+    _console().print(table.replay(record, answers))
 
 
 @main.command()
@@ -245,7 +238,9 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
         click.echo(json.dumps(data, indent=2))
     else:
-        _console().print(_stress_table(lines))
+        from coopqp.report import table
+
+        _console().print(table.stress(lines))
         for r in broken[:20]:
             click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
     if broken:
@@ -337,62 +332,6 @@ def _load(name: str, catalog: Any, solver: str | None) -> Any:
     for line in notes(loaded):
         click.echo(f"note: {line}", err=True)
     return with_solver(loaded, solver) if solver else loaded
-
-
-def _tick(trace: Path, tick: int | None, controller: str | None, catalog: Any) -> Any:
-    """A tick of a written trace, whole."""
-    from bisect import bisect_right
-    from itertools import islice
-
-    from coopqp.errors import InvalidValueError, UnknownNameError
-    from coopqp.qp_law.law import QPLaw
-    from coopqp.study.explanation import record_tick
-    from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
-
-    path = trace / "trace.csv" if trace.is_dir() else trace
-    names = controllers_of(path)
-    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
-    laws = {}
-    for name in names:
-        plugin = scenario.controllers.get(name)
-        if plugin is not None and not plugin.commands_torques:
-            law = plugin.build(scenario.held_by(name).problem())
-            if isinstance(law, QPLaw):
-                laws[name] = law
-    if not laws:
-        raise InvalidValueError(f"{path}: no controller here solves a QP in velocities")
-    chosen = controller or next(iter(laws))
-    if chosen not in laws:
-        raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
-    k = blocked_tick(path, chosen) if tick is None else tick
-    held, law = scenario.held_by(chosen), laws[chosen]
-    phase = max(0, bisect_right(held.first_ticks, k) - 1)
-    if phase:
-        # The arms that hold from here on took hold where the trace says that they were.
-        problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
-        law = scenario.controllers[chosen].build(list(islice(problems, phase + 1))[-1])
-    state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
-    name = path.parent.resolve().name
-    return record_tick(law, state, scenario=name, controller=chosen, tick=k)
-
-
-def _stress_table(lines: Any) -> Any:
-    from rich.table import Table
-
-    table = Table(title="random rollouts of the QP law")
-    for heading in (
-        "rollouts", "number", "ended as", "position excess [rad]", "speed excess [rad/s]",
-        "loop [mm]", "loop [mrad]", "fallback ticks", "broken",
-    ):  # fmt: skip
-        table.add_column(heading)
-    for x in lines:
-        ended = ", ".join(f"{count} {name}" for name, count in x.outcomes.items())
-        table.add_row(
-            x.kind, str(x.count), ended, f"{x.position_excess:.1e}", f"{x.velocity_excess:.1e}",
-            f"{1e3 * x.loop_position:.3f}", f"{1e3 * x.loop_orientation:.2f}",
-            str(x.fallbacks), str(x.broken),
-        )  # fmt: skip
-    return table
 
 
 def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:

@@ -258,7 +258,7 @@ def test_a_half_written_law_or_model_says_what_it_needs(
     kind: str, part: str, tmp_path: Path
 ) -> None:
     text = EXAMPLE[kind].read_text(encoding="utf-8")
-    text = re.sub(r"def (tick|step)\b", r"def _\1", text)
+    text = re.sub(r"def (decide|step)\b", r"def _\1", text)
     said = line_of(kind, "mine", text, tmp_path)
     assert re.match(rf"{kind}/mine.py:\d+: {part} is half-written; it needs '", said)
 

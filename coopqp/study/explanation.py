@@ -194,6 +194,10 @@ class Replay:
     dual_residual: float
     difference: float
 
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
+
 
 def record_tick(
     law: QPLaw, state: State, *, scenario: str, controller: str, tick: int

@@ -20,7 +20,7 @@ class JacobianTransposeLaw(Law):
         super().__init__(problem)
         self._tasks = TaskStack(problem.tasks, State(problem.chain))
 
-    def tick(self, state: State) -> Command:
+    def decide(self, state: State) -> Command:
         """The velocity for the next dt; it raises nothing."""
         tasks, inverse = self._tasks, np.linalg.pinv(state.J_loop)
         tasks.update(state)
