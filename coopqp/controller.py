@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit
+from coopqp.loop_observer import LoopObserver
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import Memory, State
 from coopqp.task import Task
@@ -37,8 +39,8 @@ class ControlProblem:
         secondary: objectives for what the tasks leave free.
         limits: hard bounds, for the controllers that heed them.
         dt: control period [s].
-        kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 0 is the paper's law, 1/dt
-            removes the linearisation error of each step in the next.
+        kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 1/dt when omitted, which
+            removes the linearisation error of each step in the next; 0 is the paper's law.
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
         on_infeasible: what to do in a tick in which not everything can hold: "scale" gives up, in
@@ -52,13 +54,15 @@ class ControlProblem:
     secondary: Sequence[Task] = ()
     limits: Sequence[Limit] = ()
     dt: float = 0.01
-    kappa: float = 0.0
+    kappa: float = math.inf
     budget: Budget = field(default_factory=Budget)
     on_infeasible: OnInfeasible = "scale"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < np.inf:
             raise InvalidValueError(f"dt: found {self.dt} s, needs more than 0")
+        if self.kappa == math.inf:
+            object.__setattr__(self, "kappa", 1.0 / self.dt)
         if not 0.0 <= self.kappa * self.dt <= 1.0 + 1e-9:
             raise InvalidValueError(
                 f"kappa: found {self.kappa} 1/s, needs 0 to 1/dt = {1 / self.dt:g} 1/s; "
@@ -83,15 +87,26 @@ class Command:
     Attributes:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
         tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
-        status: what became of the tick; not usable means v = 0, or torques that only hold.
+        causes: what became of the tick, and what else was given up in it. Where the first, the
+            status, is not usable, v = 0, or torques only hold.
         scale: least share of its speed at which a scaled task runs; 1 without scaled tasks.
+        drift: share of the drift correction that is done.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
         self.v = np.zeros(n)
         self.tau = np.zeros(n) if torques else None
-        self.status = Status.OPTIMAL
-        self.scale = 1.0
+        self.causes: tuple[Status, ...] = (Status.OPTIMAL,)
+        self.scale = self.drift = 1.0
+
+    @property
+    def status(self) -> Status:
+        """The first of the causes."""
+        return self.causes[0]
+
+    def say(self, *causes: Status) -> None:
+        """Set all that is true of this tick, the gravest first."""
+        self.causes = causes
 
     def __repr__(self) -> str:
         what = f"v={self.v}" if self.tau is None else f"tau={self.tau}"
@@ -102,7 +117,8 @@ class Command:
         other = Command(len(self.v))
         other.v[:] = self.v
         other.tau = None if self.tau is None else self.tau.copy()
-        other.status, other.scale = self.status, self.scale
+        other.causes = self.causes
+        other.scale, other.drift = self.scale, self.drift
         return other
 
 
@@ -115,10 +131,22 @@ class Law(ABC):
     def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
         self.problem = problem
         self.command = Command(problem.chain.n, torques=torques)
+        self._observer = LoopObserver(problem.chain, problem.dt)
 
-    def start(self, q: ArrayLike | None = None) -> State:
-        """The first state, with room for the law's memory; q is the chain's start if omitted."""
-        return State(self.problem.chain, q, memory=Memory(self.memory_sizes))
+    def start(self, q: ArrayLike | None = None, *, q_measured: ArrayLike | None = None) -> State:
+        """The first state, with room for the law's memory.
+
+        Args:
+            q: configuration, shape (n,); the chain's start when omitted.
+            q_measured: where the sensors say that the joints are, instead of q. What the loops are
+                open by there is taken for the model's error (``State.gap``).
+        """
+        state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
+        if q_measured is not None:
+            state.q[:] = q_measured
+            state.q_measured = state.q.copy()
+            self._observer.begin(state)
+        return state
 
     def tick(self, state: State) -> Command:
         """The command for the next dt, from t, q, v and memory of a state.
@@ -128,7 +156,10 @@ class Law(ABC):
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
-        return self.decide(state)
+        self._observer.update(state)
+        command = self.decide(state)
+        state.corrected = command.drift
+        return command
 
     @abstractmethod
     def decide(self, state: State) -> Command:

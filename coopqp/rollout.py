@@ -136,12 +136,13 @@ class _Recorder:
     def tick(self, k: int, command: Command, us: float) -> None:
         """Keep what the law decided in tick k."""
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
-        if command.status is not Status.OPTIMAL:
-            self._note(k, command.status)
+        if command.causes != (Status.OPTIMAL,):
+            self._note(k, command)
 
-    def _note(self, k: int, status: Status) -> None:
+    def _note(self, k: int, command: Command) -> None:
         """Keep why tick k is not optimal."""
-        self.status[k] = status.name
+        status = command.status
+        self.status[k] = "+".join(cause.name for cause in command.causes)
         if status is Status.INACCURATE:
             self.inaccurate[k] = True
         elif not status.usable:

@@ -43,13 +43,14 @@ class Status(enum.Enum):
     BOUND_RESIDUAL = "the answer breaks a limit"
     TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
     ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
-    DRIFT_GIVEN_UP = "the drift correction was given up: it left no motion", True, True
+    DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
     SOLVER_FAILED = (
         "the solver failed on the whole problem; a smaller one had an answer",
         True,
         True,
     )
     STEP_SHORTENED = "the step was shortened: it would have opened a loop too far", True, True
+    LOOP_BUDGET = "stands still: the loop budget is used up"
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 
@@ -148,13 +149,11 @@ class Verifier:
         qp: the problem.
         solution: the answer.
         budget: what it may be off by.
-        curvature: smallest eigenvalue that P can have, mu.
     """
 
-    def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
+    def __init__(self, qp: QP, solution: Solution, budget: Budget) -> None:
         self.qp, self.solution, self.budget = qp, solution, budget
-        self._curvature = curvature
-        self._per_curvature = np.full(qp.n, 1.0 / curvature)
+        self._curvature = 1.0
         n, p = qp.n, qp.p
         self._gradient, self._step = np.zeros((2, n))
         self._least, self._most = np.zeros((2, n + p + qp.m))
@@ -163,8 +162,13 @@ class Verifier:
         self._excess_v, self._excess_rows = padded[:n], padded[n : n + p]
         self._rows = solution.values[n:]
 
-    def check(self) -> Status:
-        """Clip v to the bounds and return what it is worth, from its own residuals."""
+    def check(self, curvature: float) -> Status:
+        """Clip v to the bounds and return what it is worth, from its own residuals.
+
+        Args:
+            curvature: smallest eigenvalue that P can have, mu.
+        """
+        self._curvature = curvature
         solution, budget = self.solution, self.budget
         if not solution.status.usable:
             return self._refuse(solution.status)
@@ -224,7 +228,7 @@ class Verifier:
         free: float = dnrm2(g) / self._curvature
         if free <= self.budget.accuracy:  # no bound holds v back
             return free
-        step = np.multiply(g, self._per_curvature, self._step)
+        step = np.divide(g, self._curvature, self._step)
         np.subtract(solution.v, step, step)
         np.minimum(np.maximum(step, qp.lb, out=step), qp.ub, out=step)
         off: float = dnrm2(np.subtract(solution.v, step, step))

@@ -56,18 +56,26 @@ class State:
 
     Attributes:
         t: [s].
-        q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s].
+        q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s]. Where velocities are
+            commanded, q is the *commanded* configuration, the integral of the commands, and the
+            measured one is ``q_measured``; where torques are, q is measured.
         p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
         J_ext: [J_tsk; J_rel] of eq. (31), shape (6 N, n).
         J_task: its first six rows, (v; omega) of the object in world axes.
         J_rel: the other 6 L rows.
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop; open loops come last.
-        closed_error: the part of it that belongs to closed loops.
+        gap: the part of it that is the model's error and not the motion's: constant, or slow. It
+            is not corrected; the law observes it where ``q_measured`` is given. Shape (6 L,).
+        drift: loop_error - gap, what the drift correction has to undo, shape (6 L,).
+        closed_error: the part of drift that belongs to closed loops.
+        q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
+            what there is, as for joints that do exactly as told.
+        corrected: share of the drift correction that the last tick did.
         J_joints: what each joint does to a body that it moves, shape (6, n), world axes: velocity
             of the body's point that is at the world's origin, then angular velocity. A point p
             of the body goes along a direction d at [d; p x d]' J_joints v.
-        J_loop, e_loop: the independent rows of J_rel and loop_error, for the solvers.
+        J_loop, e_loop: the independent rows of J_rel and drift, for the solvers.
     """
 
     def __init__(
@@ -85,7 +93,9 @@ class State:
         self.memory = Memory({}) if memory is None else memory
         self.J_ext = np.zeros((6 * arms, n))
         self.J_task, self.J_rel = self.J_ext[:6], self.J_ext[6:]
-        self.loop_error = np.zeros(6 * (arms - 1))
+        self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
+        self.q_measured: Array | None = None
+        self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
         self.J_joints: Array = self._data.J
@@ -104,7 +114,19 @@ class State:
             pin.updateFramePlacement(model, data, frame)
             J[:] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
         self._mixing.dot(self._J_arms, self.J_ext)
-        self._update_poses()
+        self._update_errors()
+        self.update_drift()
+
+    def update_poses(self) -> None:
+        """Compute the object's pose and the loop errors alone, without the Jacobians."""
+        pin.forwardKinematics(self._model, self._data, self.q)
+        for frame, _ in self._frames:
+            pin.updateFramePlacement(self._model, self._data, frame)
+        self._update_errors()
+
+    def update_drift(self) -> None:
+        """Compute what follows from the gap; call it after the gap has changed."""
+        np.subtract(self.loop_error, self.gap, self.drift)
         if self._rows_chosen:
             self._update_loop_rows()
 
@@ -172,13 +194,13 @@ class State:
 
     @property
     def loop_position_error(self) -> float:
-        """Largest distance between where two arms carry the object [m]."""
-        return max((math.hypot(*self.loop_error[i : i + 3]) for i in self._closed), default=0.0)
+        """Largest drift between where two arms carry the object [m]."""
+        return max((math.hypot(*self.drift[i : i + 3]) for i in self._closed), default=0.0)
 
     @property
     def loop_orientation_error(self) -> float:
-        """Largest angle between how two arms carry the object [rad]."""
-        return max((math.hypot(*self.loop_error[i + 3 : i + 6]) for i in self._closed), default=0.0)
+        """Largest drift between how two arms carry the object [rad]."""
+        return max((math.hypot(*self.drift[i + 3 : i + 6]) for i in self._closed), default=0.0)
 
     def _bind_frames(self) -> None:
         """Keep views into pinocchio's data, which stay valid, instead of asking each tick."""
@@ -196,7 +218,7 @@ class State:
         self._error_of_loop = self.loop_error.reshape(-1, 6)
         self._alpha = np.ascontiguousarray(chain.alpha[1:])
 
-    def _update_poses(self) -> None:
+    def _update_errors(self) -> None:
         p_0, R_0T, mean = self._p_0, self._R_0T, self._mean
         for p_i, R_i, gap, angle in self._others:
             np.subtract(p_i, p_0, gap)
@@ -210,7 +232,7 @@ class State:
         loops = self.chain.loops
         rank = min(loops.rank, len(loops.kept))
         self._kept, self._closed = np.array(loops.kept, int), range(0, loops.closed, 6)
-        self.closed_error = self.loop_error[: loops.closed]
+        self.closed_error = self.drift[: loops.closed]
         self.J_loop, self.e_loop = self.J_rel[: loops.closed], self.closed_error
         self._rows_chosen = loops.varying or len(loops.kept) < loops.closed
         if self._rows_chosen:
@@ -223,7 +245,7 @@ class State:
             # At a singular pose fewer rows are independent; the missing ones ask for nothing.
             self.J_loop[:], self.e_loop[:] = 0.0, 0.0
         self.J_loop[: len(rows)] = self.J_rel[rows]
-        self.e_loop[: len(rows)] = self.loop_error[rows]
+        self.e_loop[: len(rows)] = self.drift[rows]
 
 
 class PointOfObject:

@@ -42,6 +42,9 @@ class TaskRows:
 
 Evaluate = Callable[[State, TaskRows], None]
 
+#: Units of errors that are lengths, or speeds of such.
+LENGTHS = ("m", "m/s")
+
 
 @dataclass(frozen=True)
 class Part:
@@ -135,6 +138,11 @@ class TaskStack:
         self.sizes = tuple(sizes)
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
         self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
+        #: Largest second derivative of each row's error [unit/rad2].
+        self.levers = np.array(
+            [lever for task in tasks for lever in _levers(task, start.chain)], float
+        )
+        self._steepness = self.weights * self._gains * self.levers
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
@@ -152,17 +160,24 @@ class TaskStack:
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 
-    def squared_error(self, v: Array) -> float:
-        """Sum of e^2 over all rows; of (J v - rate)^2 for tasks that ask for a velocity.
+    def bend(self, v: Array) -> float:
+        """Bound on the second derivative of the cost that J leaves out, times 1 s.
+
+        The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
+        it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
+
+            sum_i w_i g_i |e_i| L_i
+
+        For a task that asks for a velocity alone |J v - rate| stands for g |e|.
 
         Args:
-            v: velocity, shape (n,).
+            v: the last velocity, shape (n,).
         """
-        squared = float(self.e.dot(self.e))
+        most = float(self._steepness.dot(np.abs(self.e)))
         for part in self._asking:
             missed = self.J[part].dot(v) - self.rate[part]
-            squared += float(missed.dot(missed))
-        return squared
+            most += float((self.weights[part] * self.levers[part]).dot(np.abs(missed)))
+        return most
 
 
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
@@ -172,3 +187,14 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
         Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}/s")
         for name, unit in zip(task.rows(chain), units, strict=True)
     )
+
+
+def _levers(task: Task, chain: ClosedChain) -> list[float]:
+    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints."""
+    if task.joint_space:
+        return [0.0] * len(task.rows(chain))
+    return [
+        chain.reach if part.unit in LENGTHS else 1.0
+        for part in task.parts(chain)
+        for _ in range(part.rows)
+    ]

@@ -60,9 +60,9 @@ class ResolvedRateLaw(Law):
             np.dot(inverse, self._rhs, out=command.v)
             if np.isfinite(command.v).all():
                 self._add_null_space(state, inverse)
-            command.status = Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE
+            command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
         except np.linalg.LinAlgError:  # the singular value decomposition did not converge
-            command.status = Status.SOLVER_ERROR
+            command.say(Status.SOLVER_ERROR)
         if not command.status.usable:
             command.v[:] = 0.0
         return command

@@ -57,7 +57,7 @@ class KinematicPid(Law):
         N = null_space(state.J_loop)
         command.v[:] = N @ least_squares(tasks.J @ N, wanted)
         command.v -= np.linalg.pinv(state.J_loop) @ (self.problem.kappa * state.e_loop)
-        command.status = Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE
+        command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
         if not command.status.usable:
             command.v[:] = 0.0
         return command
@@ -88,7 +88,7 @@ class TorquePid(Law):
         finite = bool(np.isfinite(tau).all())
         assert command.tau is not None
         command.tau[:] = tau if finite else 0.0
-        command.status = Status.OPTIMAL if finite else Status.NOT_FINITE
+        command.say(Status.OPTIMAL if finite else Status.NOT_FINITE)
         if (np.abs(tau) <= self._effort).all():
             integral += self.problem.dt * tasks.e
         return command

@@ -19,7 +19,7 @@ class QPController(Controller):
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
     error_damping: NonNegative = ERROR_DAMPING
-    """The same for every unit of the squared task error [s2/rad2 per m2]."""
+    """Share of the damping with which no step overshoots where arms are stretched; 0 for none."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver on them."""

@@ -33,15 +33,47 @@ def add_damping(P: Array, damping: float | Array) -> None:
     diagonal += damping
 
 
-def loop_rows(J_loop: Array, e_loop: Array, kappa: float, A: Array, b: Array) -> None:
+def step_damping(bend: float, dt: float, share: float) -> float:
+    """Damping with which a step does not overshoot where the arms are stretched, share dt bend.
+
+    A tick is a Gauss-Newton step. About the pose where it should rest, along a direction u that
+    the tasks hardly see, it goes a = dt (g s^2 + u'S u) / (s^2 + d) of the way, with s^2 = u'J'W J
+    u, the damping d, and S what the tasks' second derivatives add, |S| <= bend
+    (:meth:`coopqp.task.TaskStack.bend`). Above a = 2 it swings farther each time until a bound
+    stops it; d = dt bend keeps a below 1, and half of that below 2.
+
+    Args:
+        bend: of the level's tasks.
+        dt: control period [s].
+        share: of the damping that rules out any overshoot.
+    """
+    return share * dt * bend
+
+
+def loop_rows(J_loop: Array, drift: Array, kappa: float, A: Array, b: Array) -> None:
     """Write J_c v = -kappa e, eq. (14) with the drift correction.
 
     Args:
         J_loop: shape (m, n).
-        e_loop: loop error, shape (m,).
+        drift: e, what the loops must lose, shape (m,).
         kappa: gain of the drift correction [1/s].
         A: written, shape (m, n).
         b: written, shape (m,).
     """
     A[:] = J_loop
-    np.multiply(e_loop, -kappa, out=b)
+    np.multiply(drift, -kappa, out=b)
+
+
+def slowed_loop_rows(J_loop: Array, drift: Array, kappa: float, A: Array, b: Array) -> None:
+    """Write J_c v + s kappa e = 0 with a share s of the drift correction as the last variable.
+
+    Args:
+        J_loop: shape (m, n).
+        drift: e, shape (m,).
+        kappa: its gain [1/s].
+        A: written, shape (m, n + 1).
+        b: written, shape (m,).
+    """
+    A[:, :-1] = J_loop
+    np.multiply(drift, kappa, out=A[:, -1])
+    b[:] = 0.0

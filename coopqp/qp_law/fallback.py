@@ -9,12 +9,15 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import loop_rows
+from coopqp.qp_law.equations import loop_rows, slowed_loop_rows, step_damping
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.recovery import Recovery
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import TaskStack
+
+#: A share of the drift correction below this is as good as none.
+ALL_OF_IT = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -24,68 +27,113 @@ class _Attempt:
     Attributes:
         gives_up: what it leaves out, with all that was left out before it.
         level, bounds: its QP and limits.
-        kappa: gain of the drift correction [1/s].
+        slows: whether it may do a share of the drift correction only.
+        last: whether standing still must be feasible.
     """
 
     gives_up: Status
     level: Level
     bounds: Bounds
-    kappa: float
+    slows: bool = True
+    last: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the fallback came to.
+
+    Attributes:
+        v: the velocity, shape (n,).
+        drift: share of the drift correction that v does.
+        causes: what was given up, or the first failure when nothing has an answer.
+    """
+
+    v: Array
+    drift: float
+    causes: tuple[Status, ...]
 
 
 class Fallback:
     """Smaller problems, from what gives up least to what gives up most.
 
+    Hard and scaled tasks become soft; the drift correction is done in part; acceleration limits
+    go, with the share of the correction that is possible then. Never the loop rows, never position
+    and velocity limits.
+
     Args:
         problem: what to control.
         start: the state from which references set out.
         damping: cost of |v|^2.
+        error_damping: share of the damping that rules out any overshoot.
     """
 
-    def __init__(self, problem: ControlProblem, start: State, damping: float) -> None:
+    def __init__(
+        self, problem: ControlProblem, start: State, damping: float, error_damping: float
+    ) -> None:
         chain, limits = problem.chain, problem.limits
         kept = [limit for limit in limits if not limit.sacrificed_first]
         every_limit = Bounds(chain, limits, start, problem.dt)
-        kept_limits = Bounds(chain, kept, start, problem.dt)
         rows = chain.loops.solver_rows
-        self._tasks = TaskStack(problem.tasks, start)
-        soft = Level(problem, self._tasks, rows, every_limit, damping)
-        free = Level(problem, self._tasks, rows, kept_limits, damping)
+        self._tasks = tasks = TaskStack(problem.tasks, start)
+        self._dt, self._error_damping = problem.dt, error_damping
         self._attempts = []
         if any(task.mode != "soft" for task in problem.tasks):
-            self._attempts.append(_Attempt(Status.TASKS_GIVEN_UP, soft, every_limit, problem.kappa))
+            soft = Level(problem, tasks, rows, every_limit, damping)
+            self._attempts.append(_Attempt(Status.TASKS_GIVEN_UP, soft, every_limit, slows=False))
+        slowed = Level(problem, tasks, rows, every_limit, damping, shares=["drift correction"])
+        self._attempts.append(
+            _Attempt(Status.DRIFT_SLOWED, slowed, every_limit, last=len(kept) == len(limits))
+        )
         if len(kept) < len(limits):
-            self._attempts.append(
-                _Attempt(Status.ACCELERATION_GIVEN_UP, free, kept_limits, problem.kappa)
-            )
-        self._attempts.append(_Attempt(Status.DRIFT_GIVEN_UP, free, kept_limits, 0.0))
+            bounds = Bounds(chain, kept, start, problem.dt)
+            free = Level(problem, tasks, rows, bounds, damping, shares=["drift correction"])
+            self._attempts.append(_Attempt(Status.ACCELERATION_GIVEN_UP, free, bounds, last=True))
 
     def solve(
-        self, state: State, failed: Status, recovery: Recovery | None
-    ) -> tuple[Status, Array]:
+        self, state: State, drift: Array, kappa: float, failed: Status, recovery: Recovery | None
+    ) -> Outcome:
         """The first attempt that has an answer, and what it gave up; else the first failure.
 
         That something left no motion is said only where the solver found so each time: one that
         ran out of iterations or broke a row tells nothing about the problem.
+
+        Args:
+            state: of the tick.
+            drift: what the loops must lose, shape (m,).
+            kappa: gain of the drift correction [1/s].
+            failed: why the whole problem has no answer.
+            recovery: of joints outside their limits.
         """
         self._tasks.update(state)
-        conflict = failed is Status.INFEASIBLE
+        extra = step_damping(self._tasks.bend(state.v), self._dt, self._error_damping)
+        conflict, given_up = failed is Status.INFEASIBLE, list[Status]()
         for attempt in self._attempts:
-            status = self._solve(attempt, state, recovery)
+            given_up.append(attempt.gives_up)
+            status = self._solve(attempt, state, drift, kappa, extra, recovery)
             if status.usable:
-                said = attempt.gives_up if conflict else Status.SOLVER_FAILED
-                return said, attempt.level.v
+                share = attempt.level.scale
+                said = [c for c in given_up if c is not Status.DRIFT_SLOWED or share < ALL_OF_IT]
+                causes = tuple(reversed(said)) if conflict and said else (Status.SOLVER_FAILED,)
+                return Outcome(attempt.level.v, share, causes)
             conflict = conflict and status is Status.INFEASIBLE
-        return failed, self._attempts[-1].level.v
+        return Outcome(self._attempts[-1].level.v, 0.0, (failed,))
 
-    def _solve(self, attempt: _Attempt, state: State, recovery: Recovery | None) -> Status:
+    def _solve(
+        self,
+        attempt: _Attempt,
+        state: State,
+        drift: Array,
+        kappa: float,
+        extra: float,
+        recovery: Recovery | None,
+    ) -> Status:
         level, bounds = attempt.level, attempt.bounds
         bounds.update(state)
-        level.assemble(bounds)
         if recovery:
-            recovery.pull(state, level.qp)
-        loop_rows(state.J_loop, state.e_loop, attempt.kappa, level.A, level.b)
-        if attempt.gives_up is Status.DRIFT_GIVEN_UP:
-            # The last one: nothing may ask for a motion, so that v = 0 is feasible.
+            recovery.tighten(bounds)
+        level.assemble(bounds, extra)
+        rows = slowed_loop_rows if attempt.slows else loop_rows
+        rows(state.J_loop, drift, kappa, level.qp.A, level.b)
+        if attempt.last:  # nothing may ask for a motion, so that v = 0 is feasible
             np.maximum(level.qp.h, 0.0, out=level.qp.h)
         return level.solve()

@@ -5,32 +5,38 @@
                 J_j v = rate_j - gain_j e_j                                      hard tasks
                 J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
 
-with d = damping + error_damping sum_i |e_i|^2 (Sugihara 2011). The second part fades as the
-tasks are met; without it a goal out of reach can make the arms rattle at full speed about the
-singular pose where they are stretched. For a task that asks for a velocity alone, such as twist,
-J_i v_last - rate_i stands for e_i: what the last tick has missed.
+with d = damping + c dt (sum_i w_i gain_i |e_i| L_i + curvature of the hard and scaled rows), in
+every level from its own tasks: what a step needs that it does not overshoot where the arms are
+stretched (:func:`coopqp.qp_law.equations.step_damping`). It fades as the tasks are met.
 
 Soft tasks of a later priority, and the secondary objectives after them all, are solved in what the
 earlier ones leave free (:mod:`coopqp.qp_law.priorities`).
 
 A tick, from top to bottom: assemble, solve, improve (the later levels), shorten.
 
+Joints that start outside their limits come back first, before all tasks
+(:mod:`coopqp.qp_law.recovery`).
+
 When not everything can hold, this is given up, in this order, and said: hard and scaled tasks
-become soft, acceleration limits, the drift correction. Never the loop rows, never position and
-velocity limits. Standing still is feasible from any state inside the limits, so there is always an
-answer.
+become soft, for a moment; the drift correction is done in part; acceleration limits go. Never the
+loop rows, never position and velocity limits. Standing still is feasible from any state inside the
+limits, so there is always an answer.
 """
 
 from __future__ import annotations
+
+import math
+
+import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp import QP
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import add_damping, loop_rows
+from coopqp.qp_law.equations import loop_rows, step_damping
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.fallback import Fallback
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import SCALE_WEIGHT, Level
 from coopqp.qp_law.priorities import LaterLevel, groups
 from coopqp.qp_law.recovery import Recovery
 from coopqp.qp_law.safety import LoopProbe
@@ -38,7 +44,10 @@ from coopqp.solver import Solution, Status
 from coopqp.state import State
 from coopqp.task import TaskStack
 
-ERROR_DAMPING = 0.1  # default: 1e-3 at an error of 10 cm, 1e-7 at one of a millimetre
+ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
+SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
+MOST_HARD_DAMPING = 1.0  # that the multipliers of hard tasks may ask for
+LEAST_WANTED = 1e-8  # square of the speed below which a scaled task counts as at rest
 
 
 class QPLaw(Law):
@@ -47,23 +56,23 @@ class QPLaw(Law):
     Args:
         problem: what to control.
         damping: cost of |v|^2.
-        error_damping: the same for every unit of the squared task error.
+        error_damping: c, share of the damping that rules out any overshoot.
 
     Attributes:
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
-        damping: as given.
-        memory_sizes: "stopped" is 1 after a stop.
+        memory_sizes: "stopped" is 1 after a stop; "soft" is how long hard tasks stay soft [s];
+            "pull" the sum of the hard rows' multipliers in the last tick.
     """
 
-    memory_sizes = {"stopped": 1}  # noqa: RUF012 - a constant of the class
+    memory_sizes = {"stopped": 1, "soft": 1, "pull": 1}  # noqa: RUF012 - a constant of the class
 
     def __init__(
         self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
     ) -> None:
         super().__init__(problem)
         chain, start = problem.chain, State(problem.chain)
-        self.damping, self._error_damping = damping, error_damping
+        self._error_damping, self._reach = error_damping, chain.reach
         self._bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
         self._exact = exact = ExactTasks(problem, start)
         stacks = [TaskStack(group, start) for group in groups(problem)]
@@ -77,9 +86,9 @@ class QPLaw(Law):
             self._later.append(later)
         self._stacks = stacks[: len(self._later) + 1]
         self.levels = (self.first, *(later.level for later in self._later))
-        self._fallback = Fallback(problem, start, damping)
+        self._fallback = Fallback(problem, start, damping, error_damping)
         self._probe = LoopProbe(problem)
-        self._recovery = None if chain.starts_inside else Recovery(problem)
+        self._recovery = None if chain.starts_inside else Recovery(problem, start)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
 
@@ -98,50 +107,91 @@ class QPLaw(Law):
         if self._stops and state.memory["stopped"][0]:
             return self._stand_still(Status.INFEASIBLE)
         self.assemble(state)
-        status = self.first.solve()
-        v, scale = self.first.v, self.first.scale if self._scales else 1.0
-        if status.usable:
-            status, v = self._improve(state, status)
-        elif self.problem.on_infeasible == "scale":
-            status, v = self._fallback.solve(state, status, self._recovery)
-            scale = 0.0 if self._scales else 1.0
-        elif self._stops:
-            state.memory["stopped"][0] = 1.0
-        if not status.usable:
-            return self._stand_still(status)
+        status = self._solve_first(state)
         command = self.command
-        command.v[:], command.status, command.scale = v, status, scale
-        self._probe.shorten(state, command)
+        command.scale = command.drift = 1.0
+        if status.usable:
+            v, causes = self._improve(state, status)
+            command.scale = self.first.scale if self._scales else 1.0
+        elif self.problem.on_infeasible == "scale":
+            v, causes = self._give_up(state, status)
+        else:
+            v, causes = self.first.v, (status,)
+            if self._stops:
+                state.memory["stopped"][0] = 1.0
         if self._recovery and self._recovery.active:
-            command.status = Status.RECOVERING
+            v, causes = self._recovery.rescue(v, causes)
+        if not causes[0].usable:
+            return self._stand_still(*causes)
+        command.v[:] = v
+        command.say(*causes)
+        self._probe.shorten(state, command)
         return command
 
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
-        first, m = self.first, len(state.e_loop)
+        first, m, kappa = self.first, len(state.e_loop), self._probe.kappa(state)
         self._bounds.update(state)
+        if self._recovery:
+            self._recovery.decide(state, self._bounds, state.e_loop, kappa)
+            self._recovery.tighten(self._bounds)
         for stack in self._stacks:
             stack.update(state)
-        first.assemble(self._bounds)
-        add_damping(first.P, self._error_damping * first.tasks.squared_error(state.v))
-        if self._recovery:
-            self._recovery.pull(state, first.qp)
-        loop_rows(state.J_loop, state.e_loop, self.problem.kappa, first.A[:m], first.b[:m])
+        extra = self._step_damping(first.tasks, state)
         if self._has_exact:
             self._exact.update(state)
             self._exact.fill(first.qp.A[m:], first.b[m:])
+            extra += self._exact_damping(state)
+        first.assemble(self._bounds, extra)
+        loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
 
-    def _improve(self, state: State, status: Status) -> tuple[Status, Array]:
+    def _step_damping(self, tasks: TaskStack, state: State) -> float:
+        return step_damping(tasks.bend(state.v), self.problem.dt, self._error_damping)
+
+    def _exact_damping(self, state: State) -> float:
+        """The same for hard rows, which bend by their multipliers, and for scaled ones."""
+        share, scaled = self._error_damping * self.problem.dt, self._exact.scaled
+        if not self._scales:
+            hard: float = share * self._reach * state.memory["pull"][0]
+            return min(hard, MOST_HARD_DAMPING)
+        wanted = float(scaled.wanted.dot(scaled.wanted)) + LEAST_WANTED
+        asked = scaled.levers * (scaled.wanted - scaled.rate)
+        return share * SCALE_WEIGHT * math.sqrt(asked.dot(asked)) / wanted
+
+    def _solve_first(self, state: State) -> Status:
+        """The first level's answer, unless its hard tasks were given up a moment ago."""
+        if not self._has_exact:
+            return self.first.solve()
+        soft, m = state.memory["soft"], len(state.e_loop)
+        if soft[0] > 0.0:
+            soft[0] -= self.problem.dt
+            return Status.INFEASIBLE
+        status = self.first.solve()
+        pull = self.first.solution.y[m:]
+        state.memory["pull"][0] = np.abs(pull).sum() if status.usable else 0.0
+        return status
+
+    def _improve(self, state: State, status: Status) -> tuple[Array, tuple[Status, ...]]:
         """What the later levels make of the first one's answer."""
         v = self.first.v
-        if self._recovery and self._recovery.active:
-            return status, v  # they would undo the way back, which no task asks for
         for later in self._later:
-            status, v = later.improve(state, self._bounds, v, status)
-        return status, v
+            extra = self._step_damping(later.level.tasks, state)
+            status, v = later.improve(state, self._bounds, v, status, extra)
+        return v, (status,)
 
-    def _stand_still(self, status: Status) -> Command:
+    def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
+        """The answer of a smaller problem."""
+        kappa = self._probe.kappa(state)
+        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self._recovery)
+        if Status.TASKS_GIVEN_UP in outcome.causes and state.memory["soft"][0] <= 0.0:
+            state.memory["soft"][0] = SOFT_FOR
+        self.command.scale = 0.0 if self._scales else 1.0
+        self.command.drift = outcome.drift
+        return outcome.v, outcome.causes
+
+    def _stand_still(self, *causes: Status) -> Command:
         command = self.command
-        command.v[:], command.status = 0.0, status
+        command.v[:] = 0.0
+        command.say(*causes)
         command.scale = 0.0 if self._scales else 1.0
         return command

@@ -27,7 +27,8 @@ class Level:
         equalities: the equality rows.
         bounds: the limits.
         damping: cost of |v|^2.
-        scaled: names of the scaled tasks, each of which adds a share s in [0, 1].
+        shares: names of what may be done in part only, each with a share s in [0, 1], the largest
+            that is possible.
 
     Attributes:
         qp, solution: of the last tick. qp's variables are v, then s.
@@ -35,6 +36,7 @@ class Level:
         P, q, A: the parts of the QP that belong to v, shapes (n, n), (n,) and (m, n).
         b: right side of the equality rows, shape (m,).
         v: the velocities of the answer, shape (n,).
+        curvature: smallest eigenvalue that P has at least, its damping in the last tick.
     """
 
     def __init__(
@@ -44,27 +46,34 @@ class Level:
         equalities: tuple[Row, ...],
         bounds: Bounds,
         damping: float,
-        scaled: Sequence[str] = (),
+        shares: Sequence[str] = (),
     ) -> None:
         chain, n = problem.chain, problem.chain.n
-        shares = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in scaled)
-        variables = (*joint_rows(chain.joint_names, chain.joint_units), *shares)
+        scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
+        variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
         self.tasks, self._damping, self._n = tasks, damping, n
         self.qp = qp = QP(Rows(variables, bounds.rows, equalities))
         self.solution = Solution(qp)
         self.P, self.q, self.A, self.b = qp.P[:n, :n], qp.q[:n], qp.A[:, :n], qp.b
         self.v = self.solution.v[:n]
-        if scaled:
+        if shares:
             qp.lb[n:], qp.ub[n:] = 0.0, 1.0
             np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
             qp.q[n:] = -SCALE_WEIGHT
-        self._verifier = Verifier(qp, self.solution, problem.budget, damping)
+        self.curvature = damping
+        self._verifier = Verifier(qp, self.solution, problem.budget)
         self._solve = problem.solver.open(qp, self.solution)
 
-    def assemble(self, bounds: Bounds) -> None:
-        """Objective and limits; the caller fills the equality rows."""
+    def assemble(self, bounds: Bounds, extra_damping: float = 0.0) -> None:
+        """Objective and limits; the caller fills the equality rows.
+
+        Args:
+            bounds: the limits at the state.
+            extra_damping: beside that of every tick, as the state needs it.
+        """
         qp, tasks, n = self.qp, self.tasks, self._n
-        normal_equations(tasks.J, tasks.weights, tasks.wanted, self._damping, self.P, self.q)
+        self.curvature = self._damping + extra_damping
+        normal_equations(tasks.J, tasks.weights, tasks.wanted, self.curvature, self.P, self.q)
         qp.lb[:n], qp.ub[:n] = bounds.lb, bounds.ub
         if qp.p:
             qp.G[:, :n], qp.h[:] = bounds.G, bounds.h
@@ -73,10 +82,10 @@ class Level:
         """Solve and verify."""
         self.qp.seal()
         self._solve()
-        self.solution.status = status = self._verifier.check()
+        self.solution.status = status = self._verifier.check(min(self.curvature, SCALE_WEIGHT))
         return status
 
     @property
     def scale(self) -> float:
-        """Least share of the answer; 1 without scaled tasks."""
+        """Least share of the answer; 1 without shares."""
         return float(self.solution.v[self._n :].min(initial=1.0))

@@ -20,13 +20,14 @@ from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.level import Level
-from coopqp.rank import matrix_rank
+from coopqp.rank import RANK_TOLERANCE, matrix_rank
 from coopqp.row import Row
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
+NOISE = 1e-5  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
 
 def groups(problem: ControlProblem) -> list[list[Task]]:
@@ -80,11 +81,11 @@ class LaterLevel:
         self.level = Level(problem, tasks, rows, bounds, damping)
 
     def improve(
-        self, state: State, bounds: Bounds, v: Array, status: Status
+        self, state: State, bounds: Bounds, v: Array, status: Status, extra_damping: float
     ) -> tuple[Status, Array]:
         """Improve v where it is still free; keep it when this level fails."""
         level, Q = self.level, self._decided.basis(state)
-        level.assemble(bounds)
+        level.assemble(bounds, extra_damping)
         level.A[:] = Q
         Q.dot(v, level.b)
         own = level.solve()
@@ -106,7 +107,7 @@ class Decided:
     """
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
-        self._blocks = [stack.J for stack in stacks]
+        self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
         self.rank = 0
         state = State(chain)
         for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
@@ -117,11 +118,32 @@ class Decided:
             rows = np.vstack([state.J_loop, *self._blocks])
             self.rank = max(self.rank, matrix_rank(rows))
         self.rank = min(self.rank, chain.n)
+        self._Q = np.zeros((self.rank, chain.n))
 
     def basis(self, state: State) -> Array:
-        """Q at a state for which the stacks are up to date, shape (rank, n)."""
-        rows = np.vstack([state.J_loop, *self._blocks])
-        if not np.isfinite(rows).all():
-            return np.full((self.rank, rows.shape[1]), np.nan)
-        Vt: Array = np.linalg.svd(rows, full_matrices=self.rank > len(rows))[2]
-        return Vt[: self.rank]
+        """Q at a state for which the stacks are up to date, shape (rank, n).
+
+        First the loops, which no later level may ever open; then what the tasks add to them. Where
+        that is next to nothing, as at a singular pose, its direction is noise, which would freeze
+        another motion in each tick: such rows are zero.
+        """
+        Q, tasks = self._Q, np.vstack(self._blocks)
+        if not (np.isfinite(tasks).all() and np.isfinite(state.J_loop).all()):
+            Q[:] = np.nan
+            return Q
+        Q[:] = 0.0
+        loops = _directions(state.J_loop, RANK_TOLERANCE)
+        m = len(loops)
+        Q[:m] = loops
+        added = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)[: self.rank - m]
+        Q[m : m + len(added)] = added
+        return Q
+
+
+def _directions(rows: Array, least: float) -> Array:
+    """Orthonormal basis of the rows, without singular values up to ``least``."""
+    if not len(rows):
+        return rows
+    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
+    kept: Array = Vt[values > least]
+    return kept

@@ -1,46 +1,97 @@
-"""The way back for joints that start outside their limits."""
+"""The way back for joints that start outside their limits, before all tasks.
+
+It has a QP of its own, with nothing else to want than to be inside again:
+
+    minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
+    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h,  0 <= s <= 1, s largest
+
+What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
+back at least almost as fast.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.controller import ControlProblem
-from coopqp.qp import QP
-from coopqp.qp_law.equations import add_damping
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import add_damping, slowed_loop_rows
+from coopqp.qp_law.level import Level
+from coopqp.solver import Status
 from coopqp.state import State
+from coopqp.task import TaskStack
 
-#: Cost of not coming back, far above any task [s2/rad2].
-RECOVERY_WEIGHT = 1e3
-#: Slowest wish to come back [rad/s].
+#: Slowest wish to come back [rad/s, m/s]: one that goes to zero at the limit never gets there.
 LEAST_RECOVERY = 0.02
+#: Cost of |v|^2, which only chooses among ways back that are as fast.
+LEAST_MOTION = 1e-4
+#: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
+KEPT = 0.99
 
 
 class Recovery:
-    """Pulls joints that are outside their limits back, more than any task pulls.
+    """Decides how fast joints come back.
 
     Args:
-        problem: dt and limits.
+        problem: what to control.
+        start: a state.
 
     Attributes:
         active: whether a joint was outside in the last tick.
+        v: the way back, when there was one in the last tick.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
+    def __init__(self, problem: ControlProblem, start: State) -> None:
         chain = problem.chain
         self._lower, self._upper, self._rate = chain.lower, chain.upper, 1.0 / problem.dt
+        bounds = Bounds(chain, problem.limits, start, problem.dt)
+        rows = chain.loops.solver_rows
+        self._level = Level(
+            problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
+        )
+        self._low, self._high = np.zeros(chain.n, bool), np.zeros(chain.n, bool)
         self.active = False
+        self.v: Array | None = None
 
-    def pull(self, state: State, qp: QP) -> None:
-        """Add the wish to be back at the limit with the next step; the bounds slow it down."""
-        n = len(state.q)
-        back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
-        outside = back != 0.0
-        self.active = bool(outside.any())
+    def decide(self, state: State, bounds: Bounds, drift: Array, kappa: float) -> None:
+        """Find the fastest way back.
+
+        Args:
+            state: with the joints.
+            bounds: the limits at the state.
+            drift: what the loops must lose, shape (m,).
+            kappa: gain of the drift correction [1/s].
+        """
+        np.less(state.q, self._lower, out=self._low)
+        np.greater(state.q, self._upper, out=self._high)
+        outside = self._low | self._high
+        self.active, self.v = bool(outside.any()), None
         if not self.active:
             return
-        # A speed that goes to zero at the limit would lose against the tasks just outside it.
+        back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) * self._rate, LEAST_RECOVERY)
-        wish = np.minimum(np.maximum(wish, qp.lb[:n]), qp.ub[:n])
-        weight = RECOVERY_WEIGHT * outside
-        add_damping(qp.P[:n, :n], weight)
-        qp.q[:n] -= weight * wish
+        wish = np.minimum(np.maximum(wish, bounds.lb), bounds.ub)
+        level = self._level
+        level.assemble(bounds)
+        add_damping(level.P, outside.astype(float))
+        np.multiply(wish, -1.0 * outside, out=level.q)
+        slowed_loop_rows(state.J_loop, drift, kappa, level.qp.A, level.b)
+        if level.solve().usable:
+            self.v = level.v.copy()
+
+    def tighten(self, bounds: Bounds) -> None:
+        """Let nobody take the way back away."""
+        if self.v is None:
+            return
+        low, high = self._low, self._high
+        np.maximum(bounds.lb, np.maximum(KEPT * self.v, 0.0), out=bounds.lb, where=low)
+        np.minimum(bounds.ub, np.minimum(KEPT * self.v, 0.0), out=bounds.ub, where=high)
+
+    def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
+        """The tick's answer, or the way back itself where nothing else has one."""
+        if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
+            return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
+        if not causes[0].usable and self.v is not None:
+            return self.v, (Status.RECOVERING, *causes)
+        return v, (*causes, Status.RECOVERING)

@@ -35,6 +35,7 @@ class LoopProbe:
         self._frames = frames = chain.frames[: chain.holding]
         self._dt = np.full(chain.n, problem.dt)
         self._q = np.zeros(chain.n)
+        self._kappa, self._rate = problem.kappa, 1.0 / problem.dt
         self._gap, self._turn = budget.loop_position, budget.loop_orientation
         pin.framesForwardKinematics(self._model, self._data, chain.q_start)
         X_0, *others = (self._data.oMf[frame] for frame in frames)
@@ -53,10 +54,24 @@ class LoopProbe:
             share *= SHORTEN
             if share < SHORTEST:
                 command.v[:] = 0.0
-                command.status = Status.STEP_SHORTENED
+                command.say(Status.LOOP_BUDGET, *command.causes)
                 return
             command.v *= SHORTEN
-            command.status = Status.STEP_SHORTENED
+        if share < 1.0:
+            command.say(Status.STEP_SHORTENED, *_not_ordinary(command.causes))
+
+    def kappa(self, state: State) -> float:
+        """Gain of the drift correction: the problem's, or more where the budget is half used up.
+
+        With the paper's kappa = 0 nothing else would ever close a loop again.
+        """
+        slow, most = self._kappa, self._rate
+        if slow >= most or not self._others:
+            return slow
+        error = state.closed_error.reshape(-1, 2, 3)
+        gap, turn = np.sqrt(np.einsum("ijk,ijk->ij", error, error)).max(axis=0).tolist()
+        used = max(gap / self._gap, turn / self._turn)
+        return float(max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most))
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
@@ -95,3 +110,7 @@ class LoopProbe:
             if turn_after > max(turn, self._turn):
                 return False
         return True
+
+
+def _not_ordinary(causes: tuple[Status, ...]) -> tuple[Status, ...]:
+    return tuple(cause for cause in causes if cause is not Status.OPTIMAL)

@@ -201,8 +201,12 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             Field(default=None, description="Length of the run [s]."),
         ),
         "kappa": (
-            NonNegative,
-            Field(default=0.0, description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt."),
+            NonNegative | None,
+            Field(
+                default=None,
+                description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt, which it is if "
+                "omitted; 0 is the paper's law.",
+            ),
         ),
         "on_infeasible": (
             OnInfeasible,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -154,7 +155,7 @@ class _Reader:
             budget=read.budget,
             dt=read.dt,
             duration=read.duration or 0.0,
-            kappa=read.kappa,
+            kappa=math.inf if read.kappa is None else read.kappa,
             seed=read.seed,
             on_infeasible=read.on_infeasible,
             source=self._file.path.read_text(encoding="utf-8"),

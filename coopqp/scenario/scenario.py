@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -46,7 +47,8 @@ class Scenario:
         controllers: by name; what is compared.
         plant, disturbance: what is controlled, and what the controllers are not told of it.
         solver, solver_name, budget: how QPs are solved.
-        dt, duration: [s]; the latter is 0 where there are phases. kappa: drift correction [1/s].
+        dt, duration: [s]; the latter is 0 where there are phases. kappa: drift correction [1/s],
+            1/dt when omitted.
         seed: of everything random.
         on_infeasible: see :class:`coopqp.controller.ControlProblem`.
         source: text of the file it was read from.
@@ -73,11 +75,15 @@ class Scenario:
     solver_name: str = "daqp"
     budget: Budget = field(default_factory=Budget)
     dt: float = 0.01
-    kappa: float = 0.0
+    kappa: float = math.inf
     seed: int = 0
     on_infeasible: OnInfeasible = "scale"
     source: str = ""
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.kappa == math.inf:
+            object.__setattr__(self, "kappa", 1.0 / self.dt)
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""

@@ -232,7 +232,7 @@ def record_tick(
         v=state.v.tolist(),
         memory=memory,
         dt=problem.dt,
-        damping=law.damping,
+        damping=law.first.curvature,
         budget=problem.budget,
         P=qp.P.tolist(),
         q_cost=qp.q.tolist(),
@@ -298,7 +298,7 @@ def replay(record: TickRecord, solver: Solver) -> Replay:
     qp = record.qp()
     solution = Solution(qp)
     solver.open(qp, solution)()
-    status = Verifier(qp, solution, record.budget, record.damping).check()
+    status = Verifier(qp, solution, record.budget).check(record.damping)
     return Replay(
         status,
         solution.v.copy(),

@@ -1,0 +1,73 @@
+"""The model's own loop error, observed slowly and never corrected.
+
+The arms of a real robot are a little longer than the model says, its encoders a little off, the
+object a little elsewhere in the hands. So where the real loops are closed the model's are open by
+some b, a gap that changes slowly. With e_c = e(q) at the commanded configuration, e_m at the
+measured one, and compliance between them, the squeeze on the object is proportional to e_c - e_m:
+it vanishes where the *command* carries the model's error. Hence
+
+    J_c v = -kappa (e_c - gap),     gap' = (e_m - e_c) / time
+
+A correction that pulled e_m, or all of e_c, to zero would integrate b without end, until the motors
+saturate. The observer is stable for every delay while the compliance of the grasp is part of the
+whole (small gain); ``time`` is long enough for the resonances of servos and grasps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.state import State
+
+#: Time constant, at least so long and at least so many ticks [s].
+TIME, TICKS = 0.3, 10
+#: A gap beyond this is no model's error any more [m], [rad].
+MOST_POSITION, MOST_ORIENTATION = 5e-3, 20e-3
+
+
+class LoopObserver:
+    """Keeps ``State.gap``.
+
+    Args:
+        chain: the modelled chain.
+        dt: control period [s].
+    """
+
+    def __init__(self, chain: ClosedChain, dt: float) -> None:
+        self._model, self._data = chain.model, chain.model.createData()
+        self._share = dt / max(TIME, TICKS * dt)
+        self._measured = State(chain)
+
+    def begin(self, state: State) -> None:
+        """Take all that the loops are open by at q for the model's error.
+
+        Without this, arms that begin with an error would squeeze until it is observed.
+        """
+        state.update()
+        state.gap[:] = state.loop_error
+        _bound(state.gap)
+        state.update()
+
+    def update(self, state: State) -> None:
+        """Follow the measured configuration, where there is one."""
+        if state.q_measured is None or state.corrected < 1.0:
+            return
+        measured = self._measured
+        measured.q[:] = state.q_measured
+        if not np.isfinite(measured.q).all():
+            return  # a sensor that says nothing teaches nothing
+        measured.update_poses()
+        state.gap += self._share * (measured.loop_error - state.loop_error)
+        _bound(state.gap)
+        state.update_drift()
+
+
+def _bound(gap: Array) -> None:
+    """Cut each loop's position and rotation to the largest error that a model can have."""
+    for loop in gap.reshape(-1, 6):
+        for part, most in ((loop[:3], MOST_POSITION), (loop[3:], MOST_ORIENTATION)):
+            size = float(np.linalg.norm(part))
+            if size > most:
+                part *= most / size
