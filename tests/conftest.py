@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -15,7 +15,6 @@ from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.state import State
 
-Array = NDArray[np.float64]
 Walk = Callable[[ClosedChain, int], list[Array]]
 
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
-from shipped_here import HAS_ROBOTS, LOADABLE
+from scenario_files import HAS_ROBOTS, LOADABLE
 
 import coopqp
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.comparison import Comparison
@@ -27,7 +27,6 @@ from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.loader import load, shipped
 from coopqp.state import State
 
-Array = NDArray[np.float64]
 H = 1e-5  # step of the central differences [rad]
 needs_robots = pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
 

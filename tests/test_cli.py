@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from shipped_here import LOADABLE
+from scenario_files import LOADABLE
 
 from coopqp.cli import main
 from coopqp.scenario.loader import shipped

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
+from chains import Walk
 
-from coopqp.checked import Pose, spec
+from coopqp.checked import Array, Pose, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint
@@ -23,8 +23,6 @@ from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table
 from coopqp.state import State
 
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
 Row = mdh.MdhRow
 Parameters = mdh.MdhParameters
 

@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy.linalg
-from numpy.typing import NDArray
 from test_closed_chain import planar_pair, three_arms
 from test_dynamics import Hinge, closed_states, small_arm
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import ConstraintEquations, constraint_equations
 from coopqp.errors import InvalidValueError, UnknownNameError
@@ -20,8 +20,6 @@ from coopqp.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.planar_pair import PlanarPair
-
-Array = NDArray[np.float64]
 
 PAPER_SCHEME = ("RShoulderPitch", "RShoulderRoll", "RElbowYaw", "LShoulderRoll")  # q1 q2 q3 q7
 OTHER_SCHEMES = (

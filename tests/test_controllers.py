@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
+from chains import Walk
+from laws import DT, LIMITS, NEAR, STEP, answer, problem, run
 
 import coopqp.controllers
-from coopqp.checked import spec
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller, ControlProblem
@@ -25,22 +25,16 @@ from coopqp.controllers import (
 from coopqp.controllers.qp import QPLaw
 from coopqp.errors import InvalidValueError
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.profile import Profile
 from coopqp.qp import QP
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows, TaskStack
 from coopqp.tasks import JointCentering, MinimumKineticEnergy, PointOnPlane, PointOnPoint
+from coopqp.trace import Trace
 
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
-
-DT = 0.01
-STEP = Profile(kind="step")
-NEAR, UNREACHABLE = (0.19, 0.01, 0.06), (0.19, 0.1, 0.25)
+UNREACHABLE = (0.19, 0.1, 0.25)
 BEHIND = (0.1, 0.05, -0.05)  # reachable, 13 cm away
-LIMITS = (JointPosition(), JointVelocity())
 CONTROLLERS: dict[str, Controller] = {
     "qp": QPController(),
     "pseudoinverse": Pseudoinverse(),
@@ -52,52 +46,9 @@ each_controller = pytest.mark.parametrize(
 )
 
 
-def problem(chain: ClosedChain, *tasks: Task, **settings: Any) -> ControlProblem:
-    given: dict[str, Any] = {"solver": Daqp(), "dt": DT, **settings}
-    return ControlProblem(chain=chain, tasks=tasks, **given)
-
-
-def command(controller: Controller, problem: ControlProblem, q: Array | None = None) -> Array:
-    """One tick's joint velocity, at the chain's start or at q."""
-    law = controller.build(problem)
-    answer = law.tick(law.start(q))
-    assert answer.status is Status.OPTIMAL
-    return answer.v.copy()
-
-
-@dataclass(frozen=True)
-class Run:
-    """Ticks of perfect joint servos, shapes (T + 1, n), (T, n), (T + 1,), (T + 1,)."""
-
-    q: Array
-    v: Array
-    gap: Array
-    distance: Array
-    statuses: set[Status]
-
-
-def run(
-    controller: Controller, problem: ControlProblem, ticks: int, goal: tuple[float, float, float]
-) -> Run:
-    law = controller.build(problem)
-    state = law.start()
-    q, v, gap, distance, statuses = [], [], [], [], set()
-
-    def note() -> None:
-        state.update()
-        q.append(state.q.copy())
-        gap.append(state.loop_position_error)
-        distance.append(float(np.linalg.norm(state.p_WO - goal)))
-
-    for _ in range(ticks):
-        note()
-        answer = law.tick(state)
-        v.append(answer.v.copy())
-        statuses.add(answer.status)
-        state.q += problem.dt * answer.v
-        state.t += problem.dt
-    note()
-    return Run(np.array(q), np.array(v), np.array(gap), np.array(distance), statuses)
+def distances(trace: Trace, goal: tuple[float, float, float]) -> Array:
+    """Of the object from its goal, shape (T + 1,) [m]."""
+    return np.linalg.norm(trace.position - goal, axis=1)
 
 
 def overrun(chain: ClosedChain, q: Array) -> float:
@@ -126,18 +77,18 @@ def test_without_limits_qp_and_pseudoinverse_move_the_object_alike(
 ) -> None:
     """With little damping both give the least joint speed that does the task: one twist."""
     given, J = problem(chain, task), State(chain).J_task
-    twist = J @ command(Pseudoinverse(), given)
+    twist = J @ answer(Pseudoinverse(), given)
     assert np.linalg.norm(twist) > 0.1
     np.testing.assert_allclose(
-        J @ command(QPController(damping=1e-9, error_damping=0.0), given), twist, atol=1e-6
+        J @ answer(QPController(damping=1e-9, error_damping=0.0), given), twist, atol=1e-6
     )
 
 
 def test_qp_tends_to_the_pseudoinverse_in_proportion_to_its_damping(chain: ClosedChain) -> None:
     given = problem(chain, PointOnPoint(goal=NEAR, profile=STEP))
-    exact = command(Pseudoinverse(), given)
+    exact = answer(Pseudoinverse(), given)
     off = [
-        np.abs(command(QPController(damping=d, error_damping=0.0), given) - exact).max()
+        np.abs(answer(QPController(damping=d, error_damping=0.0), given) - exact).max()
         for d in (1e-5, 1e-7)
     ]
     assert off[0] / off[1] == pytest.approx(100, rel=0.05)
@@ -151,9 +102,9 @@ def test_qp_with_a_strictly_secondary_objective_is_the_null_space_law(
     budget = Budget(accuracy=1e-2)  # what residuals prove at this weight; the answer is nearer
     given = problem(chain, task, secondary=[JointCentering()], budget=budget)
     for q in closed_loop_walk(chain, 5):
-        null_space = command(PseudoinverseNullSpace(), given, q)
-        assert np.abs(null_space - command(Pseudoinverse(), given, q)).max() > 1e-2
-        qp = command(QPController(damping=1e-10, error_damping=0.0), given, q)
+        null_space = answer(PseudoinverseNullSpace(), given, q)
+        assert np.abs(null_space - answer(Pseudoinverse(), given, q)).max() > 1e-2
+        qp = answer(QPController(damping=1e-10, error_damping=0.0), given, q)
         assert np.abs(qp - null_space).max() < 1e-6 * max(1.0, np.abs(null_space).max())
 
 
@@ -173,12 +124,12 @@ def test_least_kinetic_energy_as_a_secondary_objective_is_the_inertia_weighted_i
         H, b = np.vstack([tasks.J, state.J_loop]), np.concatenate([tasks.wanted, np.zeros(6)])
         A_H = np.linalg.solve(pin.crba(model, model.createData(), q), H.T)
         expected = A_H @ np.linalg.solve(H @ A_H, b)
-        assert np.abs(expected - command(Pseudoinverse(), given, q)).max() > 1e-2
-        qp = command(QPController(damping=1e-9, error_damping=0.0), given, q)
+        assert np.abs(expected - answer(Pseudoinverse(), given, q)).max() > 1e-2
+        qp = answer(QPController(damping=1e-9, error_damping=0.0), given, q)
         np.testing.assert_allclose(qp, expected, atol=1e-4)
         # Resting is what this objective asks for by itself, so that Z = 0.
-        plain = command(Pseudoinverse(), given, q)
-        np.testing.assert_allclose(command(PseudoinverseNullSpace(), given, q), plain, atol=1e-9)
+        plain = answer(Pseudoinverse(), given, q)
+        np.testing.assert_allclose(answer(PseudoinverseNullSpace(), given, q), plain, atol=1e-9)
 
 
 def test_an_objective_of_the_object_moves_it_where_the_tasks_leave_it_free(
@@ -189,8 +140,8 @@ def test_an_objective_of_the_object_moves_it_where_the_tasks_leave_it_free(
     given = problem(chain, plane, secondary=[PointOnPoint(goal=NEAR, profile=STEP)])
     state = State(chain)
     for law in (PseudoinverseNullSpace(), QPController(damping=1e-9, error_damping=0.0)):
-        v = command(law, given)
-        alone = command(Pseudoinverse(), given)
+        v = answer(law, given)
+        alone = answer(Pseudoinverse(), given)
         np.testing.assert_allclose(state.J_task[2] @ v, state.J_task[2] @ alone, atol=1e-6)
         way = np.array(NEAR) - state.p_WO
         assert (state.J_task[:2] @ v) @ way[:2] > (state.J_task[:2] @ alone) @ way[:2] + 1e-4
@@ -203,8 +154,8 @@ def test_null_space_motion_does_not_disturb_task_or_loop(
         chain, PointOnPoint(goal=NEAR, profile=STEP), secondary=[JointCentering(gain=50.0)]
     )
     for q in closed_loop_walk(chain, 5):
-        with_centering = command(PseudoinverseNullSpace(), given, q)
-        self_motion, state = with_centering - command(Pseudoinverse(), given, q), State(chain, q)
+        with_centering = answer(PseudoinverseNullSpace(), given, q)
+        self_motion, state = with_centering - answer(Pseudoinverse(), given, q), State(chain, q)
         assert np.linalg.norm(self_motion) > 0.1
         np.testing.assert_allclose(state.J_task[:3] @ self_motion, 0, atol=1e-12)
         np.testing.assert_allclose(state.J_rel @ self_motion, 0, atol=1e-12)
@@ -213,7 +164,7 @@ def test_null_space_motion_does_not_disturb_task_or_loop(
 def test_symmetric_pose_has_no_self_motion_that_centering_could_use(chain: ClosedChain) -> None:
     """Holding a point leaves one antisymmetric self-motion; the pull to the middle is symmetric."""
     given = problem(chain, PointOnPoint(goal=NEAR, profile=STEP), secondary=[JointCentering()])
-    pseudo, null_space = (command(k, given) for k in (Pseudoinverse(), PseudoinverseNullSpace()))
+    pseudo, null_space = (answer(k, given) for k in (Pseudoinverse(), PseudoinverseNullSpace()))
     np.testing.assert_allclose(null_space, pseudo, atol=1e-12)
 
 
@@ -223,17 +174,17 @@ def test_pseudoinverse_is_the_least_joint_speed_for_the_task(chain: ClosedChain)
     rows = np.vstack([state.J_task[:3], state.J_rel])
     wanted = np.concatenate([-5.0 * (state.p_WO - NEAR), np.zeros(6)])
     least = np.linalg.lstsq(rows, wanted)[0]
-    np.testing.assert_allclose(command(Pseudoinverse(), given), least, atol=1e-12)
+    np.testing.assert_allclose(answer(Pseudoinverse(), given), least, atol=1e-12)
 
 
 def test_damped_pseudoinverse_bounds_the_speed_in_every_pose(
     chain: ClosedChain, rng: np.random.Generator
 ) -> None:
     """|J^#| <= 1 / (2 damping), however singular the pose."""
-    given, damping = problem(chain, PointOnPoint(goal=UNREACHABLE, profile=STEP)), 0.02
+    given, damping = problem(chain, PointOnPoint(goal=UNREACHABLE, profile=STEP), kappa=0.0), 0.02
     for q in [np.zeros(chain.n), *chain.sample(rng, 20)]:
         wanted = 5.0 * np.linalg.norm(State(chain, q).p_WO - UNREACHABLE)
-        v = command(DampedPseudoinverse(damping=damping), given, q)
+        v = answer(DampedPseudoinverse(damping=damping), given, q)
         assert np.linalg.norm(v) <= wanted / (2 * damping)
 
 
@@ -243,7 +194,7 @@ def test_object_nears_the_goal_at_the_tasks_gain(
 ) -> None:
     """The error shrinks by (1 - gain dt) a tick; damped least squares may lag."""
     given = problem(chain, PointOnPoint(goal=NEAR, profile=STEP, gain=5.0), kappa=1 / DT)
-    distance = run(controller, given, 60, NEAR).distance
+    distance = distances(run(controller, given, 60), NEAR)
     slack = 0.25 if isinstance(controller, DampedPseudoinverse) else 0.01
     np.testing.assert_allclose(
         distance, distance[0] * 0.95 ** np.arange(61), atol=slack * distance[0]
@@ -258,7 +209,7 @@ def test_joints_drift_to_the_middle_where_the_task_leaves_them_free(chain: Close
     centre = JointCentering(gain=20.0)
     given = problem(chain, task, secondary=[centre], limits=LIMITS, kappa=1 / DT)
     for controller in (QPController(), PseudoinverseNullSpace()):
-        q = run(controller, given, 100, here).q
+        q = run(controller, given, 100).q
         phi = np.sum(((q - middle) / span) ** 2, axis=1)
         assert phi[-1] < 0.9 * phi[0]
         assert (np.diff(phi) < 0).all()
@@ -276,27 +227,28 @@ def reach_too_far(chain: ClosedChain) -> ControlProblem:
 def test_qp_stays_within_all_limits_on_the_way_to_a_goal_out_of_reach(
     reach_too_far: ControlProblem, chain: ClosedChain
 ) -> None:
-    result = run(QPController(), reach_too_far, 200, UNREACHABLE)
-    assert all(status.usable for status in result.statuses)
+    result = run(QPController(), reach_too_far, 200)
+    assert result.usable.all()
     assert overrun(chain, result.q) <= 1e-9
     assert (np.abs(result.v) <= chain.velocity + 1e-9).all()
+    distance = distances(result, UNREACHABLE)
     # The limits were needed, and the object has come nearer and stopped.
     assert overrun(chain, result.q) > -1e-6
-    assert result.distance[-1] < 0.3 * result.distance[0]
-    assert np.abs(np.diff(result.distance[-20:])).max() < 1e-3
+    assert distance[-1] < 0.3 * distance[0]
+    assert np.abs(np.diff(distance[-20:])).max() < 1e-3
 
 
 def test_exact_answers_at_the_limits_count_as_optimal(reach_too_far: ControlProblem) -> None:
     """DAQP's answers lie within 3e-10 of the optimum of its active set in every such tick."""
-    statuses = run(QPController(), reach_too_far, 200, UNREACHABLE).statuses
-    assert statuses <= {Status.OPTIMAL, Status.STEP_SHORTENED}
+    trace = run(QPController(), reach_too_far, 200)
+    assert set(trace.status) <= {"OPTIMAL", "STEP_SHORTENED"}
 
 
 @pytest.mark.parametrize("controller", [Pseudoinverse(), PseudoinverseNullSpace()], ids=str)
 def test_classical_laws_leave_the_limits_on_the_same_way(
     controller: Controller, reach_too_far: ControlProblem, chain: ClosedChain
 ) -> None:
-    result = run(controller, reach_too_far, 200, UNREACHABLE)
+    result = run(controller, reach_too_far, 200)
     assert overrun(chain, result.q) > 0.3
     assert (np.abs(result.v) - chain.velocity).max() > 1.0
 
@@ -304,7 +256,7 @@ def test_classical_laws_leave_the_limits_on_the_same_way(
 def test_position_margin_and_velocity_share_are_kept(chain: ClosedChain) -> None:
     limits = (JointPosition(margin=0.05), JointVelocity(scale=0.1))
     given = problem(chain, PointOnPoint(goal=UNREACHABLE), limits=limits, kappa=1 / DT)
-    result = run(QPController(), given, 200, UNREACHABLE)
+    result = run(QPController(), given, 200)
     assert overrun(chain, result.q) <= -0.05 + 1e-9
     assert np.abs(result.v / chain.velocity).max() == pytest.approx(0.1, abs=1e-9)
 
@@ -313,14 +265,14 @@ def test_position_margin_and_velocity_share_are_kept(chain: ClosedChain) -> None
 def test_drift_correction_keeps_the_loop_closed(controller: Controller, chain: ClosedChain) -> None:
     """Within 0.1 mm, over 13 cm of object motion; the damped law pays with its loop."""
     given = problem(chain, PointOnPoint(goal=BEHIND), limits=LIMITS, kappa=1 / DT)
-    gap = run(controller, given, 200, BEHIND).gap.max()
+    gap = run(controller, given, 200).loop_position.max()
     assert gap < (1e-3 if isinstance(controller, DampedPseudoinverse) else 1e-4)
 
 
 def test_without_drift_correction_the_loop_opens_further(chain: ClosedChain) -> None:
     task = PointOnPoint(goal=BEHIND)
     gaps = [
-        run(QPController(), problem(chain, task, kappa=k), 200, BEHIND).gap.max()
+        run(QPController(), problem(chain, task, kappa=k), 200).loop_position.max()
         for k in (0.0, 0.1 / DT, 1.0 / DT)
     ]
     assert gaps[0] > 2 * gaps[1] > 4 * gaps[2]
@@ -330,10 +282,10 @@ def test_drift_of_a_step_shrinks_with_its_square(chain: ClosedChain) -> None:
     """What kappa = 1/dt leaves is one step's linearisation error."""
     task = PointOnPoint(goal=BEHIND)
     coarse, fine = (
-        run(QPController(), problem(chain, task, dt=dt, kappa=1 / dt), round(2 / dt), BEHIND)
+        run(QPController(), problem(chain, task, dt=dt, kappa=1 / dt), round(2 / dt))
         for dt in (0.02, 0.01)
     )
-    assert coarse.gap.max() / fine.gap.max() == pytest.approx(4.0, rel=0.2)
+    assert coarse.loop_position.max() / fine.loop_position.max() == pytest.approx(4.0, rel=0.2)
 
 
 @pytest.mark.parametrize("controller", [QPController(), Pseudoinverse()], ids=str)
@@ -346,7 +298,7 @@ def test_open_loop_closes_by_kappa_dt_a_tick(
     here = tuple(State(chain, q).p_WO.tolist())
     given = problem(chain, PointOnPoint(goal=here, profile=STEP), kappa=share / DT)
     before = State(chain, q).loop_error
-    after = State(chain, q + DT * command(controller, given, q)).loop_error
+    after = State(chain, q + DT * answer(controller, given, q)).loop_error
     assert np.abs(before).max() > 1e-5
     np.testing.assert_allclose(after, (1 - share) * before, atol=1e-6)
 
@@ -355,7 +307,7 @@ def test_qp_holds_the_loop_exactly_also_at_its_limits(
     reach_too_far: ControlProblem, chain: ClosedChain
 ) -> None:
     """J_c v = -kappa e is a hard row: tasks give way, the grasp does not."""
-    result = run(QPController(), reach_too_far, 200, UNREACHABLE)
+    result = run(QPController(), reach_too_far, 200)
     for q, v in zip(result.q[:-1:10], result.v[::10], strict=True):
         state = State(chain, q)
         np.testing.assert_allclose(state.J_rel @ v, -state.loop_error / DT, atol=1e-7)
@@ -561,7 +513,7 @@ def test_problem_that_makes_no_sense_is_refused(
     settings: dict[str, Any], named: str, chain: ClosedChain
 ) -> None:
     with pytest.raises(InvalidValueError, match=named):
-        problem(chain, PointOnPoint(goal=NEAR), **settings)
+        problem(chain, PointOnPoint(goal=NEAR), **{"kappa": 0.0, **settings})
 
 
 def test_gain_that_overshoots_in_one_tick_is_refused(chain: ClosedChain) -> None:

@@ -12,11 +12,10 @@ import pinocchio as pin
 import pytest
 import scipy.linalg
 from mujoco_model import MujocoChain
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from test_closed_chain import planar_pair, spherical_pair, three_arms
 
-from coopqp.checked import Vector3, spec
+from coopqp.checked import Array, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import constraint_equations
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
@@ -28,7 +27,6 @@ from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.state import State
 
-Array = NDArray[np.float64]
 Closed = tuple[Array, Array]
 """q and v with all loops closed."""
 

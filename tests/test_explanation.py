@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import laws
 import numpy as np
 import pytest
 import qpsolvers
-from numpy.typing import NDArray
+from laws import DT, LIMITS, NEAR, STEP, ticks
 from scipy.optimize import linprog
 
 import coopqp
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison, compare
-from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.controllers.qp import QPLaw
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
-from coopqp.profile import Profile
 from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -41,28 +41,12 @@ from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_tra
 from coopqp.task import Task
 from coopqp.tasks import PointOnPoint, Pose
 
-Array = NDArray[np.float64]
-
-DT = 0.01
-STEP = Profile(kind="step")
-NEAR, FAR = (0.19, 0.01, 0.06), (0.19, 0.1, 0.25)
-LIMITS = (JointPosition(), JointVelocity())
 LATE = (150, 220, 299)
 GOAL, GAIN, DURATION = np.array([0.10, -0.05, 0.04]), 5.0, 2.0  # of joint_limit_stress
 WIDE = Budget(loop_position=1.0, loop_orientation=3.0)
 
 
-def problem(chain: ClosedChain, *tasks: Task, **settings: Any) -> ControlProblem:
-    given: dict[str, Any] = {
-        "solver": Daqp(), "limits": LIMITS, "dt": DT, "kappa": 1 / DT, "budget": WIDE, **settings,
-    }  # fmt: skip
-    return ControlProblem(chain=chain, tasks=tasks, **given)
-
-
-def build(problem: ControlProblem) -> QPLaw:
-    law = QPController().build(problem)
-    assert isinstance(law, QPLaw)
-    return law
+problem = partial(laws.problem, limits=LIMITS, budget=WIDE)
 
 
 def record(law: QPLaw, state: State, tick: int = 0) -> TickRecord:
@@ -70,7 +54,7 @@ def record(law: QPLaw, state: State, tick: int = 0) -> TickRecord:
 
 
 def first_tick(chain: ClosedChain, *tasks: Task, **settings: Any) -> TickRecord:
-    law = build(problem(chain, *tasks, **settings))
+    law = QPController().build(problem(chain, *tasks, **settings))
     return record(law, law.start())
 
 
@@ -238,11 +222,14 @@ def test_law_with_the_relaxed_limits_meets_the_task(
     given = replace(scenario.problem(), chain=wider, budget=WIDE, tasks=(
         replace(scenario.tasks[0], mode="hard"),
     ))  # fmt: skip
-    command = build(given).tick(state)
+    command = QPController().build(given).tick(state)
     assert command.status is Status.OPTIMAL
     physics = Physics(state)
     np.testing.assert_allclose(physics.A @ command.v, physics.b, atol=1e-6)
-    assert build(replace(given, chain=chain)).tick(state).status is Status.TASKS_GIVEN_UP
+    assert (
+        QPController().build(replace(given, chain=chain)).tick(state).status
+        is Status.TASKS_GIVEN_UP
+    )
 
 
 # Blocked by other limits, by the loops, by nothing.
@@ -357,13 +344,10 @@ def test_ordinary_tick_meets_its_tasks(name: str) -> None:
     law = QPController().build(given)
     assert isinstance(law, QPLaw)
     state = law.start()
-    for tick in range(200):
-        state.update()
+    for tick, _ in enumerate(ticks(law, state, 200)):
         kept = record(law, state, tick)
         assert kept.status == "OPTIMAL"
         assert explain(kept).missed == ()
-        state.q += given.dt * law.command.v
-        state.t += given.dt
 
 
 def test_task_that_damping_or_weights_keep_back_blames_no_limit(chain: ClosedChain) -> None:
@@ -500,7 +484,7 @@ def test_replay_checks_against_the_budget_of_the_run(chain: ClosedChain) -> None
 
 def test_recording_a_stop_keeps_the_memory_from_before_the_tick(chain: ClosedChain) -> None:
     """The state that the tick began with had not stopped yet."""
-    law = build(problem(chain, replace(POSE, mode="hard"), on_infeasible="stop"))
+    law = QPController().build(problem(chain, replace(POSE, mode="hard"), on_infeasible="stop"))
     kept = record(law, law.start())
     assert kept.memory == [0.0]
 

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
+import laws
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from chains import HANDS
+from laws import DT, LIMITS, NEAR, PLAIN, STEP, run, ticks
 from scipy.optimize import linprog
 
+from coopqp.checked import Array, spec
 from coopqp.checked import Pose as PoseValue
-from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.controllers import QPController
 from coopqp.controllers.qp import QPLaw
-from coopqp.disturbance import Disturbance
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
@@ -25,11 +26,9 @@ from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.metrics.fallback_ticks import FallbackTicks
 from coopqp.metrics.limits_audit import AT_BOUND, LimitsAudit
-from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.qp import QP
 from coopqp.robot import RobotModel
-from coopqp.rollout import rollout
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp
@@ -38,13 +37,6 @@ from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Pose
 from coopqp.trace import Trace
 
-Array = NDArray[np.float64]
-
-DT = 0.01
-STEP = Profile(kind="step")
-NEAR = (0.19, 0.01, 0.06)
-LIMITS: tuple[Limit, ...] = (JointPosition(), JointVelocity())
-HANDS = {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
 #: Six rows, of which firm hands leave four.
 TURN = Pose(
     name="turn",
@@ -56,24 +48,7 @@ TURN = Pose(
 REACH = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
 
 
-def problem(chain: ClosedChain, *tasks: Task, **settings: Any) -> ControlProblem:
-    given: dict[str, Any] = {
-        "solver": Daqp(), "limits": LIMITS, "dt": DT, "kappa": 1 / settings.get("dt", DT),
-        **settings,
-    }  # fmt: skip
-    return ControlProblem(chain=chain, tasks=tasks, **given)
-
-
-def build(problem: ControlProblem) -> QPLaw:
-    # Without damping that grows with the error, ticks are alike whatever is given up.
-    law = QPController(error_damping=0.0).build(problem)
-    assert isinstance(law, QPLaw)
-    return law
-
-
-def run(problem: ControlProblem, ticks: int) -> Trace:
-    plant = Kinematic().build(problem, 0, Disturbance())
-    return rollout(build(problem), plant, ticks, controller="qp", solver="daqp")
+problem = partial(laws.problem, limits=LIMITS)
 
 
 def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
@@ -105,7 +80,7 @@ def keeps_position_and_velocity_limits(chain: ClosedChain, q: Array, v: Array) -
 
 def test_hard_task_that_the_grasp_rules_out_becomes_soft(chain: ClosedChain) -> None:
     """Firm hands leave the box four motions, the pose asks for six: it comes nearer and says so."""
-    trace = run(problem(chain, TURN), 300)
+    trace = run(PLAIN, problem(chain, TURN), 300)
     assert set(trace.status) <= {"TASKS_GIVEN_UP", "STEP_SHORTENED"}
     assert trace.usable.all()
     assert np.hypot(*trace.task_error[-1]) < 0.2 * np.hypot(*trace.task_error[0])
@@ -117,7 +92,9 @@ def test_hard_task_that_the_grasp_rules_out_becomes_soft(chain: ClosedChain) -> 
 def test_hard_task_given_up_is_the_soft_one(chain: ClosedChain) -> None:
     """In such a tick the command is that of the same task with mode soft."""
     given = {"budget": Budget(loop_position=1.0, loop_orientation=1.0)}
-    hard, soft = (build(problem(chain, replace(TURN, mode=m), **given)) for m in ("hard", "soft"))  # type: ignore[arg-type]
+    hard, soft = (
+        PLAIN.build(problem(chain, replace(TURN, mode=m), **given)) for m in ("hard", "soft")
+    )  # type: ignore[arg-type]
     state = hard.start()
     command = hard.tick(state)
     assert command.status is Status.TASKS_GIVEN_UP
@@ -127,7 +104,7 @@ def test_hard_task_given_up_is_the_soft_one(chain: ClosedChain) -> None:
 def test_objectives_give_way_before_anything_is_given_up(chain: ClosedChain) -> None:
     """A soft goal out of reach is no emergency: the ticks stay optimal."""
     far = PointOnPoint(name="far", goal=(0.19, 0.1, 0.25), profile=Profile(duration=2.0))
-    trace = run(problem(chain, far, secondary=[JointCentering(name="centre")]), 300)
+    trace = run(PLAIN, problem(chain, far, secondary=[JointCentering(name="centre")]), 300)
     assert set(trace.status) == {"OPTIMAL"}
     assert trace.task_error[-1] > 0.01
 
@@ -142,7 +119,7 @@ def jerked(law: QPLaw, speed: float) -> State:
 def test_acceleration_limits_give_way_to_the_loops(chain: ClosedChain) -> None:
     """Braking from a speed that the loops forbid takes more than the limit."""
     limits = (*LIMITS, JointAcceleration(max=20.0))
-    law = build(problem(chain, REACH, limits=limits))
+    law = PLAIN.build(problem(chain, REACH, limits=limits))
     state = jerked(law, 5.0)
     command = law.tick(state)
     assert command.status is Status.ACCELERATION_GIVEN_UP
@@ -150,7 +127,7 @@ def test_acceleration_limits_give_way_to_the_loops(chain: ClosedChain) -> None:
     assert np.abs(command.v - state.v).max() > 20.0 * DT
     assert keeps_position_and_velocity_limits(chain, state.q, command.v)
     # Without the limit it is what the law would have done.
-    free = build(problem(chain, REACH))
+    free = PLAIN.build(problem(chain, REACH))
     np.testing.assert_allclose(command.v, free.tick(state).v, atol=1e-7)
     # From rest there is no conflict.
     assert law.tick(law.start()).status is Status.OPTIMAL
@@ -164,7 +141,7 @@ def test_drift_correction_gives_way_to_position_limits(
     q = slightly_open(chain, 1e-4)
     narrow = tightened(chain, q, 1e-5)
     state = State(narrow, q)
-    law = build(problem(narrow, REACH, limits=(*LIMITS, *acceleration)))
+    law = PLAIN.build(problem(narrow, REACH, limits=(*LIMITS, *acceleration)))
     command = law.tick(state)
     assert command.status is Status.DRIFT_GIVEN_UP
     np.testing.assert_allclose(state.J_rel @ command.v, np.zeros(6), atol=1e-8)
@@ -177,7 +154,7 @@ def test_drift_correction_gives_way_to_velocity_limits(chain: ClosedChain) -> No
     """A gap of 0.5 mm in one tick would take more than the speed that is allowed."""
     q = slightly_open(chain, 5e-4)
     slow = JointVelocity(scale=1e-3)
-    law = build(problem(chain, REACH, limits=(JointPosition(), slow)))
+    law = PLAIN.build(problem(chain, REACH, limits=(JointPosition(), slow)))
     state = law.start(q)
     command = law.tick(state)
     assert command.status is Status.DRIFT_GIVEN_UP
@@ -188,19 +165,19 @@ def test_drift_correction_gives_way_to_velocity_limits(chain: ClosedChain) -> No
 def test_least_is_given_up_first(chain: ClosedChain) -> None:
     """Tasks alone, then tasks and acceleration, then the drift correction as well."""
     limits = (*LIMITS, JointAcceleration(max=20.0))
-    law = build(problem(chain, TURN, limits=(*LIMITS, JointAcceleration(max=1e4))))
+    law = PLAIN.build(problem(chain, TURN, limits=(*LIMITS, JointAcceleration(max=1e4))))
     assert law.tick(law.start()).status is Status.TASKS_GIVEN_UP
-    law = build(problem(chain, TURN, limits=limits))
+    law = PLAIN.build(problem(chain, TURN, limits=limits))
     assert law.tick(jerked(law, 5.0)).status is Status.ACCELERATION_GIVEN_UP
     q = slightly_open(chain, 1e-4)
     narrow = tightened(chain, q, 1e-5)
-    law = build(problem(narrow, TURN, limits=limits))
+    law = PLAIN.build(problem(narrow, TURN, limits=limits))
     assert law.tick(State(narrow, q)).status is Status.DRIFT_GIVEN_UP
 
 
 def test_hard_task_within_its_means_survives_an_open_loop(chain: ClosedChain) -> None:
     """Nothing is given up that need not be: a gap alone costs no hard task."""
-    law = build(problem(chain, replace(REACH, mode="hard", gain=1.0)))
+    law = PLAIN.build(problem(chain, replace(REACH, mode="hard", gain=1.0)))
     state = law.start(slightly_open(chain, 1e-4))
     command = law.tick(state)
     assert command.status is Status.OPTIMAL
@@ -213,7 +190,7 @@ def test_hard_task_within_its_means_survives_an_open_loop(chain: ClosedChain) ->
 def test_hold_stands_still_for_the_tick_and_goes_on(chain: ClosedChain) -> None:
     """One impossible tick between two possible ones."""
     limits = (*LIMITS, JointAcceleration(max=20.0))
-    law = build(problem(chain, REACH, limits=limits, on_infeasible="hold"))
+    law = PLAIN.build(problem(chain, REACH, limits=limits, on_infeasible="hold"))
     calm = law.start()
     before = law.tick(calm).v.copy()
     assert np.abs(before).max() > 1e-2
@@ -225,7 +202,7 @@ def test_hold_stands_still_for_the_tick_and_goes_on(chain: ClosedChain) -> None:
 
 def test_stop_stands_still_from_then_on(chain: ClosedChain) -> None:
     limits = (*LIMITS, JointAcceleration(max=20.0))
-    law = build(problem(chain, REACH, limits=limits, on_infeasible="stop"))
+    law = PLAIN.build(problem(chain, REACH, limits=limits, on_infeasible="stop"))
     state = law.start()
     assert law.tick(state).v.any()
     state.v[3] = 5.0
@@ -242,7 +219,7 @@ def test_stop_stands_still_from_then_on(chain: ClosedChain) -> None:
 def test_run_with_an_impossible_task_ends_as_asked(
     on_infeasible: Literal["scale", "hold", "stop"], chain: ClosedChain
 ) -> None:
-    trace = run(problem(chain, TURN, on_infeasible=on_infeasible), 20)
+    trace = run(PLAIN, problem(chain, TURN, on_infeasible=on_infeasible), 20)
     moved = bool(np.abs(trace.q[-1] - trace.q[0]).max() > 1e-3)
     assert moved == trace.usable.all() == (on_infeasible == "scale")
     assert len(trace.failures) == (0 if on_infeasible == "scale" else 20)
@@ -264,7 +241,7 @@ def test_share_of_a_tick_that_stands_still_is_a_share(
     on_infeasible: Literal["hold", "stop"], chain: ClosedChain
 ) -> None:
     scaled = replace(REACH, mode="scaled")
-    trace = run(problem(chain, scaled, solver=Rubbish(), on_infeasible=on_infeasible), 5)
+    trace = run(PLAIN, problem(chain, scaled, solver=Rubbish(), on_infeasible=on_infeasible), 5)
     assert ((trace.scale >= 0.0) & (trace.scale <= 1.0)).all()
 
 
@@ -279,7 +256,7 @@ def long_steps(chain: ClosedChain, **settings: Any) -> ControlProblem:
 
 def test_step_that_would_open_the_loop_is_shortened(chain: ClosedChain) -> None:
     """At 0.2 s a tick the loops stay within 1 mm and 10 mrad after every step."""
-    trace = run(long_steps(chain), 60)
+    trace = run(PLAIN, long_steps(chain), 60)
     assert Counter(trace.status)["STEP_SHORTENED"] >= 3
     assert trace.usable.all()
     assert trace.loop_position.max() <= 1e-3
@@ -287,13 +264,13 @@ def test_step_that_would_open_the_loop_is_shortened(chain: ClosedChain) -> None:
     assert trace.task_error[-1] < 0.2 * trace.task_error[0]
     # Without the check the same steps tear the loop open.
     wide = Budget(loop_position=1.0, loop_orientation=3.0)
-    assert run(long_steps(chain, budget=wide), 60).loop_position.max() > 5e-3
+    assert run(PLAIN, long_steps(chain, budget=wide), 60).loop_position.max() > 5e-3
 
 
 def test_step_is_halved_until_it_fits_and_no_further(chain: ClosedChain) -> None:
     """The direction stays; twice the step would not have fitted."""
-    law = build(long_steps(chain))
-    whole = build(long_steps(chain, budget=Budget(loop_position=1.0, loop_orientation=3.0)))
+    law = PLAIN.build(long_steps(chain))
+    whole = PLAIN.build(long_steps(chain, budget=Budget(loop_position=1.0, loop_orientation=3.0)))
     state = law.start()
     command = law.tick(state)
     assert command.status is Status.STEP_SHORTENED
@@ -316,13 +293,13 @@ def test_loop_beyond_its_budget_is_closed_again(
 ) -> None:
     """Steps that leave it open, but less so, are made."""
     here = tuple(State(chain).p_WO.tolist())
-    law = build(problem(chain, PointOnPoint(name="hold", goal=here, profile=STEP), kappa=kappa))
+    law = PLAIN.build(
+        problem(chain, PointOnPoint(name="hold", goal=here, profile=STEP), kappa=kappa)
+    )
     state = law.start(slightly_open(chain, gap))
     before = state.loop_position_error
-    for _ in range(round(4.0 / (kappa * DT)) + 1):
-        state.update()
-        state.q += DT * law.tick(state).v
-    state.update()
+    for _ in ticks(law, state, round(4.0 / (kappa * DT)) + 1):
+        pass
     assert state.loop_position_error < 0.05 * before
 
 
@@ -372,7 +349,7 @@ def test_joints_outside_never_go_farther_out_and_come_back_slowly(
 ) -> None:
     """Each of them, with the loops closed, flagged until inside; what is inside stays there."""
     chain = started_outside(nao, grasp, joints)
-    trace = run(recovery(chain, np.array([0.02, 0.01, -0.02]), secondary=secondary), 150)
+    trace = run(PLAIN, recovery(chain, np.array([0.02, 0.01, -0.02]), secondary=secondary), 150)
     out = beyond(chain, trace.q)
     assert (out[0] > 0.0).sum() == len(joints)
     assert np.diff(out, axis=0).max() <= 1e-12
@@ -389,7 +366,7 @@ def coming_back(
     nao: RobotModel, grasp: str, joints: dict[str, float], **settings: Any
 ) -> tuple[ClosedChain, Trace]:
     chain = started_outside(nao, grasp, joints)
-    return chain, run(recovery(chain, np.array([0.02, 0.01, -0.02]), **settings), 300)
+    return chain, run(PLAIN, recovery(chain, np.array([0.02, 0.01, -0.02]), **settings), 300)
 
 
 @pytest.mark.parametrize(
@@ -527,7 +504,7 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     goal = chain.start_position + np.array([0.01, -0.01, 0.02])
     reach = PointOnPoint(name="reach", goal=(goal[0], goal[1], goal[2]))
     given = problem(chain, reach, secondary=secondary, solver=Faulty(fault=fault))
-    trace = run(given, 300)
+    trace = run(PLAIN, given, 300)
     counts = Counter(trace.status)
     assert counts["OPTIMAL"] > 150
     assert counts["SOLVER_FAILED"] > 20  # the last attempt has an answer
@@ -561,7 +538,7 @@ def test_solver_that_always_fails_leaves_the_robot_standing(
         solver=Faulty(fault=fault, share=1.0),
         on_infeasible=on_infeasible,
     )
-    trace = run(given, 30)
+    trace = run(PLAIN, given, 30)
     assert not trace.usable.any()
     assert not trace.v.any()
     np.testing.assert_array_equal(trace.q, np.tile(chain.q_start, (31, 1)))
@@ -583,7 +560,7 @@ def test_answer_beyond_all_measure_is_refused_without_a_warning(
 
             return solve
 
-    law = build(problem(chain, REACH, solver=Beyond()))
+    law = PLAIN.build(problem(chain, REACH, solver=Beyond()))
     assert not law.tick(law.start()).status.usable
 
 
@@ -604,8 +581,8 @@ def test_faults_in_a_later_level_cost_only_that_level(chain: ClosedChain) -> Non
             return maybe
 
     centre = [JointCentering(name="centre")]
-    law = build(problem(chain, REACH, secondary=centre, solver=SecondFails()))
-    alone = build(problem(chain, REACH))
+    law = PLAIN.build(problem(chain, REACH, secondary=centre, solver=SecondFails()))
+    alone = PLAIN.build(problem(chain, REACH))
     command = law.tick(law.start())
     assert command.status is Status.INACCURATE
     np.testing.assert_array_equal(command.v, alone.tick(alone.start()).v)
@@ -624,7 +601,7 @@ def blocked() -> tuple[ControlProblem, Trace]:
         JointAcceleration(max=30.0, margin=0.01),
     )
     given = replace(load("joint_limit_stress").problem(), limits=limits)
-    return given, run(given, 300)
+    return given, run(PLAIN, given, 300)
 
 
 def test_audit_is_what_the_trace_says(blocked: tuple[ControlProblem, Trace]) -> None:
@@ -672,7 +649,7 @@ def test_limits_that_are_never_given_up_have_no_negative_margin(
 
 
 def test_fallbacks_are_counted_by_what_was_given_up(chain: ClosedChain) -> None:
-    trace = run(replace(long_steps(chain), tasks=(replace(TURN, gain=5.0),)), 20)
+    trace = run(PLAIN, replace(long_steps(chain), tasks=(replace(TURN, gain=5.0),)), 20)
     expected = Counter(s for s in trace.status if s not in ("OPTIMAL", "INACCURATE"))
     assert FallbackTicks().measure(trace) == dict(expected)
     assert set(expected) == {"TASKS_GIVEN_UP", "STEP_SHORTENED"}

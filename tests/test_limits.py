@@ -5,18 +5,19 @@ from __future__ import annotations
 import itertools
 import math
 import tracemalloc
-from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 
+import laws
 import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
-from numpy.typing import NDArray
+from chains import HANDS
+from laws import DT, LIMITS, run
 
+from coopqp.checked import Array
 from coopqp.checked import Pose as PoseSpec
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid, Spherical
@@ -33,14 +34,11 @@ from coopqp.limits import (
 from coopqp.profile import Profile
 from coopqp.robot import Capsule, RobotModel
 from coopqp.robots import PlanarPair
-from coopqp.solvers import Daqp
+from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Pose
+from coopqp.trace import Trace
 
-Array = NDArray[np.float64]
-
-DT = 0.01  # [s]
 TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))
 ALL = (
     JointPosition(),
@@ -55,38 +53,10 @@ ALL = (
 TOLERANCE = {"table": 1e-6, "self_collision": 1e-6, "object_speed": 1e-6, "acceleration": 1e-6}
 
 
-@dataclass(frozen=True)
-class Run:
-    """What a closed-loop run did: shapes (T + 1, n), (T, n) and T statuses."""
-
-    q: Array
-    v: Array
-    fallback: list[str]
+problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))
 
 
-def run(chain: ClosedChain, tasks: Sequence[Task], limits: Sequence[Limit], ticks: int) -> Run:
-    """A loop of one's own around the QP."""
-    problem = ControlProblem(
-        chain=chain, tasks=tasks, limits=limits, solver=Daqp(), dt=DT, kappa=1.0 / DT,
-        secondary=[JointCentering(gain=0.5)],
-    )  # fmt: skip
-    law = QPController().build(problem)
-    state = law.start()
-    q, v, fallback = [state.q.copy()], [], []
-    for _ in range(ticks):
-        state.update()
-        command = law.tick(state)
-        if not command.status.usable or command.status.fallback:
-            fallback.append(command.status.name)
-        v.append(command.v.copy())
-        state.v[:] = command.v
-        state.q += command.v * DT
-        state.t += DT
-        q.append(state.q.copy())
-    return Run(np.array(q), np.array(v), fallback)
-
-
-def least(limit: Limit, chain: ClosedChain, done: Run) -> float:
+def least(limit: Limit, chain: ClosedChain, done: Trace) -> float:
     """Least margin of a limit over a run."""
     return min(float(m.min()) for m in limit.margins(chain, done.q, done.v, DT).values())
 
@@ -98,9 +68,7 @@ def empty_rows(chain: ClosedChain, limit: Limit) -> LimitRows:
 
 @pytest.fixture(scope="module")
 def held_box(nao: RobotModel) -> ClosedChain:
-    q = nao.configuration(
-        {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
-    )
+    q = nao.configuration(HANDS)
     return ClosedChain(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
 
 
@@ -113,8 +81,8 @@ def test_every_limit_holds_in_random_runs(held_box: ClosedChain, seed: int) -> N
     place = State(held_box).p_WO + rng.uniform(-0.15, 0.15, 3)
     profile = Profile(duration=float(rng.uniform(0.3, 1.0)))
     goal = PoseSpec(position=tuple(place), rpy=tuple(rng.uniform(-0.8, 0.8, 3)))
-    done = run(held_box, [Pose(goal=goal, profile=profile)], ALL, 150)
-    given_up = "ACCELERATION_GIVEN_UP" in done.fallback
+    done = run(QPController(), problem(held_box, Pose(goal=goal, profile=profile), limits=ALL), 150)
+    given_up = "ACCELERATION_GIVEN_UP" in done.status
     for limit in ALL:
         if given_up and isinstance(limit, JointAcceleration):
             continue
@@ -304,8 +272,9 @@ def test_acceleration_gives_way_to_the_other_limits(held_box: ClosedChain) -> No
 def test_acceleration_holds_over_a_whole_run(held_box: ClosedChain) -> None:
     limit = JointAcceleration(max=20.0)
     reach = PointOnPoint(goal=(0.13, 0.05, -0.05), profile=Profile(duration=0.3))
-    done = run(held_box, [reach], [JointPosition(), JointVelocity(), limit], 200)
-    assert not done.fallback
+    done = run(QPController(), problem(held_box, reach, limits=[*LIMITS, limit]), 200)
+    assert done.usable.all()
+    assert not any(Status[status].fallback for status in done.status)
     change = np.diff(done.v, axis=0, prepend=np.zeros((1, held_box.n))) / DT
     assert np.abs(change).max() <= 20.0 + 1e-6
     assert np.abs(change).max() > 19.9
@@ -317,7 +286,11 @@ def test_acceleration_holds_over_a_whole_run(held_box: ClosedChain) -> None:
 def test_the_object_keeps_its_speed(held_box: ClosedChain) -> None:
     limit = ObjectSpeed(linear=0.06, angular=0.3)
     goal = PoseSpec(position=(0.14, 0.04, 0.1), rpy=(0.3, 0.2, 0.3))
-    done = run(held_box, [Pose(goal=goal, profile=Profile(duration=0.2))], [limit], 150)
+    done = run(
+        QPController(),
+        problem(held_box, Pose(goal=goal, profile=Profile(duration=0.2)), limits=[limit]),
+        150,
+    )
     state, places, turns = State(held_box), [], []
     for q in done.q:
         state.q[:] = q
@@ -348,7 +321,7 @@ def test_one_kind_of_speed_has_six_rows(held_box: ClosedChain) -> None:
 @pytest.mark.parametrize("duration", [0.3, 2.0])
 def test_a_box_pushed_through_a_table_stops_on_it(held_box: ClosedChain, duration: float) -> None:
     push = PointOnPoint(goal=(0.15, 0.03, -0.08), profile=Profile(duration=duration))
-    done = run(held_box, [push], [JointPosition(), JointVelocity(), TABLE], 250)
+    done = run(QPController(), problem(held_box, push, limits=[*LIMITS, TABLE]), 250)
     state, lowest = State(held_box), []
     half = 0.5 * np.array(held_box.held.size)
     for q in done.q:
@@ -517,7 +490,7 @@ def test_what_is_pulled_into_the_torso_stops_before_it(
 ) -> None:
     limit, oracle = SelfCollision(gain=gain), Oracle(held_box)
     pull = PointOnPoint(goal=goal, profile=Profile(duration=0.5))
-    done = run(held_box, [pull], [JointPosition(), JointVelocity(), limit], 250)
+    done = run(QPController(), problem(held_box, pull, limits=[*LIMITS, limit]), 250)
     distances = {
         name: [oracle.distance(name, q) for q in done.q[::5]] for name in limit.rows(held_box)
     }

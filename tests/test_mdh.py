@@ -9,12 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.robot_files import mdh
-
-Array = NDArray[np.float64]
 
 
 def rot_x(angle: float) -> Array:

@@ -11,10 +11,10 @@ import pinocchio as pin
 import pytest
 import scipy.linalg
 from click.testing import CliRunner, Result
-from numpy.typing import NDArray
 from test_closed_chain import planar_pair
 from test_dynamics import Hinge, closed_states, ring
 
+from coopqp.checked import Array
 from coopqp.cli import main
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import LENGTH, Mobility, Screw, manipulability, mobility
@@ -23,8 +23,6 @@ from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 PAPER_SCHEME = ["RShoulderPitch", "RShoulderRoll", "RElbowYaw", "LShoulderRoll"]  # q1 q2 q3 q7
 SCALE = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])

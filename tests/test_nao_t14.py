@@ -7,11 +7,9 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.robot import RobotModel
-
-Array = NDArray[np.float64]
 
 RIGHT, LEFT = slice(0, 5), slice(5, 10)
 SIDES = [pytest.param("R", id="right"), pytest.param("L", id="left")]

@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
-from shipped_here import HAS_ROBOTS
+from scenario_files import HAS_ROBOTS
 from test_closed_chain import three_arms
 
 from coopqp import cli
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import compare, summarize
@@ -33,8 +33,6 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.study.explanation import TickRecord
 from coopqp.trace import Trace
-
-Array = NDArray[np.float64]
 
 HEAD = """\
 robot: nao_t14

@@ -26,8 +26,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from laws import step
 from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
@@ -50,7 +52,6 @@ try:
 except MissingDependencyError:
     pytest.skip("needs coopqp[robots]", allow_module_level=True)
 
-Array = NDArray[np.float64]
 
 TICKS = 500
 SAME = 1e-6  # [rad/s]
@@ -194,7 +195,7 @@ def run(baxter: Baxter, theirs: Pink, *, closed: bool) -> Run:
                 (np.abs(v) > chain.velocity - 1e-9).any(),
             )
         )
-        state.q += v * baxter.dt
+        step(state, v, baxter.dt)
         state.update()
         if closed:
             baxter.close(state)

@@ -12,10 +12,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
-from shipped_here import HAS_ROBOTS, LOADABLE
+from scenario_files import HAS_ROBOTS, LOADABLE
 
 import coopqp
+from coopqp.checked import Array
 from coopqp.errors import UnknownNameError
 from coopqp.report.page import render
 from coopqp.report.scene.bodies import MOST_TRIANGLES, Body, robot_bodies
@@ -28,7 +28,6 @@ from coopqp.scenario.loader import load
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 
-Array = NDArray[np.float64]
 needs_robots = pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
 
 PAGE = 600_000  # most that a robot may add to a page, for each controller [characters]

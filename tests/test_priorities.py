@@ -2,91 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import laws
 import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
 import scipy.linalg
-from numpy.typing import NDArray
+from chains import Walk
+from laws import DT, LIMITS, NEAR, PLAIN, STEP, answer, run, ticks
 from scipy.optimize import linprog
 
+from coopqp.checked import Array, spec
 from coopqp.checked import Pose as PoseValue
-from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.controllers.qp import QPLaw
-from coopqp.disturbance import Disturbance
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import PlanarPair
-from coopqp.rollout import rollout
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget, Status
-from coopqp.solvers import Daqp
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint, Pose, Posture
-from coopqp.trace import Trace
 
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
 Point = tuple[float, float, float]
 
-DT, GAIN, DAMPING = 0.01, 5.0, 1e-6
-STEP = Profile(kind="step")
-NEAR: Point = (0.19, 0.01, 0.06)
+GAIN, DAMPING = 5.0, PLAIN.damping
 LOW: Point = (0.17, -0.01, 0.03)
 ORIGIN: Point = (0.0, 0.0, 0.0)
 FRONT: Point = (0.04, 0.0, -0.04)  # of the object [m]
-LIMITS = (JointPosition(), JointVelocity())
 #: For fast motions of one tick, where the optimum is looked at and not the step.
 WIDE = Budget(accuracy=1e-2, loop_position=1.0, loop_orientation=1.0)
 ARM_OUT = {"right": [0.6, -0.3, 1.0, 0.8, 0.0]}
 
 
-def problem(chain: ClosedChain, *tasks: Task, **settings: Any) -> ControlProblem:
-    given: dict[str, Any] = {
-        "solver": Daqp(),
-        "dt": DT,
-        "kappa": 1 / DT,
-        "budget": WIDE,
-        **settings,
-    }
-    return ControlProblem(chain=chain, tasks=tasks, **given)
-
-
-def build(problem: ControlProblem, damping: float = DAMPING) -> QPLaw:
-    law = QPController(damping=damping, error_damping=0.0).build(problem)
-    assert isinstance(law, QPLaw)
-    return law
-
-
-def answer(problem: ControlProblem, q: Array | None = None, damping: float = DAMPING) -> Array:
-    """One tick's joint velocity."""
-    law = build(problem, damping)
-    command = law.tick(law.start(q))
-    assert command.status is Status.OPTIMAL
-    return command.v.copy()
-
-
-def run(problem: ControlProblem, ticks: int = 300) -> Trace:
-    plant = Kinematic().build(problem, 0, Disturbance())
-    return rollout(build(problem), plant, ticks, controller="qp", solver="daqp")
-
-
-def step(state: State, v: Array) -> None:
-    state.q += DT * v
-    state.v[:] = v
-    state.t += DT
+problem = partial(laws.problem, budget=WIDE)
 
 
 # Two strict levels.
@@ -108,14 +67,12 @@ def test_secondary_objective_costs_the_main_task_nothing_in_any_tick(
     given = replace(load(scenario).problem(), secondary=(secondary,))
     law, alone = (QPController().build(replace(given, secondary=k)) for k in ((secondary,), ()))
     state, moved = law.start(), 0.0
-    for _ in range(300):
-        state.update()
-        v, without = law.tick(state).v, alone.tick(state).v
+    for command in ticks(law, state, 300):
+        v, without = command.v, alone.tick(state).v
         assert law.command.status is alone.command.status is Status.OPTIMAL
         np.testing.assert_allclose(state.J_task[:3] @ v, state.J_task[:3] @ without, atol=1e-9)
         np.testing.assert_allclose(state.J_rel @ v, state.J_rel @ without, atol=1e-9)
         moved = max(moved, float(np.abs(v - without).max()))
-        step(state, v)
     assert moved > 1e-2
 
 
@@ -147,8 +104,8 @@ def test_whole_run_of_the_main_task_is_the_same_to_a_nanometre(
 ) -> None:
     """Over 300 ticks of linear kinematics error and object path do not see the secondary."""
     task = PointOnPoint(name="reach", goal=(0.3, 0.1, -0.2), profile=Profile(duration=2.0))
-    without = run(problem(gantry, task, limits=LIMITS))
-    with_it = run(problem(gantry, task, secondary=[secondary], limits=LIMITS))
+    without = run(PLAIN, problem(gantry, task, limits=LIMITS), 300)
+    with_it = run(PLAIN, problem(gantry, task, secondary=[secondary], limits=LIMITS), 300)
     assert np.abs(with_it.q - without.q).max() > 1e-2
     np.testing.assert_allclose(with_it.task_error, without.task_error, atol=1e-9)
     np.testing.assert_allclose(with_it.position, without.position, atol=1e-9)
@@ -162,7 +119,11 @@ def test_what_a_run_differs_by_is_the_curvature_of_a_step(secondary: Task) -> No
     off = []
     for dt in (0.02, 0.01, 0.005):
         both = [
-            run(replace(given, tasks=(task,), secondary=s, dt=dt, kappa=1 / dt), round(2 / dt))
+            run(
+                PLAIN,
+                replace(given, tasks=(task,), secondary=s, dt=dt, kappa=1 / dt),
+                round(2 / dt),
+            )
             for s in ((secondary,), ())
         ]
         k = round(1.0 / dt)
@@ -186,14 +147,12 @@ def test_secondary_costs_nothing_after_a_singular_start(start: list[float]) -> N
     task = PointOnPoint(name="pull back", goal=(x - 0.1, y + 0.05, z))
     posture = Posture(name="posture", goal=[0.5, -0.3, 0.4, 0.2, 0.6, -0.3])
     given = problem(chain, task, secondary=[posture], limits=LIMITS)
-    law, alone = build(given), build(replace(given, secondary=()))
+    law, alone = PLAIN.build(given), PLAIN.build(replace(given, secondary=()))
     state = law.start()
-    for _ in range(200):
-        state.update()
-        v, without = law.tick(state).v, alone.tick(state).v
+    for command in ticks(law, state, 200):
+        v, without = command.v, alone.tick(state).v
         np.testing.assert_allclose(state.J_rel @ v, state.J_rel @ without, atol=1e-9)
         np.testing.assert_allclose(state.J_task[:3] @ v, state.J_task[:3] @ without, atol=1e-9)
-        step(state, v)
 
 
 # The lexicographic optimum, written out. A level is (J, wanted, weight).
@@ -277,7 +236,7 @@ def test_three_levels_are_the_chain_of_null_space_projections(
         state = State(chain, q)
         levels = levels_of(state)
         expected = lexicographic_by_projection(state, levels, DAMPING)
-        v = answer(given, q)
+        v = answer(PLAIN, given, q)
         np.testing.assert_allclose(v, expected, atol=1e-7 * max(1.0, np.abs(v).max()))
         # The levels matter: the other order is another motion.
         other = lexicographic_by_projection(state, [levels[1], levels[0], levels[2]], DAMPING)
@@ -290,7 +249,7 @@ def test_symmetric_start_does_not_decide_what_later_levels_may_change(
     """Height of the front and reach leave nothing free: the secondary must not be seen."""
     given = stack_of(chain, FRONT)
     for q in closed_loop_walk(chain, 4):
-        both, alone = answer(given, q), answer(replace(given, secondary=()), q)
+        both, alone = answer(PLAIN, given, q), answer(PLAIN, replace(given, secondary=()), q)
         state = State(chain, q)
         np.testing.assert_allclose(state.J_rel @ both, state.J_rel @ alone, atol=1e-7)
         for J, _, _ in levels_of(state, FRONT)[:2]:
@@ -308,7 +267,7 @@ def test_three_levels_within_limits_are_a_chain_of_qps(
         state = State(chain, q)
         lb = np.maximum((chain.lower - q) / DT, -share * chain.velocity)
         ub = np.minimum((chain.upper - q) / DT, share * chain.velocity)
-        v = answer(given, q)
+        v = answer(PLAIN, given, q)
         expected = lexicographic_by_quadprog(state, levels_of(state), DAMPING, lb, ub)
         np.testing.assert_allclose(v, expected, atol=1e-6)
         bounded += int((np.minimum(v - lb, ub - v) < 1e-8).any())
@@ -318,13 +277,13 @@ def test_three_levels_within_limits_are_a_chain_of_qps(
 def test_three_levels_at_position_limits_are_a_chain_of_qps(chain: ClosedChain) -> None:
     """Where joint_limit_stress ends: three joints rest at their position limits."""
     stress = load("joint_limit_stress").problem()
-    q = run(stress).q[-1]
+    q = run(PLAIN, stress, 300).q[-1]
     chain = stress.chain
     state = State(chain, q)
     lb = np.maximum((chain.lower - q) / DT, -chain.velocity)
     ub = np.minimum((chain.upper - q) / DT, chain.velocity)
     assert (np.minimum(-lb, ub) < 1e-6).sum() >= 3
-    v = answer(stack_of(chain, limits=LIMITS), q)
+    v = answer(PLAIN, stack_of(chain, limits=LIMITS), q)
     expected = lexicographic_by_quadprog(state, levels_of(state), DAMPING, lb, ub)
     np.testing.assert_allclose(v, expected, atol=1e-6)
 
@@ -338,7 +297,7 @@ def test_no_weight_of_a_later_level_disturbs_an_earlier_one(
     for q in closed_loop_walk(chain, 5):
         J = State(chain, q).J_task
         both, alone = (
-            answer(problem(chain, *t, limits=LIMITS), q) for t in ((first, later), (first,))
+            answer(PLAIN, problem(chain, *t, limits=LIMITS), q) for t in ((first, later), (first,))
         )
         assert np.abs(J @ (both - alone)).max() > 1e-3
         assert J[2] @ both == pytest.approx(J[2] @ alone, abs=1e-9)
@@ -348,8 +307,8 @@ def test_priorities_count_by_their_order_alone(chain: ClosedChain) -> None:
     """Levels 0 and 1 are levels 4 and 9, in whatever order the tasks are listed."""
     plane = PointOnPlane(name="height", normal=(0, 0, 1), through=LOW, profile=STEP)
     point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
-    near = answer(problem(chain, plane, replace(point, priority=1)))
-    far = answer(problem(chain, replace(point, priority=9), replace(plane, priority=4)))
+    near = answer(PLAIN, problem(chain, plane, replace(point, priority=1)))
+    far = answer(PLAIN, problem(chain, replace(point, priority=9), replace(plane, priority=4)))
     np.testing.assert_allclose(near, far, atol=1e-12)
 
 
@@ -366,7 +325,9 @@ def test_tasks_of_one_level_share_by_weight(
     one = PointOnPoint(goal=tuple(mean.tolist()), profile=STEP, weight=sum(weights))
     for q in closed_loop_walk(chain, 3):
         np.testing.assert_allclose(
-            answer(problem(chain, *tasks), q), answer(problem(chain, one), q), atol=1e-7
+            answer(PLAIN, problem(chain, *tasks), q),
+            answer(PLAIN, problem(chain, one), q),
+            atol=1e-7,
         )
 
 
@@ -390,7 +351,7 @@ def test_later_level_that_is_not_a_number_spoils_nothing(chain: ClosedChain) -> 
     given = problem(
         chain, reach, Breaks(name="b", priority=1), secondary=[JointCentering(name="c")]
     )
-    law = build(given)
+    law = PLAIN.build(given)
     state = law.start()
     assert law.tick(state).status is Status.OPTIMAL
     state.t = DT
@@ -408,7 +369,9 @@ def test_hard_task_is_met_exactly(chain: ClosedChain, closed_loop_walk: Walk) ->
     pull = PointOnPoint(name="pull", goal=LOW, profile=STEP, weight=1e4)
     for q in closed_loop_walk(chain, 5):
         J, wanted, _ = reach(State(chain, q), NEAR)
-        np.testing.assert_allclose(J @ answer(problem(chain, hard, pull), q), wanted, atol=1e-9)
+        np.testing.assert_allclose(
+            J @ answer(PLAIN, problem(chain, hard, pull), q), wanted, atol=1e-9
+        )
 
 
 def test_hard_task_is_the_limit_of_a_growing_weight(chain: ClosedChain) -> None:
@@ -416,9 +379,11 @@ def test_hard_task_is_the_limit_of_a_growing_weight(chain: ClosedChain) -> None:
     settings: dict[str, Any] = {"limits": LIMITS, "secondary": [JointCentering(name="centre")]}
     point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
     pull = PointOnPoint(name="pull", goal=LOW, profile=STEP, point=FRONT)
-    exact = answer(problem(chain, replace(point, mode="hard"), pull, **settings))
+    exact = answer(PLAIN, problem(chain, replace(point, mode="hard"), pull, **settings))
     off = [
-        np.abs(answer(problem(chain, replace(point, weight=w), pull, **settings)) - exact).max()
+        np.abs(
+            answer(PLAIN, problem(chain, replace(point, weight=w), pull, **settings)) - exact
+        ).max()
         for w in (1e2, 1e3, 1e4)
     ]
     assert off[0] / off[1] == pytest.approx(10.0, rel=0.15)
@@ -430,18 +395,17 @@ def test_hard_task_follows_its_reference_over_a_run(chain: ClosedChain) -> None:
     task = PointOnPoint(
         name="reach", goal=NEAR, profile=Profile(duration=1.0), mode="hard", gain=1 / DT
     )
-    law = build(problem(chain, task, limits=LIMITS, secondary=[JointCentering(name="centre")]))
+    law = PLAIN.build(
+        problem(chain, task, limits=LIMITS, secondary=[JointCentering(name="centre")])
+    )
     state = law.start()
     start = state.p_WO.copy()
-    for _ in range(200):
-        state.update()
+    for command in ticks(law, state, 200):
         share, speed = Profile(duration=1.0).at(state.t)
         way = np.array(NEAR) - start
         wanted = speed * way - (state.p_WO - start - share * way) / DT
-        v = law.tick(state).v
-        assert law.command.status is Status.OPTIMAL
-        np.testing.assert_allclose(state.J_task[:3] @ v, wanted, atol=1e-9)
-        step(state, v)
+        assert command.status is Status.OPTIMAL
+        np.testing.assert_allclose(state.J_task[:3] @ command.v, wanted, atol=1e-9)
 
 
 # Scaled tasks.
@@ -473,7 +437,7 @@ def test_scaled_task_keeps_its_direction_and_goes_as_fast_as_limits_let_it(
         secondary=[JointCentering(name="centre")],
         limits=(JointPosition(), JointVelocity(scale=share)),
     )
-    law, shares = build(given), []
+    law, shares = PLAIN.build(given), []
     for q in closed_loop_walk(chain, 8):
         state = law.start(q)
         command = law.tick(state)
@@ -490,7 +454,7 @@ def test_scaled_task_keeps_its_direction_and_goes_as_fast_as_limits_let_it(
 
 def test_scaled_task_with_room_runs_at_full_speed(chain: ClosedChain) -> None:
     task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode="scaled")
-    law = build(problem(chain, task, limits=LIMITS))
+    law = PLAIN.build(problem(chain, task, limits=LIMITS))
     state = law.start()
     J, wanted, _ = reach(state, NEAR)
     command = law.tick(state)
@@ -502,7 +466,7 @@ def test_trace_records_the_share_of_each_tick(chain: ClosedChain) -> None:
     """On a way so fast that joints saturate, and then not; the path is straight."""
     task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode="scaled", gain=20.0)
     given = problem(chain, task, limits=(JointPosition(), JointVelocity(scale=0.03)))
-    trace = run(given, 100)
+    trace = run(PLAIN, given, 100)
     for k in range(0, 100, 5):
         state = State(chain, trace.q[k])
         J, wanted = state.J_task[:3], -20.0 * (state.p_WO - NEAR)
@@ -522,7 +486,7 @@ def test_scaled_task_stops_where_a_limit_lets_it_no_further() -> None:
     given = load("joint_limit_stress").problem()
     goal = np.array([0.10, -0.05, 0.04])
     task = PointOnPoint(name="reach", goal=tuple(goal.tolist()), profile=STEP, mode="scaled")
-    trace = run(replace(given, tasks=(task,)))
+    trace = run(PLAIN, replace(given, tasks=(task,)), 300)
     assert set(trace.status) <= {"OPTIMAL"}
     assert trace.scale[-1] < 1e-6
     assert np.abs(trace.v[-100:]).max() < 1e-6
@@ -534,13 +498,13 @@ def test_soft_task_does_not_slow_a_scaled_one(chain: ClosedChain) -> None:
     """Objectives are given up before scaled tasks, whatever their weight."""
     task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode="scaled")
     pull = PointOnPoint(name="pull", goal=(0.15, -0.03, 0.02), profile=STEP, weight=1e4)
-    law = build(problem(chain, task, pull, limits=LIMITS))
+    law = PLAIN.build(problem(chain, task, pull, limits=LIMITS))
     assert law.tick(law.start()).scale == pytest.approx(1.0, abs=1e-6)
 
 
 def test_copy_of_a_command_keeps_its_share(chain: ClosedChain) -> None:
     task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode="scaled", gain=20.0)
-    law = build(problem(chain, task, limits=(JointVelocity(scale=0.03),)))
+    law = PLAIN.build(problem(chain, task, limits=(JointVelocity(scale=0.03),)))
     command = law.tick(law.start())
     assert command.scale < 0.5
     assert command.copy().scale == command.scale
@@ -575,7 +539,9 @@ def test_redundant_rows_are_no_obstacle(modes: tuple[str, ...], planar: ClosedCh
         for i, mode in enumerate(modes)
     ]
     trace = run(
-        problem(planar, *tasks, secondary=[JointCentering(name="centre")], limits=LIMITS), 250
+        PLAIN,
+        problem(planar, *tasks, secondary=[JointCentering(name="centre")], limits=LIMITS),
+        250,
     )
     assert set(trace.status) == {"OPTIMAL"}
     np.testing.assert_allclose(trace.position[-1], goal, atol=1e-5)
@@ -587,6 +553,6 @@ def test_pose_that_leaves_no_freedom_silences_the_secondary(planar: ClosedChain)
     pose = Pose(name="pose", goal=goal, profile=STEP)
     posture = Posture(name="posture", goal=[0.5, -0.3, 0.4, 0.2, 0.6, -0.3])
     both, alone = (
-        answer(problem(planar, pose, secondary=s, limits=LIMITS)) for s in ([posture], [])
+        answer(PLAIN, problem(planar, pose, secondary=s, limits=LIMITS)) for s in ([posture], [])
     )
     np.testing.assert_allclose(both, alone, atol=1e-9)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 from test_closed_chain import three_arms
 from test_phases import HEAD, PHASES, TAIL, scenario
 
 from coopqp import cli
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import summarize
@@ -37,8 +37,6 @@ from coopqp.state import State
 from coopqp.study.explanation import TickRecord
 from coopqp.task import TaskStack
 from coopqp.tasks import Manipulability, RelativeMotion
-
-Array = NDArray[np.float64]
 
 MU = 1e-6  # least curvature: the damping that scenarios have [s2/rad2]
 NO_DRIFT = TAIL.replace("kappa: 100", "kappa: 0")

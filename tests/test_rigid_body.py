@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 from test_closed_chain import planar_pair
 from test_dynamics import BOX, Hinge, closed_states, heavy, ring, with_mass
 
@@ -26,8 +25,6 @@ from coopqp.plants._servo import Servo
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
 from coopqp.state import State
-
-Array = NDArray[np.float64]
 
 DT = 0.01  # control period [s]
 FINE = RigidBody(time_step=1e-4)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
 from coopqp.errors import (
@@ -46,7 +46,6 @@ from coopqp.scenario.loader import load, shipped
 from coopqp.scenario.yaml import read_yaml
 from coopqp.tasks import PointOnPoint
 
-Array = NDArray[np.float64]
 HANDS = {"right": "RHand", "left": "LHand"}
 SAME = 1e-9  # runs of one robot in several forms, configurations [rad]
 

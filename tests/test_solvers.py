@@ -9,16 +9,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.optimize
-from numpy.typing import NDArray
 
 import coopqp.solvers
+from coopqp.checked import Array
 from coopqp.errors import UnknownNameError
 from coopqp.qp import QP, RowNames
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.solvers.qpsolvers import installed
-
-Array = NDArray[np.float64]
 
 N, M, P = 10, 6, 3  # variables, equalities, inequalities
 PROBLEMS = 60

@@ -11,10 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
-from shipped_here import LOADABLE
+from scenario_files import LOADABLE
 
-from coopqp.checked import Pose
+from coopqp.checked import Array, Pose
 from coopqp.cli import main
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, ScenarioError, UnknownNameError
@@ -29,7 +28,6 @@ from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start, yaml
 from coopqp.scenario.yaml import read_yaml
 from coopqp.state import State
 
-Array = NDArray[np.float64]
 CLOSED = 1e-9  # loop error of a start [m, rad]
 NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5")
 NEW_HERE = [name for name in NEW if name in LOADABLE]

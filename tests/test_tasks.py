@@ -15,13 +15,13 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
+from chains import Walk
 from pydantic import TypeAdapter
 from ruamel.yaml import YAML
 
 import coopqp.tasks
+from coopqp.checked import Array, spec
 from coopqp.checked import Pose as PoseValue
-from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
 from coopqp.errors import CoopqpError
@@ -60,9 +60,6 @@ from coopqp.tasks import (
     Twist,
 )
 from coopqp.tasks.posture import posture
-
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
 
 H = 1e-5  # step of the central differences [s]
 POINT = (0.03, -0.02, 0.05)  # away from the object's origin [m]
