@@ -193,3 +193,14 @@ def ring(arms: int, joints: int) -> ClosedChain:
     )
     q = np.tile(np.linspace(0.4, 0.9, joints), arms) * np.resize([1.0, -0.7, 1.3], arms * joints)
     return ClosedChain(robot, q, Rigid(), BOX)
+
+
+def stretched_pair() -> ClosedChain:
+    """The planar pair with its right arm stretched out."""
+    robot = planar_pair().robot
+    q = np.array([1.2, 0.0, 0.0, 1.1, 0.9, 0.4])
+    return ClosedChain(robot, q, Rigid(), HeldObject())
+
+
+def held(robot: RobotModel, q: Array | None = None) -> ClosedChain:
+    return ClosedChain(robot, robot.configuration({}) if q is None else q, Rigid(), HeldObject())

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, Controller, ControlProblem, Law
@@ -23,6 +25,7 @@ from coopqp.trace import Trace
 
 DT = 0.01  # [s]
 STEP = Profile(kind="step")
+UNREACHABLE = (0.19, 0.1, 0.25)
 NEAR = (0.19, 0.01, 0.06)  # of the object's place in NAO's hands [m]
 LIMITS: tuple[Limit, ...] = (JointPosition(), JointVelocity())
 
@@ -67,3 +70,13 @@ def run(controller: Controller, problem: ControlProblem, count: int) -> Trace:
     """The trace of so many ticks with perfect joint servos."""
     plant = Kinematic().build(problem, 0, Disturbance())
     return rollout(controller.build(problem), plant, count, controller="qp", solver="daqp")
+
+
+def distances(trace: Trace, goal: tuple[float, float, float]) -> Array:
+    """Of the object from its goal, shape (T + 1,) [m]."""
+    return np.asarray(np.linalg.norm(trace.position - goal, axis=1))
+
+
+def reach(state: State, goal: tuple[float, float, float], gain: float = 5.0) -> tuple[Array, Array]:
+    """Rows and wanted velocity of the object's origin that goes to a point at once."""
+    return state.J_task[:3], -gain * (state.p_WO - goal)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenario_files import LOADABLE
+from scenario_files import LOADABLE, cut
 
 import coopqp
 from coopqp.controller import Controller
@@ -33,13 +33,6 @@ def scenario_for(controller: str) -> Scenario:
     plugin = CATALOG.entries("controllers")[controller].cls()
     assert isinstance(plugin, Controller)
     return load("passive_grasp_pose" if plugin.commands_torques else "point_on_point")
-
-
-def ten_ticks(scenario: Scenario) -> Scenario:
-    """The same scenario, every phase cut to ten ticks."""
-    short = 10 * scenario.dt
-    phases = tuple(replace(phase, duration=short) for phase in scenario.phases)
-    return replace(scenario, duration=short, phases=phases)
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
@@ -67,7 +60,7 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
 
 @pytest.mark.parametrize("name", LOADABLE)
 def test_every_scenario_runs_ten_ticks_with_all_its_controllers(name: str) -> None:
-    scenario = ten_ticks(load(name))
+    scenario = cut(load(name), 10)
     for controller in scenario.controllers:
         trace = run(scenario, controller=controller)
         assert trace.ticks == 10 * len(scenario.schedule)
@@ -101,7 +94,7 @@ def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_equal_seeds_give_equal_runs(controller: str) -> None:
-    scenario = ten_ticks(scenario_for(controller))
+    scenario = cut(scenario_for(controller), 10)
     first, second = (run(scenario, controller=controller) for _ in range(2))
     assert np.array_equal(first.q, second.q)
     assert np.array_equal(first.v, second.v)
