@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from laws import NEAR, STEP
 
 from coopqp.checked import Array
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.controllers.qp import QPLaw
+from coopqp.grasp import Grasp
+from coopqp.grasps import Revolute, Rigid
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Pose
 
@@ -20,6 +23,8 @@ TURN = Pose(
     profile=STEP,
     mode="hard",
 )
+GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
+each_grasp = pytest.mark.parametrize("grasp", list(GRASPS))
 REACH = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
 
 

@@ -11,6 +11,9 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 
+#: Of the object's mass, by arm.
+SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})
+
 
 class Oracle:
     """The terms of the closed chain from pinocchio's local Jacobians and their time variation."""

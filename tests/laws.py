@@ -17,7 +17,7 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.rollout import rollout
-from coopqp.solver import Status
+from coopqp.solver import Budget, Status
 from coopqp.solvers import Daqp
 from coopqp.state import State
 from coopqp.task import Task
@@ -30,6 +30,8 @@ NEAR = (0.19, 0.01, 0.06)  # of the object's place in NAO's hands [m]
 LIMITS: tuple[Limit, ...] = (JointPosition(), JointVelocity())
 
 
+#: For fast motions of one tick, where the optimum is looked at and not the step.
+WIDE = Budget(accuracy=1e-2, loop_position=1.0, loop_orientation=1.0)
 #: Without damping that grows with the error, ticks are alike whatever is given up.
 PLAIN = QPController(damping=1e-6, error_damping=0.0)
 

@@ -61,6 +61,7 @@ phases:
       - point_on_point: {name: up, goal: [0.17, 0.01, 0.07], gain: 5, profile: {duration: 0.3}}
 """
 TAIL = "controllers: [qp]\ndt: 0.01\nkappa: 100\n"
+NO_DRIFT = TAIL.replace("kappa: 100", "kappa: 0")
 
 
 def write(folder: Path, text: str) -> Path:

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 import scipy.linalg
 from chains import BOX, Closed, closed_states, heavy, planar_pair, ring, spherical_pair, three_arms
-from dynamics_by_hand import Oracle, PinocchioOracle, accelerations, relative
+from dynamics_by_hand import SHARES, Oracle, PinocchioOracle, accelerations, relative
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
@@ -70,9 +70,6 @@ def test_terms_do_not_depend_on_what_was_computed_before(
         dynamics.update(q, v)
     np.testing.assert_array_equal(used.direct(tau).a, fresh.direct(tau).a)
     np.testing.assert_array_equal(used.inverse(tau).tau, fresh.inverse(tau).tau)
-
-
-SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})
 
 
 def test_accelerations_do_not_depend_on_which_hand_carries_the_mass(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from chains import PAPER_SCHEME, Closed, closed_states
-from dynamics_by_hand import Oracle, accelerations
+from dynamics_by_hand import SHARES, Oracle, accelerations
 from mujoco_model import MujocoChain
 
 from coopqp.closed_chain import ClosedChain
@@ -143,9 +143,6 @@ def test_regular_answer_leaves_no_residual(box_chain: ClosedChain, states: list[
         assert result.residual == 0.0
         left = dynamics.A @ a + dynamics.H - result.tau - dynamics.J.T @ result.wrench
         np.testing.assert_allclose(left, 0, atol=1e-9)
-
-
-SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})
 
 
 @pytest.mark.parametrize("shares", SHARES)

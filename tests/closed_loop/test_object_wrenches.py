@@ -6,14 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from chains import BOX, Closed, closed_states, inertia_of, ring
-from dynamics_by_hand import accelerations
+from dynamics_by_hand import SHARES, accelerations
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 
 H = 1e-4  # step of central differences in time [s]
-SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})
 
 
 def test_hands_with_hinges_exert_no_moment_about_them(

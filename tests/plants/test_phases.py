@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from scenario_files import HEAD, PHASES, TAIL, phased
+from scenario_files import HEAD, NO_DRIFT, PHASES, TAIL, phased
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -24,8 +24,6 @@ from coopqp.plant import PlantModel
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.solvers import Daqp
 from coopqp.state import State
-
-# Plants with masses
 
 
 def test_a_hand_that_takes_hold_in_motion_stops_as_pinocchio_says(
@@ -82,9 +80,6 @@ def test_a_released_hinge_is_refused_where_there_are_masses(tmp_path: Path) -> N
         GraspError, match="arm left, when it lets go, would leave the joints of its passive grasp"
     ):
         run(made, controller="qp")
-
-
-NO_DRIFT = TAIL.replace("kappa: 100", "kappa: 0")
 
 
 # The rigid-body plant

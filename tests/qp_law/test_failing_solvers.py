@@ -11,13 +11,11 @@ import laws
 import numpy as np
 import pytest
 from chains import HANDS
-from conflicts import REACH, TURN, beyond
+from conflicts import GRASPS, REACH, TURN, beyond, each_grasp
 from laws import LIMITS, PLAIN, run
 
 from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.grasp import Grasp
-from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointAcceleration
 from coopqp.metrics.fallback_ticks import FallbackTicks
@@ -29,16 +27,6 @@ from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, limits=LIMITS)
-
-
-# Starts outside the limits.
-
-
-GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
-each_grasp = pytest.mark.parametrize("grasp", list(GRASPS))
-
-
-# Solvers that fail, lie or stall now and then.
 
 
 @spec

@@ -10,7 +10,7 @@ import laws
 import numpy as np
 import pytest
 from chains import Walk
-from laws import DT, LIMITS, NEAR, PLAIN, STEP, answer, reach, run, ticks
+from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run, ticks
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
@@ -22,15 +22,13 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.profile import Profile
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
-from coopqp.solver import Budget, Status
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint, Pose, Posture
 
 Point = tuple[float, float, float]
 LOW: Point = (0.17, -0.01, 0.03)
 FRONT: Point = (0.04, 0.0, -0.04)  # of the object [m]
-#: For fast motions of one tick, where the optimum is looked at and not the step.
-WIDE = Budget(accuracy=1e-2, loop_position=1.0, loop_orientation=1.0)
 problem = partial(laws.problem, budget=WIDE)
 
 

@@ -14,14 +14,14 @@ import pytest
 import qpsolvers
 import scipy.linalg
 from chains import Walk
-from laws import DT, LIMITS, NEAR, PLAIN, STEP, answer, reach, run
+from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.loader import load
-from coopqp.solver import Budget, Status
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint
@@ -31,8 +31,6 @@ GAIN, DAMPING = 5.0, PLAIN.damping
 LOW: Point = (0.17, -0.01, 0.03)
 ORIGIN: Point = (0.0, 0.0, 0.0)
 FRONT: Point = (0.04, 0.0, -0.04)  # of the object [m]
-#: For fast motions of one tick, where the optimum is looked at and not the step.
-WIDE = Budget(accuracy=1e-2, loop_position=1.0, loop_orientation=1.0)
 problem = partial(laws.problem, budget=WIDE)
 Rows = tuple[Array, Array, float]
 

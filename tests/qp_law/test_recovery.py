@@ -9,15 +9,13 @@ import laws
 import numpy as np
 import pytest
 from chains import HANDS
-from conflicts import beyond
+from conflicts import GRASPS, beyond, each_grasp
 from laws import DT, LIMITS, PLAIN, run
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.grasp import Grasp
-from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.robot import RobotModel
@@ -28,7 +26,6 @@ from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 
 problem = partial(laws.problem, limits=LIMITS)
-GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
 OUTSIDE: dict[str, dict[str, float]] = {
     "elbow": {"RElbowRoll": 1.64},
     "shoulder": {"LShoulderPitch": -2.2},
@@ -37,7 +34,6 @@ OUTSIDE: dict[str, dict[str, float]] = {
     "both shoulders": {"RShoulderRoll": 0.5, "LShoulderRoll": -0.5},
     "four joints": {"RElbowRoll": 1.7, "LElbowRoll": -1.65, "RShoulderRoll": 0.4, "RWristYaw": 2.0},
 }
-each_grasp = pytest.mark.parametrize("grasp", list(GRASPS))
 
 
 def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> ClosedChain:

@@ -9,7 +9,7 @@ import laws
 import numpy as np
 import pinocchio as pin
 import pytest
-from laws import LIMITS, PLAIN, run, ticks
+from laws import LIMITS, PLAIN, WIDE, run, ticks
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
@@ -19,13 +19,11 @@ from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
-from coopqp.solver import Budget, Status
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 
-#: For fast motions of one tick, where the optimum is looked at and not the step.
-WIDE = Budget(accuracy=1e-2, loop_position=1.0, loop_orientation=1.0)
 ARM_OUT = {"right": [0.6, -0.3, 1.0, 0.8, 0.0]}
 problem = partial(laws.problem, budget=WIDE)
 SECONDARY: dict[str, Task] = {

@@ -9,8 +9,6 @@ from coopqp.report.scene import bodies as robot_bodies
 from coopqp.report.scene.thinning import count_thinned, thinned
 from coopqp.report.scene.triangles import Triangles
 
-# ---- thinning --------------------------------------------------------------------------------
-
 
 def ring(around: int = 200, across: int = 80) -> Triangles:
     """A torus of 32,000 triangles."""
@@ -71,9 +69,6 @@ def test_thinning_keeps_edges_and_corners() -> None:
     np.testing.assert_allclose(few.vertices.max(axis=0), 1.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(few.vertices).max(axis=1), 1.0, atol=1e-9)
     assert (np.abs(np.abs(few.vertices) - 1.0) < 1e-9).all(axis=1).sum() == 8
-
-
-# Drawing
 
 
 @pytest.mark.xfail(

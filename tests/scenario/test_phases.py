@@ -35,9 +35,6 @@ def regrasped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, Trace
     return made, run(made, controller="qp")
 
 
-# The run
-
-
 def in_the_hand(made: Scenario, trace: Trace, arm: str, rows: slice) -> Array:
     """The object's pose in a hand, from the robot's own model, shape (rows, 12)."""
     robot = made.robot_model

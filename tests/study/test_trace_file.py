@@ -11,7 +11,7 @@ import pytest
 from command_line import typed
 from kept_ticks import at, record
 from laws import LIMITS
-from scenario_files import HEAD, PHASES, TAIL
+from scenario_files import HEAD, NO_DRIFT, PHASES
 
 from coopqp.comparison import Comparison, compare
 from coopqp.controllers.qp import QPLaw
@@ -107,9 +107,6 @@ def test_tick_of_nothing_is_refused(wrong: str, trace_csv: Path, tmp_path: Path)
 def test_state_from_a_missing_trace_is_refused(tmp_path: Path, law: QPLaw) -> None:
     with pytest.raises(CoopqpError):
         state_from_trace(tmp_path / "none.csv", "qp", 0, law)
-
-
-NO_DRIFT = TAIL.replace("kappa: 100", "kappa: 0")
 
 
 def off_the_trace(folder: Path, text: str, tick: int) -> float:
