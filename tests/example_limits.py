@@ -18,7 +18,7 @@ from coopqp.limits import (
 from coopqp.trace import Trace
 
 TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))
-ALL = (
+EXAMPLES: tuple[Limit, ...] = (
     JointPosition(),
     JointVelocity(),
     JointAcceleration(max=60.0),

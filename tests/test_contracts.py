@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
+import example_controllers
+import example_grasps
+import example_limits
+import example_metrics
+import example_plants
+import example_robots
+import example_solvers
+import example_tasks
 import numpy as np
 import pytest
 from scenario_files import LOADABLE, cut
@@ -24,6 +34,15 @@ ENTRIES = [
     for kind in COLLECTIONS
     for name, entry in CATALOG.entries(kind).items()
 ]
+EXAMPLES: dict[str, Iterable[object]] = {
+    "grasps": example_grasps.EXAMPLES.values(),
+    "tasks": example_tasks.EXAMPLES.values(),
+    "limits": example_limits.EXAMPLES,
+    "controllers": example_controllers.EXAMPLES.values(),
+    "solvers": example_solvers.EXAMPLES.values(),
+    "plants": example_plants.EXAMPLES.values(),
+    "metrics": example_metrics.EXAMPLES.values(),
+}
 CONTROLLERS = list(CATALOG.entries("controllers"))
 SOLVERS = sorted({*CATALOG.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"})
 
@@ -56,6 +75,17 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
                 continue  # explained where the idea is
             after = source.split(f"    {field}:", 1)[1].split("\n", 2)[1]
             assert '"""' in after
+
+
+@pytest.mark.parametrize("kind", COLLECTIONS)
+def test_every_plug_in_has_settings_of_an_example(kind: str, tmp_path: Path) -> None:
+    robots = (make(tmp_path) for make in example_robots.EXAMPLES.values())
+    seen = {type(example) for example in (robots if kind == "robots" else EXAMPLES[kind])}
+    missing = [name for name, entry in CATALOG.entries(kind).items() if entry.cls not in seen]
+    assert not missing, (
+        f"nothing tests {', '.join(missing)} of {kind}: "
+        f"tests/example_{kind}.py needs a line with settings for each"
+    )
 
 
 @pytest.mark.parametrize("name", LOADABLE)

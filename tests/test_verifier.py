@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from programs import M, N, curvature, empty_qp, random_qp, solved
+from example_solvers import M, N, curvature, empty_qp, random_qp, solved
 
 from coopqp.checked import Array
 from coopqp.qp import QP

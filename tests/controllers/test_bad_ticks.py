@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, problem
-from velocity_laws import each_controller
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from example_controllers import each_controller
 from laws import DT, LIMITS, STEP, UNREACHABLE, answer, distances, problem, run
-from velocity_laws import each_controller
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain

@@ -6,10 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from chains import Walk
+from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, answer, distances, problem, run
-from velocity_laws import CONTROLLERS, each_controller
 
-import coopqp.controllers
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller
@@ -23,12 +22,6 @@ from coopqp.solver import Budget
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, MinimumKineticEnergy, PointOnPlane, PointOnPoint
-
-
-def test_every_controller_of_the_collection_is_tested_here() -> None:
-    plugins = (getattr(coopqp.controllers, name) for name in coopqp.controllers.__all__)
-    velocity = {plugin.__name__ for plugin in plugins if not plugin().commands_torques}
-    assert {type(c).__name__ for c in CONTROLLERS.values()} == velocity
 
 
 @pytest.mark.parametrize(

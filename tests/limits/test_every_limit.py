@@ -8,7 +8,7 @@ from functools import partial
 import laws
 import numpy as np
 import pytest
-from example_limits import ALL, TABLE, TOLERANCE, empty_rows
+from example_limits import EXAMPLES, TABLE, TOLERANCE, empty_rows
 from laws import DT, run
 
 from coopqp.checked import Pose as PoseSpec
@@ -38,9 +38,11 @@ def test_every_limit_holds_in_random_runs(held_box: ClosedChain, seed: int) -> N
     place = State(held_box).p_WO + rng.uniform(-0.15, 0.15, 3)
     profile = Profile(duration=float(rng.uniform(0.3, 1.0)))
     goal = PoseSpec(position=tuple(place), rpy=tuple(rng.uniform(-0.8, 0.8, 3)))
-    done = run(QPController(), problem(held_box, Pose(goal=goal, profile=profile), limits=ALL), 150)
+    done = run(
+        QPController(), problem(held_box, Pose(goal=goal, profile=profile), limits=EXAMPLES), 150
+    )
     given_up = "ACCELERATION_GIVEN_UP" in done.status
-    for limit in ALL:
+    for limit in EXAMPLES:
         if given_up and isinstance(limit, JointAcceleration):
             continue
         for name, margin in limit.margins(held_box, done.q, done.v, DT).items():
@@ -50,14 +52,16 @@ def test_every_limit_holds_in_random_runs(held_box: ClosedChain, seed: int) -> N
 
 
 def test_rows_and_margins_have_names_of_their_own(held_box: ClosedChain) -> None:
-    rows = [name for limit in ALL for name in limit.rows(held_box)]
+    rows = [name for limit in EXAMPLES for name in limit.rows(held_box)]
     assert len(set(rows)) == len(rows)
     assert {"object_speed.x.upper", "object_speed.rot_z.lower"} <= set(rows)
     assert {"table.object[0]", "table.object[7]", "table.RHand"} <= set(rows)
     assert "self_collision[RForearm|torso]" in rows
     q = np.vstack([held_box.q_start] * 2)
     margins = [
-        name for limit in ALL for name in limit.margins(held_box, q, np.zeros((1, held_box.n)), DT)
+        name
+        for limit in EXAMPLES
+        for name in limit.margins(held_box, q, np.zeros((1, held_box.n)), DT)
     ]
     assert len(set(margins)) == len(margins)
     assert {f"limit.{name}" for name in rows} <= set(margins)
@@ -95,7 +99,7 @@ def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) 
         assert all(np.isfinite(m).all() for m in limit.margins(loose, q, v, DT).values())
 
 
-@pytest.mark.parametrize("limit", ALL, ids=lambda limit: type(limit).__name__)
+@pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
 def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten = limit.bind(held_box, DT)
@@ -117,7 +121,7 @@ def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
     assert np.isfinite(rows.h).all()
 
 
-@pytest.mark.parametrize("limit", ALL, ids=lambda limit: type(limit).__name__)
+@pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
 def test_rows_may_be_part_of_a_larger_matrix(held_box: ClosedChain, limit: Limit) -> None:
     plain, p = empty_rows(held_box, limit), len(limit.rows(held_box))
     wide = np.zeros((p, held_box.n + 2))

@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from programs import (
+from example_solvers import (
     PROBLEMS,
-    SOLVERS,
     N,
     active,
     checked,
@@ -23,15 +22,10 @@ from programs import (
     solved,
 )
 
-import coopqp.solvers
 from coopqp.errors import UnknownNameError
 from coopqp.qp import QP
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
-
-
-def test_every_solver_of_the_collection_is_tested_here() -> None:
-    assert {type(s).__name__ for s in SOLVERS.values()} == set(coopqp.solvers.__all__)
 
 
 def test_bounds_and_rows_bind_in_most_problems() -> None:

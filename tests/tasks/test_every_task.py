@@ -15,16 +15,11 @@ from free_body import FreeBody, block_of
 from pydantic import TypeAdapter
 from ruamel.yaml import YAML
 
-import coopqp.tasks
 from coopqp.closed_chain import ClosedChain
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import chosen, one_of
 from coopqp.state import State
 from coopqp.task import Task
-
-
-def test_every_task_has_an_example_here() -> None:
-    assert {type(task).__name__ for task in EXAMPLES.values()} == set(coopqp.tasks.__all__)
 
 
 @over(EXAMPLES)

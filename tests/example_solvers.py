@@ -1,23 +1,24 @@
-"""Quadratic programs with their oracles: random ones, and what an optimum must fulfil."""
+"""Every solver, quadratic programs for them, and what an optimum must fulfil."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import scipy.optimize
+from example_settings import examples
 
 from coopqp.checked import Array
 from coopqp.qp import QP, RowNames
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
-from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
+from coopqp.solvers import Qpsolvers
 from coopqp.solvers.qpsolvers import installed
 
 N, M, P = 10, 6, 3  # variables, equalities, inequalities
 PROBLEMS = 60
+EXAMPLES: dict[str, Solver] = examples("solvers", qpsolvers={"backend": "quadprog"})
+#: With every backend that qpsolvers finds here.
 SOLVERS: dict[str, Solver] = {
-    "daqp": Daqp(),
-    "osqp": Osqp(),
-    "proxqp": Proxqp(),
+    **{name: solver for name, solver in EXAMPLES.items() if name != "qpsolvers"},
     **{f"qpsolvers.{name}": Qpsolvers(backend=name) for name in installed()},
 }
 each_solver = pytest.mark.parametrize(
