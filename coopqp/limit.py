@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark
 from coopqp.state import State
 
 #: Depth up to which what crossed a limit in space is asked back [m].
@@ -76,6 +77,14 @@ class Limit(ABC):
             shape (T,); negative where the limit is broken. Sides without a limit are left out.
         """
         return {}
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """What pictures show of it: where it is; nothing by default.
+
+        Args:
+            t: since the beginning of the motion, or of its phase [s].
+        """
+        return ()
 
 
 def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
