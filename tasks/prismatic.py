@@ -73,7 +73,8 @@ class Prismatic(Task):
         """Offset and angle shrink from what they are now."""
         line = self._line()
         seen = PointInReference(self.point, line, start.chain.n)
-        Q_goal = line.RT @ (self._goal() if self._turns else start.R_WO)
+        R_goal = self._goal()
+        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
         line.update(start.t)
         seen.update(start)
         rotation = RotationError(Q_goal, self.profile, line.RT @ start.R_WO)
@@ -95,21 +96,20 @@ class Prismatic(Task):
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""
-        line = self._line()
-        Q_goal = line.RT @ self._goal() if self._turns else None
+        line, R_goal = self._line(), self._goal()
+        RT_0 = line.RT.copy()
         line.update(t)
         slide = LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
-        return slide if Q_goal is None else (*slide, PoseMark(rotation=line.RT.T @ Q_goal))
+        if R_goal is None:
+            return slide
+        return (*slide, PoseMark(rotation=line.RT.T @ RT_0 @ R_goal))
 
     def _line(self) -> Reference:
         return Reference(self.through, self.direction, self.velocity, self.turn)
 
-    @property
-    def _turns(self) -> bool:
-        """Whether an orientation is given."""
-        return self.rpy is not None or self.rpy_deg is not None
-
-    def _goal(self) -> Array:
-        """How the object shall be turned before the line turns, shape (3, 3)."""
+    def _goal(self) -> Array | None:
+        """How the object shall be turned before the line turns, shape (3, 3), if that is given."""
+        if self.rpy is None and self.rpy_deg is None:
+            return None
         R: Array = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
         return R
