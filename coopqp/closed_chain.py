@@ -31,7 +31,7 @@ from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
 from coopqp.rank import independent_rows, matrix_rank
-from coopqp.robot import Arm, RobotModel, copy_per_velocity
+from coopqp.robot import Arm, RobotModel, copy_per_velocity, joint_units
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
@@ -250,8 +250,7 @@ class ClosedChain:
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        kinds = (joint.shortname() for joint in itertools.islice(self.model.joints, 1, None))
-        return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

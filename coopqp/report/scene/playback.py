@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
-from coopqp.report.figures import margin
+from coopqp.report.figures import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies
 from coopqp.report.scene.marks import TRACKED, Shown, as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
@@ -110,15 +110,16 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
     """Texts below each frame."""
     texts = []
-    room = margin(trace)
+    rooms = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
         for task, error in zip(trace.tasks, trace.task_error[k], strict=True):
             if not np.isnan(error):  # a task of another phase
                 value, name = length(float(error), task.unit)
                 lines.append(f"{task.name} {value:.3g} {name} off")
-        if np.isfinite(room[k]):
-            lines.append(f"limit margin {room[k]:.3g} rad")
+        left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
+        if left:
+            lines.append(f"limit margin {', '.join(left)}")
         texts.append(lines)
     return texts
 
