@@ -218,12 +218,12 @@ def test_margins_and_overruns_have_the_unit_of_the_worst_joint(
     inside, beyond = with_limits(compared, joint, 0.25), with_limits(compared, joint, -0.125)
     for name in compared.traces:
         row = cells(inside.traces[name], inside.metrics[name])
-        assert row["margin"].lines == (f"0.25\N{NO-BREAK SPACE}{unit}",)
+        assert row["margin"].lines == (f"0.25 {unit}",)
         assert row["limit"].lines == ("0",)
         assert not row["limit"].bad
         row = cells(beyond.traces[name], beyond.metrics[name])
-        assert row["margin"].lines == (f"-0.125\N{NO-BREAK SPACE}{unit}",)
-        assert row["limit"].lines == (f"0.125\N{NO-BREAK SPACE}{unit}",)
+        assert row["margin"].lines == (f"-0.125 {unit}",)
+        assert row["limit"].lines == (f"0.125 {unit}",)
         assert row["limit"].bad
         assert f"drives {joint} 0.12 {unit} beyond" in beyond.verdicts[name]
 
@@ -237,7 +237,7 @@ def test_speeds_have_the_unit_of_the_worst_joint(
     v[3, i] = -(trace.velocity[i] + 0.5)
     found = summarize(compared.scenario, {"qp": replace(trace, v=v)})
     row = cells(found.traces["qp"], found.metrics["qp"])
-    assert row["speed"].lines == (f"0.5\N{NO-BREAK SPACE}{unit}",)
+    assert row["speed"].lines == (f"0.5 {unit}",)
     assert row["speed"].bad
 
 
@@ -247,7 +247,7 @@ def test_no_heading_promises_radians(compared: Comparison) -> None:
     console.print(summary(with_limits(compared, "rail", -0.125)))
     shown = console.export_text()
     assert "[rad]" not in shown
-    assert "0.125 m" in shown.replace("\N{NO-BREAK SPACE}", " ")
+    assert "0.125 m" in shown
 
 
 def test_metrics_say_that_their_unit_is_the_joints() -> None:

@@ -138,7 +138,7 @@ def _worst(excess: Array) -> int:
 def _quantity(value: float, unit: str) -> str:
     """With its unit; nothing and infinity need none."""
     bare = value == 0.0 or math.isinf(value)
-    return number(value) if bare else f"{number(value)}\N{NO-BREAK SPACE}{unit}"
+    return number(value) if bare else f"{number(value)} {unit}"
 
 
 def _task_error(trace: Trace) -> Cell:
