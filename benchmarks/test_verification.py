@@ -14,7 +14,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controller import ControlProblem
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status

@@ -39,6 +39,7 @@ from coopqp.scenario.phase import Phase as Phase
 from coopqp.scenario.scenario import Scenario as Scenario
 from coopqp.solver import Budget as Budget
 from coopqp.solver import Solution as Solution
+from coopqp.solver import Solve as Solve
 from coopqp.solver import Solver as Solver
 from coopqp.solver import Status as Status
 from coopqp.state import State as State
@@ -46,6 +47,7 @@ from coopqp.task import Evaluate as Evaluate
 from coopqp.task import Part as Part
 from coopqp.task import Task as Task
 from coopqp.task import TaskRows as TaskRows
+from coopqp.task import TaskStack as TaskStack
 from coopqp.trace import Trace as Trace
 
 __version__: str

@@ -35,6 +35,11 @@ def spec(cls: type[T]) -> type[T]:
     return cast(type[T], checked)
 
 
+def type_name(plugin: object) -> str:
+    """The name of a plug-in's type in YAML, which is that of its file."""
+    return type(plugin).__module__.rpartition(".")[2]
+
+
 def _three(value: Any) -> Any:
     """Let numpy arrays be given, and say how many numbers are needed."""
     return numbers(value, 3)

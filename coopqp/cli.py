@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,38 @@ def main() -> None:
 
 
 SCENARIO = click.argument("scenario")
-TASKS = click.option(
-    "--tasks",
-    "task_folders",
-    multiple=True,
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder with task files of your own; may be given more than once.",
-)
+FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
+
+
+def catalogued(command: Callable[..., None]) -> Callable[..., None]:
+    """Options that name plug-ins of the user's own; the command gets the catalogue with them."""
+
+    @click.option(
+        "--plugins",
+        "plugin_folders",
+        multiple=True,
+        type=FOLDER,
+        help="Folder with plug-ins of your own in subfolders tasks, limits, controllers ...; "
+        "may be given more than once.",
+    )
+    @click.option(
+        "--tasks",
+        "task_folders",
+        multiple=True,
+        type=FOLDER,
+        help="Folder with task files of your own; may be given more than once.",
+    )
+    @wraps(command)
+    def with_catalog(
+        *, plugin_folders: tuple[Path, ...], task_folders: tuple[Path, ...], **options: Any
+    ) -> None:
+        from coopqp.scenario.catalog import Catalog
+
+        command(catalog=Catalog(task_folders, plugin_folders), **options)
+
+    return with_catalog
 
 
 @main.command()
@@ -59,21 +83,21 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for mach
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
 @click.option("--controllers", default="", help="Comma-separated, instead of the scenario's.")
 @SOLVER
-@TASKS
+@catalogued
 @JSON
 def compare(
     scenario: str,
     out: Path | None,
     controllers: str,
     solver: str | None,
-    task_folders: tuple[Path, ...],
+    catalog: Any,
     as_json: bool,
 ) -> None:
     """Run a scenario under several controllers and report what each of them did.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    loaded = _load(scenario, task_folders, solver)
+    loaded = _load(scenario, catalog, solver)
     names = [name.strip() for name in controllers.split(",") if name.strip()]
     _show(loaded, names or list(loaded.controllers), out, as_json=as_json)
 
@@ -83,18 +107,18 @@ def compare(
 @click.option("--controller", required=True, help="Which one.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
 @SOLVER
-@TASKS
+@catalogued
 @JSON
 def run(
     scenario: str,
     controller: str,
     out: Path | None,
     solver: str | None,
-    task_folders: tuple[Path, ...],
+    catalog: Any,
     as_json: bool,
 ) -> None:
     """Run one controller on a scenario."""
-    _show(_load(scenario, task_folders, solver), [controller], out, as_json=as_json)
+    _show(_load(scenario, catalog, solver), [controller], out, as_json=as_json)
 
 
 @main.command()
@@ -102,14 +126,14 @@ def run(
 @click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
 @click.option("--phase", help="Which phase of the scenario; the first if omitted.")
 @click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
-@TASKS
+@catalogued
 @JSON
 def mobility(
     scenario: str,
     actuated: str | None,
     phase: str | None,
     page: Path | None,
-    task_folders: tuple[Path, ...],
+    catalog: Any,
     as_json: bool,
 ) -> None:
     """Tell what a scenario's grasp allows, before anything moves."""
@@ -117,7 +141,7 @@ def mobility(
     from coopqp.report import mobility as report
 
     asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
-    study = report.study(_load(scenario, task_folders, None), asked, phase=phase)
+    study = report.study(_load(scenario, catalog, None), asked, phase=phase)
     if page:
         files.write_one(page, report.page(study))
     if as_json:
@@ -135,14 +159,14 @@ def mobility(
 @click.option("--tick", type=int, help="Which; the first that gave something up, else the last.")
 @click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
 @click.option("--save", type=click.Path(path_type=Path), help="Keep the whole tick in this file.")
-@TASKS
+@catalogued
 @JSON
 def explain(
     trace: Path,
     tick: int | None,
     controller: str | None,
     save: Path | None,
-    task_folders: tuple[Path, ...],
+    catalog: Any,
     as_json: bool,
 ) -> None:
     """Say why a tick could not do what its tasks asked.
@@ -153,8 +177,13 @@ def explain(
 
     from coopqp.report import files
     from coopqp.study import explanation
+    from coopqp.study.recorded_tick import recorded_tick
+    from coopqp.study.trace_file import controllers_of
 
-    record = _tick(trace, tick, controller, task_folders)
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    controllers_of(path)  # a trace that is missing is said before its scenario is
+    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
+    record = recorded_tick(path, scenario, controller, tick)
     found = explanation.explain(record)
     if save:
         files.write_one(save, record.text())
@@ -170,36 +199,24 @@ def explain(
 @main.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
+@catalogued
 @JSON
-def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
+def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
-    from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study import explanation
 
-    catalog, record = Catalog(), explanation.TickRecord.read(file)
-    rows = {}
-    for name in solver or solver_names(catalog):
-        answer = explanation.replay(record, solver_by_name(name, catalog))
-        rows[name] = {
-            "status": answer.status.value,
-            "primal_residual": answer.primal_residual,
-            "dual_residual": answer.dual_residual,
-            "difference": answer.difference,
-            "v": answer.v.tolist(),
-        }
+    record = explanation.TickRecord.read(file)
+    answers = {
+        name: explanation.replay(record, solver_by_name(name, catalog))
+        for name in solver or solver_names(catalog)
+    }
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
+        click.echo(json.dumps({name: a.as_json() for name, a in answers.items()}, indent=2))
         return
-    from rich.table import Table
+    from coopqp.report import table
 
-    table = Table(title=f"{record.scenario}, {record.controller}, tick {record.tick}")
-    for heading in ("solver", "status", "primal residual", "dual residual", "off the saved answer"):
-        table.add_column(heading)
-    for name, row in rows.items():
-        numbers = (row["primal_residual"], row["dual_residual"], row["difference"])
-        table.add_row(name, str(row["status"]), *(f"{number:.2g}" for number in numbers))
-    _console().print(table)
+    _console().print(table.replay(record, answers))
 
 
 @main.command()
@@ -221,7 +238,9 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
         click.echo(json.dumps(data, indent=2))
     else:
-        _console().print(_stress_table(lines))
+        from coopqp.report import table
+
+        _console().print(table.stress(lines))
         for r in broken[:20]:
             click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
     if broken:
@@ -231,22 +250,19 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
 @main.command(name="solve-start")
 @SCENARIO
 @click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")
-@TASKS
+@catalogued
 @JSON
-def solve_start(
-    scenario: str, seed: int | None, task_folders: tuple[Path, ...], as_json: bool
-) -> None:
+def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     """Find joint values, inside the limits, with which every arm reaches its grasp.
 
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
-    from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
     with _progress(["solving"], 1) as progress:
         report = (lambda done, total: progress("solving", done / total)) if progress else None
-        found = load_and_solve(scenario, Catalog(task_folders), seed=seed, progress=report)
+        found = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
         margin = found.margin if found.margin < float("inf") else None
         data = {"start": found.start, "margin": margin, "tries": found.tries, "found": found.found}
@@ -257,15 +273,15 @@ def solve_start(
 
 @main.command()
 @click.argument("scenarios", nargs=-1, required=True)
-@TASKS
-def validate(scenarios: tuple[str, ...], task_folders: tuple[Path, ...]) -> None:
+@catalogued
+def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenario files; every fault is listed with its line."""
     from coopqp.errors import Fault, ScenarioError
 
     faults: list[Fault] = []
     for name in scenarios:
         try:
-            _load(name, task_folders, None)
+            _load(name, catalog, None)
         except ScenarioError as error:
             faults.extend(error.faults)
         else:
@@ -276,11 +292,11 @@ def validate(scenarios: tuple[str, ...], task_folders: tuple[Path, ...]) -> None
 
 @main.command(name="list")
 @click.argument("kind", required=False, type=click.Choice(COLLECTIONS))
-@TASKS
+@catalogued
 @JSON
-def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> None:
+def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
-    rows = {k: _help_lines(k, task_folders) for k in ([kind] if kind else COLLECTIONS)}
+    rows = {k: _help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
         click.echo(json.dumps(rows, indent=2))
         return
@@ -298,82 +314,24 @@ def list_(kind: str | None, task_folders: tuple[Path, ...], as_json: bool) -> No
 
 
 @main.command()
-@TASKS
-def schema(task_folders: tuple[Path, ...]) -> None:
+@catalogued
+def schema(catalog: Any) -> None:
     """Print the JSON Schema of scenario files, for editors."""
-    from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.form import file_model
 
-    click.echo(json.dumps(file_model(Catalog(task_folders)).model_json_schema(), indent=2))
+    click.echo(json.dumps(file_model(catalog).model_json_schema(), indent=2))
 
 
-def _load(name: str, task_folders: tuple[Path, ...], solver: str | None) -> Any:
-    from coopqp.scenario.catalog import Catalog
+def _load(name: str, catalog: Any, solver: str | None) -> Any:
     from coopqp.scenario.loader import load, with_solver
+    from coopqp.scenario.notes import notes
 
-    catalog = Catalog(task_folders)
     loaded = load(name, catalog)
     for line in loaded.robot_model.warnings:
         click.echo(f"warning: {line}", err=True)
-    return with_solver(loaded, solver, catalog) if solver else loaded
-
-
-def _tick(
-    trace: Path, tick: int | None, controller: str | None, task_folders: tuple[Path, ...]
-) -> Any:
-    """A tick of a written trace, whole."""
-    from bisect import bisect_right
-    from itertools import islice
-
-    from coopqp.controllers.qp import QPLaw
-    from coopqp.errors import InvalidValueError, UnknownNameError
-    from coopqp.study.explanation import record_tick
-    from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
-
-    path = trace / "trace.csv" if trace.is_dir() else trace
-    names = controllers_of(path)
-    scenario = _load(str(path.parent / "scenario.yaml"), task_folders, None)
-    laws = {}
-    for name in names:
-        plugin = scenario.controllers.get(name)
-        if plugin is not None and not plugin.commands_torques:
-            law = plugin.build(scenario.held_by(name).problem())
-            if isinstance(law, QPLaw):
-                laws[name] = law
-    if not laws:
-        raise InvalidValueError(f"{path}: no controller here solves a QP in velocities")
-    chosen = controller or next(iter(laws))
-    if chosen not in laws:
-        raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
-    k = blocked_tick(path, chosen) if tick is None else tick
-    held, law = scenario.held_by(chosen), laws[chosen]
-    phase = max(0, bisect_right(held.first_ticks, k) - 1)
-    if phase:
-        # The arms that hold from here on took hold where the trace says that they were.
-        problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
-        law = scenario.controllers[chosen].build(list(islice(problems, phase + 1))[-1])
-    state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
-    name = path.parent.resolve().name
-    return record_tick(law, state, scenario=name, controller=chosen, tick=k)
-
-
-def _stress_table(lines: Any) -> Any:
-    from rich.table import Table
-
-    table = Table(title="random rollouts of the QP law")
-    for heading in (
-        "rollouts", "number", "ended as", "position excess [rad]", "speed excess [rad/s]",
-        "loop [mm]", "loop [mrad]", "fallback ticks", "broken",
-    ):  # fmt: skip
-        table.add_column(heading)
-    for x in lines:
-        ended = ", ".join(f"{count} {name}" for name, count in x.outcomes.items())
-        table.add_row(
-            x.kind, str(x.count), ended, f"{x.position_excess:.1e}", f"{x.velocity_excess:.1e}",
-            f"{1e3 * x.loop_position:.3f}", f"{1e3 * x.loop_orientation:.2f}",
-            str(x.fallbacks), str(x.broken),
-        )  # fmt: skip
-    return table
+    for line in notes(loaded):
+        click.echo(f"note: {line}", err=True)
+    return with_solver(loaded, solver) if solver else loaded
 
 
 def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
@@ -394,7 +352,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
         click.echo(f"wrote {path}")
 
 
-def _help_lines(kind: str, task_folders: tuple[Path, ...]) -> dict[str, str]:
+def _help_lines(kind: str, catalog: Any) -> dict[str, str]:
     """A line of help for each name of a collection."""
     if kind == "scenarios":
         from coopqp.scenario.loader import shipped
@@ -403,9 +361,7 @@ def _help_lines(kind: str, task_folders: tuple[Path, ...]) -> dict[str, str]:
         return {
             name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
         }
-    from coopqp.scenario.catalog import Catalog
-
-    lines = {name: e.help for name, e in Catalog(task_folders).entries(kind).items()}
+    lines = {name: e.help for name, e in catalog.entries(kind).items()}
     if kind == "solvers":
         from coopqp.solvers.qpsolvers import installed
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from coopqp.controller_run import Progress, run
-from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 from coopqp.verdict import verdict
@@ -62,7 +61,7 @@ def compare(
 
 def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
     """Metrics and verdicts of traces."""
-    entries = Catalog().entries("metrics")
+    entries = scenario.catalog.entries("metrics")
     metrics = {
         name: {key: entry.cls().measure(trace) for key, entry in entries.items()}
         for name, trace in traces.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -15,10 +15,16 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit
 from coopqp.solver import Budget, Solver, Status
-from coopqp.state import State
+from coopqp.state import Memory, State
 from coopqp.task import Task
 
 OnInfeasible = Literal["scale", "hold", "stop"]
+
+Heeds = frozenset[Literal["limits", "modes", "priorities", "secondary", "on_infeasible"]]
+"""Parts of a problem that a controller reads; what it does not name has no effect on it."""
+
+HEEDS_NOTHING: Heeds = frozenset()
+HEEDS_ALL: Heeds = frozenset({"limits", "modes", "priorities", "secondary", "on_infeasible"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +35,7 @@ class ControlProblem:
         chain: the robot with the object in its hands.
         tasks: the main tasks.
         secondary: objectives for what the tasks leave free.
-        limits: hard bounds; the pseudoinverse laws ignore them.
+        limits: hard bounds, for the controllers that heed them.
         dt: control period [s].
         kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 0 is the paper's law, 1/dt
             removes the linearisation error of each step in the next.
@@ -87,6 +93,10 @@ class Command:
         self.status = Status.OPTIMAL
         self.scale = 1.0
 
+    def __repr__(self) -> str:
+        what = f"v={self.v}" if self.tau is None else f"tau={self.tau}"
+        return f"Command({self.status.name}, {what})"
+
     def copy(self) -> Command:
         """The same, in arrays of its own."""
         other = Command(len(self.v))
@@ -99,8 +109,8 @@ class Command:
 class Law(ABC):
     """A controller built for one problem."""
 
-    memory_size: int = 0
-    """How many numbers the law must remember between ticks; they live in ``State.memory``."""
+    memory_sizes: Mapping[str, int] = {}
+    """What the law must remember between ticks, and how many numbers; see ``State.memory``."""
 
     def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
         self.problem = problem
@@ -108,11 +118,24 @@ class Law(ABC):
 
     def start(self, q: ArrayLike | None = None) -> State:
         """The first state, with room for the law's memory; q is the chain's start if omitted."""
-        return State(self.problem.chain, q, memory=np.zeros(self.memory_size))
+        return State(self.problem.chain, q, memory=Memory(self.memory_sizes))
+
+    def tick(self, state: State) -> Command:
+        """The command for the next dt, from t, q, v and memory of a state.
+
+        Computes the kinematics of q first, so that they are never those of another q.
+        """
+        if state.memory.sizes != self.memory_sizes:
+            state.memory = Memory(self.memory_sizes)
+        state.update()
+        return self.decide(state)
 
     @abstractmethod
-    def tick(self, state: State) -> Command:
-        """The command for the next dt. Raises nothing, prints nothing, reuses its arrays."""
+    def decide(self, state: State) -> Command:
+        """The command at a state whose kinematics are up to date.
+
+        Raises nothing, prints nothing, reuses its arrays.
+        """
 
 
 @spec
@@ -121,6 +144,8 @@ class Controller(ABC):
 
     uses_solver: ClassVar[bool] = False
     """Whether it solves a QP, so that the scenario's solver matters."""
+    heeds: ClassVar[Heeds] = HEEDS_NOTHING
+    """What of the problem beside its tasks it reads. Who heeds limits promises to keep them."""
 
     @property
     def commands_torques(self) -> bool:

@@ -9,7 +9,6 @@ from coopqp.controller import Controller
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.plant import PlantModel
 from coopqp.rollout import rollout
-from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
@@ -32,7 +31,7 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     """
     chosen = scenario.controllers.get(controller)
     if chosen is None:
-        known = Catalog().entries("controllers")
+        known = scenario.catalog.entries("controllers")
         if controller not in known:
             raise UnknownNameError("controller", controller, {*known, *scenario.controllers})
         chosen = known[controller].cls()
@@ -76,6 +75,7 @@ def _legs(
             phase.ticks(scenario.dt),
             controller=name,
             solver=solver,
+            heeds=chosen.heeds,
             progress=_shifted(progress, name, first),
             state=state,
         )

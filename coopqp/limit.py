@@ -10,9 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, spec
+from coopqp.checked import Array, spec, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.mark import Mark
+from coopqp.row import Row, Side
 from coopqp.state import State
 
 #: Depth up to which what crossed a limit in space is asked back [m].
@@ -46,8 +47,11 @@ class Limit(ABC):
     sacrificed_first: ClassVar[bool] = False
     """Whether it may be given up before the drift correction when not everything can hold."""
 
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """A name for each inequality row beside the bounds; none for most limits.
+    bounds_position: ClassVar[bool] = False
+    """Whether its bounds on v are bounds on q, divided by dt."""
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        """Its inequality rows beside the bounds; none for most limits.
 
         Raises:
             CoopqpError: the limit cannot be used with this chain.
@@ -63,7 +67,7 @@ class Limit(ABC):
             dt: control period [s].
         """
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """How far a run stayed away from this limit, for the audit.
 
         Args:
@@ -73,8 +77,9 @@ class Limit(ABC):
             dt: control period [s].
 
         Returns:
-            By name, such as "limit.position[RElbowRoll].upper" or "limit." and the row's name,
-            shape (T,); negative where the limit is broken. Sides without a limit are left out.
+            By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the
+            row's unit, shape (T,); negative where the limit is broken. Sides without a limit are
+            left out.
         """
         return {}
 
@@ -119,22 +124,54 @@ def states_along(chain: ClosedChain, q: Array) -> Iterator[State]:
         yield state
 
 
-def joint_margins(kind: str, chain: ClosedChain, below: Array, above: Array) -> dict[str, Array]:
-    """Margins of all joints by name, "limit.KIND[JOINT].lower" and ".upper".
+def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str = "") -> Row:
+    """The row of one side of one joint, "limit.KIND[JOINT].upper".
 
     Args:
         kind: what is limited, such as "position".
         chain: the closed chain.
+        joint: its index in q.
+        side: lower or upper.
+        per: what the joint's unit is divided by, such as "/s".
+    """
+    name, unit = chain.joint_names[joint], chain.joint_units[joint]
+    return Row(
+        name=f"limit.{kind}[{name}].{side}",
+        kind="limit",
+        owner=kind,
+        unit=f"{unit}{per}",
+        joint=name,
+        side=side,
+        of_place=not per,
+    )
+
+
+def joint_margins(
+    kind: str, chain: ClosedChain, below: Array, above: Array, per: str = ""
+) -> dict[Row, Array]:
+    """Margins of all joints on both sides; those that are infinite are left out.
+
+    Args:
+        kind: what is limited, such as "position".
+        chain: the closed chain.
+        per: what the joint's unit is divided by, such as "/s".
         below: distance to the lower limit, shape (T, n); infinite where there is none.
         above: distance to the upper limit, shape (T, n).
     """
-    sides = {"lower": below, "upper": above}
+    sides: tuple[tuple[Side, Array], ...] = (("lower", below), ("upper", above))
     return {
-        f"limit.{kind}[{joint}].{side}": margin[:, i]
-        for i, joint in enumerate(chain.joint_names)
-        for side, margin in sides.items()
+        joint_limit(kind, chain, i, side, per): margin[:, i]
+        for i in range(chain.n)
+        for side, margin in sides
         if np.isfinite(margin[:, i]).all()
     }
+
+
+def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
+    """What a limit's bounds on v are called, joint by joint, in units of a velocity or a place."""
+    kind = type_name(limit).removeprefix("joint_")
+    per = "" if limit.bounds_position else "/s"
+    return tuple(joint_limit(kind, chain, i, side, per) for i in range(chain.n))
 
 
 def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:

@@ -1,4 +1,4 @@
-"""The quadratic program of one tick, with a name for every row.
+"""The quadratic program of one tick; every variable and row says what it is.
 
     minimise  1/2 v' P v + q' v   subject to  A v = b,  G v <= h,  lb <= v <= ub
 
@@ -13,28 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.row import Row
 
 
 @dataclass(frozen=True)
-class RowNames:
-    """Names of the QP's variables and rows.
+class Rows:
+    """What the QP's variables and rows are.
 
     Attributes:
-        variables: shape (n,), such as "RElbowRoll".
+        variables: shape (n,), such as the velocity of RElbowRoll.
         inequalities: rows of G, shape (p,).
         equalities: rows of A, shape (m,), such as "loop[left].rot_y".
     """
 
-    variables: tuple[str, ...]
-    inequalities: tuple[str, ...] = ()
-    equalities: tuple[str, ...] = ()
+    variables: tuple[Row, ...]
+    inequalities: tuple[Row, ...] = ()
+    equalities: tuple[Row, ...] = ()
 
 
 class QP:
     """A quadratic program in preallocated arrays; G, h, A, b, lb, ub are views of C and bounds.
 
     Args:
-        names: fix the sizes: n variables, p inequality rows, m equality rows.
+        rows: fix the sizes: n variables, p inequality rows, m equality rows.
 
     Attributes:
         P: shape (n, n), symmetric. q: shape (n,).
@@ -44,9 +45,9 @@ class QP:
         lower, upper: of [v; G v; A v], shape (n + p + m,).
     """
 
-    def __init__(self, names: RowNames) -> None:
-        n, p, m = len(names.variables), len(names.inequalities), len(names.equalities)
-        self.names = names
+    def __init__(self, rows: Rows) -> None:
+        n, p, m = len(rows.variables), len(rows.inequalities), len(rows.equalities)
+        self.rows = rows
         self.n, self.p, self.m = n, p, m
         self.stacked = np.zeros((1 + n + p + m + n, n))
         self.q: Array = self.stacked[0]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Law
+from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
 from coopqp.plant import PlantModel
+from coopqp.row import Row
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -30,6 +31,7 @@ def rollout(
     *,
     controller: str,
     solver: str | None,
+    heeds: Heeds = HEEDS_NOTHING,
     progress: Progress | None = None,
     state: State | None = None,
 ) -> Trace:
@@ -41,6 +43,7 @@ def rollout(
         ticks: how many.
         controller: its name, for the trace.
         solver: its name, for the trace.
+        heeds: what of the problem the law reads, for the trace.
         progress: called every few ticks.
         state: where it begins, of the law's own start; written, so that it is where it ends. At
             rest at the chain's start when omitted.
@@ -50,29 +53,35 @@ def rollout(
     """
     state = law.start() if state is None else state
     recorder = _Recorder(law, plant, state, ticks)
-    for k in range(ticks):
-        before = time.perf_counter_ns()
-        state.update()
-        command = law.tick(state)
-        after = time.perf_counter_ns()
-        recorder.record(k, state)
-        recorder.v[k] = command.v
-        recorder.tick_us[k] = 1e-3 * (after - before)
-        if command.status is not Status.OPTIMAL:
-            recorder.note(k, command.status)
-        recorder.scale[k] = command.scale
-        plant.step(state, command)
-        if command.tau is not None:
-            recorder.v[k] = state.v
-        recorder.record_velocities(k, state.v)
-        recorder.record_signals(k, plant)
+    for k, (command, us) in enumerate(drive(law, plant, state, ticks)):
+        recorder.instant(k, state)
+        recorder.tick(k, command, us)
         if progress and k % PROGRESS_EVERY == 0:
             progress(k)
-    state.update()
-    recorder.record(ticks, state)
+    recorder.instant(ticks, state)
     if progress:
         progress(ticks)
-    return recorder.trace(controller, solver)
+    return recorder.trace(controller, solver, heeds)
+
+
+def drive(law: Law, plant: PlantModel, state: State, ticks: int) -> Iterator[tuple[Command, float]]:
+    """The control loop: decide, hand over the command, let the plant move.
+
+    Args:
+        law: the controller, built.
+        plant: where the state is.
+        state: written; after the last step its kinematics are up to date.
+        ticks: how many.
+
+    Yields:
+        The command and how long the tick took [us], before the plant carries it out.
+    """
+    for _ in range(ticks):
+        before = time.perf_counter_ns()
+        command = law.tick(state)
+        yield command, 1e-3 * (time.perf_counter_ns() - before)
+        plant.step(state, command)
+    state.update()
 
 
 class _Recorder:
@@ -81,7 +90,7 @@ class _Recorder:
     def __init__(self, law: Law, plant: PlantModel, start: State, ticks: int) -> None:
         problem = law.problem
         n, rows = problem.chain.n, ticks + 1
-        self._law = law
+        self._law, self._plant = law, plant
         # Its own stack, so that a controller without tasks inside is measured alike.
         self._tasks = TaskStack(problem.tasks, start)
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
@@ -101,8 +110,10 @@ class _Recorder:
             name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
         }
 
-    def record(self, k: int, state: State) -> None:
-        """Keep the state before tick k."""
+    def instant(self, k: int, state: State) -> None:
+        """Keep what tick k - 1 has led to, which is the state before tick k."""
+        if k:
+            self._close(k - 1, state.v)
         self.t[k], self.q[k] = state.t, state.q
         self.position[k], self.rotation[k] = state.p_WO, state.R_WO
         self.loop[k] = state.loop_position_error, state.loop_orientation_error
@@ -111,19 +122,24 @@ class _Recorder:
             if i not in self._velocities:
                 self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
 
-    def record_velocities(self, k: int, v: Array) -> None:
-        """How far tick k missed the velocities that tasks ask for."""
-        for i in self._velocities:
+    def _close(self, k: int, v: Array) -> None:
+        """Keep what only shows after the step of tick k."""
+        if self._law.command.tau is not None:
+            self.v[k] = v
+        for i in self._velocities:  # how far it missed the velocities that tasks ask for
             part = self._parts[i][1]
             missed = self._tasks.J[part].dot(v) - self._tasks.rate[part]
             self.task_error[k + 1, i] = np.linalg.norm(missed)
-
-    def record_signals(self, k: int, plant: PlantModel) -> None:
-        """Keep what the plant tells after tick k."""
-        for name, signal in plant.signals.items():
+        for name, signal in self._plant.signals.items():
             self.signals[name][k] = signal
 
-    def note(self, k: int, status: Status) -> None:
+    def tick(self, k: int, command: Command, us: float) -> None:
+        """Keep what the law decided in tick k."""
+        self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
+        if command.status is not Status.OPTIMAL:
+            self._note(k, command.status)
+
+    def _note(self, k: int, status: Status) -> None:
         """Keep why tick k is not optimal."""
         self.status[k] = status.name
         if status is Status.INACCURATE:
@@ -132,15 +148,15 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value))
 
-    def _margins(self) -> dict[str, Array]:
+    def _margins(self) -> dict[Row, Array]:
         """What every limit had left after each tick."""
         problem = self._law.problem
-        found: dict[str, Array] = {}
+        found: dict[Row, Array] = {}
         for limit in problem.limits:
             found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
         return found
 
-    def trace(self, controller: str, solver: str | None) -> Trace:
+    def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
         """Everything recorded, frozen."""
         problem = self._law.problem
         chain = problem.chain
@@ -171,6 +187,7 @@ class _Recorder:
             margins=self._margins(),
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
+            heeds=heeds,
             failures=tuple(self.failures),
             signals=self.signals,
         )

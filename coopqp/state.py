@@ -6,7 +6,9 @@ with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +20,30 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.rank import independent_rows, least_squares
 
 
+class Memory:
+    """What a law remembers from tick to tick, by name, in one array that can be recorded.
+
+    Args:
+        sizes: how many numbers go by each name.
+
+    Attributes:
+        numbers: all of them, zero at first.
+    """
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self.sizes = dict(sizes)
+        ends = list(itertools.accumulate(self.sizes.values(), initial=0))
+        self.numbers = np.zeros(ends[-1])
+        self._of = {
+            name: self.numbers[a:b]
+            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
+        }
+
+    def __getitem__(self, name: str) -> Array:
+        """The numbers of one name; a view, to be written to."""
+        return self._of[name]
+
+
 class State:
     """The state of a closed chain at one instant; its arrays are reused from tick to tick.
 
@@ -25,8 +51,8 @@ class State:
         chain: the closed chain.
         q: configuration, shape (n,) [rad, m]; the chain's start when omitted.
         t: time [s].
-        memory: shape (k,), whatever the controller must remember between ticks. Together with
-            t, q and v it is all that is needed to replay a tick.
+        memory: what the law must remember between ticks; the law makes its own where this is
+            not it. Together with t, q and v it is all that is needed to replay a tick.
 
     Attributes:
         t: [s].
@@ -49,14 +75,14 @@ class State:
         chain: ClosedChain,
         q: ArrayLike | None = None,
         t: float = 0.0,
-        memory: Array | None = None,
+        memory: Memory | None = None,
     ) -> None:
         arms, n = len(chain.arms), chain.n
         self.chain = chain
         self.t = t
         self.q = np.array(chain.q_start if q is None else q, float)
         self.v = np.zeros(n)
-        self.memory = np.zeros(0) if memory is None else memory
+        self.memory = Memory({}) if memory is None else memory
         self.J_ext = np.zeros((6 * arms, n))
         self.J_task, self.J_rel = self.J_ext[:6], self.J_ext[6:]
         self.loop_error = np.zeros(6 * (arms - 1))
@@ -71,7 +97,7 @@ class State:
         self.update()
 
     def update(self) -> None:
-        """Compute everything that follows from q; call it after q has changed."""
+        """Compute everything that follows from q; a law does it at the start of each tick."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, self.q)
         for frame, J in self._frames:

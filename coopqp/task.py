@@ -22,6 +22,7 @@ from pydantic import Field
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.mark import Mark
+from coopqp.row import Row
 from coopqp.state import State
 
 
@@ -122,7 +123,7 @@ class TaskStack:
         start: the state from which their references set out.
 
     Attributes:
-        names: of the rows, such as "task[reach].z".
+        rows: such as "task[reach].z".
         slices: of each task's rows. sizes: their numbers.
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
@@ -131,14 +132,12 @@ class TaskStack:
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
         n = start.chain.n
-        rows = [task.rows(start.chain) for task in tasks]
+        rows = [_rows_of(task, start.chain) for task in tasks]
         sizes = [len(r) for r in rows]
         ends = np.cumsum([0, *sizes]).tolist()
         k = ends[-1]
         self.tasks = tuple(tasks)
-        self.names = tuple(
-            f"task[{task.name}].{row}" for task, r in zip(tasks, rows, strict=True) for row in r
-        )
+        self.rows = tuple(itertools.chain.from_iterable(rows))
         self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
         self.e, self.rate, self.wanted = np.zeros(k), np.zeros(k), np.zeros(k)
         self.J = np.zeros((k, n))
@@ -173,3 +172,12 @@ class TaskStack:
             missed = self.J[part].dot(v) - self.rate[part]
             squared += float(missed.dot(missed))
         return squared
+
+
+def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
+    """What each row of a task asks for, a velocity in the unit of its part."""
+    units = [part.unit for part in task.parts(chain) for _ in range(part.rows)]
+    return tuple(
+        Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}/s")
+        for name, unit in zip(task.rows(chain), units, strict=True)
+    )

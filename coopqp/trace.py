@@ -7,13 +7,14 @@ so positions have T + 1 rows and commands T.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
+from coopqp.row import Row
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,105 @@ class Failure:
     cause: str
 
 
+Legs = Sequence[tuple["PhaseInfo", "Trace"]]
+
+
+def _same(legs: Legs, name: str) -> Any:
+    """What all phases have in common."""
+    return getattr(legs[0][1], name)
+
+
+def _instants(legs: Legs, name: str) -> Any:
+    """A row an instant; the last of one phase and the first of the next are one instant."""
+    return _chained([getattr(leg, name) for _, leg in legs])
+
+
+def _ticks(legs: Legs, name: str) -> Any:
+    """A row a tick."""
+    return np.concatenate([getattr(leg, name) for _, leg in legs])
+
+
+def _statuses(legs: Legs, name: str) -> tuple[str, ...]:
+    return tuple(status for _, leg in legs for status in getattr(leg, name))
+
+
+def _times(legs: Legs, name: str) -> Array:
+    """Time goes on, although it begins anew in each phase."""
+    return _chained([getattr(leg, name) + leg.dt * info.first for info, leg in legs])
+
+
+def _tasks(legs: Legs, name: str) -> tuple[TaskInfo, ...]:
+    """Every phase's tasks."""
+    t = _times(legs, "t")
+    return tuple(
+        replace(
+            task,
+            name=f"{info.name}.{task.name}",
+            end=float(t[info.first]) + task.end,
+            rows=slice(info.first, info.first + leg.ticks + 1),
+        )
+        for info, leg in legs
+        for task in getattr(leg, name)
+    )
+
+
+def _task_errors(legs: Legs, name: str) -> Array:
+    """A column for each phase's tasks, NaN in the other phases."""
+    instants, columns = len(_times(legs, "t")), []
+    for info, leg in legs:
+        rows = slice(info.first, info.first + leg.ticks + 1)
+        for error in getattr(leg, name).T:
+            columns.append(np.full(instants, np.nan))
+            columns[-1][rows] = error
+    return np.stack(columns, axis=1)
+
+
+def _margins(legs: Legs, name: str) -> dict[Row, Array]:
+    """By limit; one that a phase does not have is infinite there."""
+    margins = [getattr(leg, name) for _, leg in legs]
+    rows = dict.fromkeys(row for of in margins for row in of)
+    nothing = [np.full(leg.ticks, np.inf) for _, leg in legs]
+    return {
+        row: np.concatenate(
+            [
+                getattr(leg, name).get(row, rest)
+                for (_, leg), rest in zip(legs, nothing, strict=True)
+            ]
+        )
+        for row in rows
+    }
+
+
+def _points(legs: Legs, name: str) -> dict[str, Array]:
+    return {
+        arm: _chained([getattr(leg, name)[arm] for _, leg in legs])
+        for arm in getattr(legs[0][1], name)
+    }
+
+
+def _failures(legs: Legs, name: str) -> tuple[Failure, ...]:
+    return tuple(
+        replace(failure, tick=info.first + failure.tick)
+        for info, leg in legs
+        for failure in getattr(leg, name)
+    )
+
+
+def _signals(legs: Legs, name: str) -> dict[str, Array]:
+    return {
+        signal: np.concatenate([getattr(leg, name)[signal] for _, leg in legs])
+        for signal in getattr(legs[0][1], name)
+    }
+
+
+def _phases(legs: Legs, name: str) -> tuple[PhaseInfo, ...]:
+    return tuple(info for info, _ in legs)
+
+
+def _chained(rows: Sequence[Array]) -> Array:
+    return np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Trace:
     """One controller's run.
@@ -80,43 +180,54 @@ class Trace:
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
         status: what became of each tick, names of :class:`coopqp.solver.Status`, shape (T,).
         scale: least share of its speed at which a scaled task ran, shape (T,).
-        margins: of every limit after each tick, by name, shape (T,); negative when violated.
+        margins: of every limit after each tick, by row, shape (T,); negative when violated.
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
+        heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
     """
 
-    controller: str
-    solver: str | None
-    dt: float
-    kappa: float
-    joints: tuple[str, ...]
-    units: tuple[str, ...]
-    lower: Array
-    upper: Array
-    velocity: Array
-    effort: Array
-    tasks: tuple[TaskInfo, ...]
-    t: Array
-    q: Array
-    v: Array
-    position: Array
-    rotation: Array
-    loop_position: Array
-    loop_orientation: Array
-    task_error: Array
-    usable: NDArray[np.bool_]
-    inaccurate: NDArray[np.bool_]
-    status: tuple[str, ...]
-    scale: Array
-    margins: dict[str, Array]
-    tick_us: Array
-    points: dict[str, Array]
-    failures: tuple[Failure, ...]
-    signals: dict[str, Array] = field(default_factory=dict)
-    phases: tuple[PhaseInfo, ...] = ()
+    controller: str = field(metadata={"join": _same})
+    solver: str | None = field(metadata={"join": _same})
+    dt: float = field(metadata={"join": _same})
+    kappa: float = field(metadata={"join": _same})
+    joints: tuple[str, ...] = field(metadata={"join": _same})
+    units: tuple[str, ...] = field(metadata={"join": _same})
+    lower: Array = field(metadata={"join": _same})
+    upper: Array = field(metadata={"join": _same})
+    velocity: Array = field(metadata={"join": _same})
+    effort: Array = field(metadata={"join": _same})
+    tasks: tuple[TaskInfo, ...] = field(metadata={"join": _tasks})
+    t: Array = field(metadata={"join": _times})
+    q: Array = field(metadata={"join": _instants})
+    v: Array = field(metadata={"join": _ticks})
+    position: Array = field(metadata={"join": _instants})
+    rotation: Array = field(metadata={"join": _instants})
+    loop_position: Array = field(metadata={"join": _instants})
+    loop_orientation: Array = field(metadata={"join": _instants})
+    task_error: Array = field(metadata={"join": _task_errors})
+    usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
+    inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
+    status: tuple[str, ...] = field(metadata={"join": _statuses})
+    scale: Array = field(metadata={"join": _ticks})
+    margins: dict[Row, Array] = field(metadata={"join": _margins})
+    tick_us: Array = field(metadata={"join": _ticks})
+    points: dict[str, Array] = field(metadata={"join": _points})
+    heeds: frozenset[str] = field(metadata={"join": _same})
+    failures: tuple[Failure, ...] = field(metadata={"join": _failures})
+    signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
+    phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
+
+    def __repr__(self) -> str:
+        end = f"{self.t[-1]:g} s" if len(self.t) else "nothing"
+        return f"Trace({self.controller}, {self.ticks} ticks, {end}, {len(self.joints)} joints)"
+
+    @property
+    def keeps_limits(self) -> bool:
+        """Whether its controller promises to keep the scenario's limits."""
+        return "limits" in self.heeds
 
     @property
     def ticks(self) -> int:
@@ -130,77 +241,14 @@ class Trace:
         return np.array(ends, float)
 
 
-#: Arrays of a trace with a row for each instant, and with one for each tick.
-AT_INSTANTS = ("q", "position", "rotation", "loop_position", "loop_orientation")
-IN_TICKS = ("v", "usable", "inaccurate", "scale", "tick_us")
-
-
-def join(phases: Sequence[tuple[PhaseInfo, Trace]]) -> Trace:
+def join(phases: Legs) -> Trace:
     """One trace of a controller's phases.
 
-    The instant between two phases belongs to the first of them: a loop is as open as it was before
-    a hand took hold anew.
+    Every field says how it is joined; there is no default, so that none is forgotten. The instant
+    between two phases belongs to the first of them: a loop is as open as it was before a hand took
+    hold anew.
 
     Args:
         phases: in their order, each with its own trace, whose time begins at zero.
     """
-    infos, legs = [info for info, _ in phases], [leg for _, leg in phases]
-    first, at = legs[0], [info.first for info in infos]
-    t = _instants([leg.t + first.dt * k for leg, k in zip(legs, at, strict=True)])
-    tasks, errors = _tasks_of(phases, t)
-    values: dict[str, Any] = {
-        name: _instants([getattr(leg, name) for leg in legs]) for name in AT_INSTANTS
-    }
-    for name in IN_TICKS:
-        values[name] = np.concatenate([getattr(leg, name) for leg in legs])
-    return replace(
-        first,
-        **values,
-        t=t,
-        tasks=tasks,
-        task_error=errors,
-        status=tuple(status for leg in legs for status in leg.status),
-        margins=_margins(legs),
-        points={arm: _instants([leg.points[arm] for leg in legs]) for arm in first.points},
-        failures=tuple(
-            replace(failure, tick=k + failure.tick)
-            for leg, k in zip(legs, at, strict=True)
-            for failure in leg.failures
-        ),
-        signals={
-            name: np.concatenate([leg.signals[name] for leg in legs]) for name in first.signals
-        },
-        phases=tuple(infos),
-    )
-
-
-def _instants(rows: Sequence[Array]) -> Array:
-    """Rows of all legs; the last of one and the first of the next are one instant."""
-    return np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
-
-
-def _tasks_of(
-    phases: Sequence[tuple[PhaseInfo, Trace]], t: Array
-) -> tuple[tuple[TaskInfo, ...], Array]:
-    """Every phase's tasks, and their errors, NaN in the other phases."""
-    tasks, errors = [], []
-    for info, leg in phases:
-        rows = slice(info.first, info.first + leg.ticks + 1)
-        for k, task in enumerate(leg.tasks):
-            name, end = f"{info.name}.{task.name}", float(t[info.first]) + task.end
-            tasks.append(replace(task, name=name, end=end, rows=rows))
-            errors.append(np.full(len(t), np.nan))
-            errors[-1][rows] = leg.task_error[:, k]
-    return tuple(tasks), np.stack(errors, axis=1)
-
-
-def _margins(legs: Sequence[Trace]) -> dict[str, Array]:
-    """Margins by limit; one that a phase does not have is infinite there."""
-    names = dict.fromkeys(name for leg in legs for name in leg.margins)
-    nothing = [np.full(leg.ticks, np.inf) for leg in legs]
-    return {
-        name: np.concatenate(
-            [leg.margins.get(name, rest) for leg, rest in zip(legs, nothing, strict=True)]
-        )
-        for name in names
-    }
+    return Trace(**{part.name: part.metadata["join"](phases, part.name) for part in fields(Trace)})

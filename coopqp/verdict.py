@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.trace import Trace
 
 #: A limit overrun below this is rounding [rad, rad/s].

@@ -22,7 +22,9 @@ def main() -> None:
     """Move a box to a point, close to the body."""
     nao = NaoT14().build()
     start = {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
-    chain = ClosedChain(nao, nao.configuration(start), Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
+    chain = ClosedChain.take_hold(
+        nao, nao.configuration(start), Rigid(), HeldObject(size=(0.08, 0.19, 0.08))
+    )
     reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), profile=Profile(duration=2.0))
     problem = ControlProblem(
         chain=chain,

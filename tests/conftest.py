@@ -40,7 +40,7 @@ def chain(nao: RobotModel) -> ClosedChain:
     q = nao.configuration(
         {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
     )
-    return ClosedChain(nao, q, Rigid(), HeldObject())
+    return ClosedChain.take_hold(nao, q, Rigid(), HeldObject())
 
 
 @pytest.fixture

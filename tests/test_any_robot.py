@@ -96,7 +96,7 @@ def test_three_rigid_arms_of_seven_joints_have_rank_12_and_mobility_9() -> None:
     robot = Several(robots=robots).build()
     home = [0.0, -0.3, 0.0, -2.0, 0.0, 1.9, 0.7]
     q = robot.configuration({f"{name}/arm": home for name in names})
-    found = mobility(ClosedChain(robot, q, Rigid(), HeldObject()))
+    found = mobility(ClosedChain.take_hold(robot, q, Rigid(), HeldObject()))
     assert (found.rank, found.freedom, found.object_freedom) == (12, 9, 6)
 
 
@@ -203,7 +203,7 @@ def test_the_weighted_pose_moves_with_its_jacobian(
     robot, q = three_arms()
     alpha = dict(zip((arm.name for arm in robot.arms), weights, strict=True))
     grasps = {arm.name: Revolute() if "left" in arm.name else Rigid() for arm in robot.arms}
-    chain = ClosedChain(robot, q, grasps, HeldObject(), alpha=alpha)
+    chain = ClosedChain.take_hold(robot, q, grasps, HeldObject(), alpha=alpha)
     np.testing.assert_allclose(chain.alpha, weights)
     J = State(chain).J_task
     for direction in rng.normal(size=(20, chain.n)):
@@ -227,7 +227,7 @@ def test_leader_and_follower_is_the_pose_of_the_leader(
     """Also where the loops are open."""
     q_start = chain.q_start
     alpha = {("right", "left")[leader]: 1.0}
-    led = ClosedChain(nao, q_start, Rigid(), HeldObject(), alpha=alpha)
+    led = ClosedChain.take_hold(nao, q_start, Rigid(), HeldObject(), alpha=alpha)
     for q in led.sample(rng, 20):
         state, X = State(led, q), object_pose(led, leader, q)
         np.testing.assert_allclose(state.p_WO, X.translation, atol=1e-14)
@@ -241,7 +241,7 @@ def test_leader_and_follower_is_the_pose_of_the_leader(
 
 def test_weights_matter_only_while_loops_are_open(nao: RobotModel, chain: ClosedChain) -> None:
     alpha = {"right": 0.8, "left": 0.2}
-    weighted = ClosedChain(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
+    weighted = ClosedChain.take_hold(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
     here, there = State(chain), State(weighted)
     free = np.linalg.svd(here.J_rel)[2][6:].T
     np.testing.assert_allclose(here.J_task @ free, there.J_task @ free, atol=1e-12)
@@ -265,7 +265,7 @@ def test_weights_that_cannot_be_are_refused(
     nao: RobotModel, chain: ClosedChain, alpha: dict[str, float], error: type, message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        ClosedChain(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
+        ClosedChain.take_hold(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
 
 
 GOOD = shipped()["point_on_point"].read_text(encoding="utf-8")
@@ -312,7 +312,7 @@ def test_passive_joints_keep_the_armatures_of_the_motors(nao: RobotModel) -> Non
     model = nao.model.copy()
     model.armature = np.linspace(0.1, 1.0, model.nv)
     robot = replace(nao, model=model)
-    chain = ClosedChain(robot, np.zeros(model.nv), Revolute(), HeldObject())
+    chain = ClosedChain.take_hold(robot, np.zeros(model.nv), Revolute(), HeldObject())
     for name, armature in zip(robot.joint_names, model.armature, strict=True):
         at = chain.model.idx_vs[chain.model.getJointId(name)]
         assert chain.model.armature[at] == armature

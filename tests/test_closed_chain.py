@@ -58,7 +58,9 @@ def planar_pair() -> ClosedChain:
         "left": serial("l", [Parameters(d=0.4), Parameters(d=0.3), Parameters(d=0.25)]),
     }
     robot = robot_of("planar", arms, (0.1, 0.0, 0.0))
-    return ClosedChain(robot, np.array([2.0, -0.9, -0.4, 1.1, 0.9, 0.4]), Rigid(), HeldObject())
+    return ClosedChain.take_hold(
+        robot, np.array([2.0, -0.9, -0.4, 1.1, 0.9, 0.4]), Rigid(), HeldObject()
+    )
 
 
 def spherical_pair() -> ClosedChain:
@@ -69,7 +71,9 @@ def spherical_pair() -> ClosedChain:
         "left": serial("l", [Parameters(gamma=2.0, alpha=0.9), *turn]),
     }
     robot = robot_of("spherical", arms, (0.1, 0.0, 0.2))
-    return ClosedChain(robot, np.array([0.3, -0.5, 0.7, -0.2, 0.6, 0.4]), Rigid(), HeldObject())
+    return ClosedChain.take_hold(
+        robot, np.array([0.3, -0.5, 0.7, -0.2, 0.6, 0.4]), Rigid(), HeldObject()
+    )
 
 
 def short_pair() -> ClosedChain:
@@ -79,7 +83,7 @@ def short_pair() -> ClosedChain:
         "left": serial("l", [Parameters(d=0.3, alpha=0.3), Parameters(alpha=-1.2, d=0.3)]),
     }
     robot = robot_of("short", arms, (0.1, 0.05, 0.0))
-    return ClosedChain(robot, np.array([0.3, -0.5, 0.7, -0.2]), Rigid(), HeldObject())
+    return ClosedChain.take_hold(robot, np.array([0.3, -0.5, 0.7, -0.2]), Rigid(), HeldObject())
 
 
 def three_arms() -> ClosedChain:
@@ -91,7 +95,7 @@ def three_arms() -> ClosedChain:
     arms = {"right": arm_table("R"), "left": arm_table("L"), "middle": third}
     right = np.array([0.7, -0.2, 1.2, 0.9, 0.1])
     q = np.concatenate([right, right * [1, -1, -1, -1, -1], [-0.3, -0.1, 0.4, 0.6, 0.2]])
-    return ClosedChain(robot_of("three", arms, HAND), q, Rigid(), HeldObject())
+    return ClosedChain.take_hold(robot_of("three", arms, HAND), q, Rigid(), HeldObject())
 
 
 @spec
@@ -105,7 +109,7 @@ class Hinge(Grasp):
 @pytest.fixture(scope="module")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO holds the box between two hinges."""
-    return ClosedChain(nao, chain.q_start, Hinge(), HeldObject())
+    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
 
 
 CHAINS: dict[str, Callable[[], ClosedChain]] = {
@@ -303,7 +307,7 @@ def test_rows_for_the_solver_stay_well_apart_when_the_loop_drifts(
 
 def test_grasp_given_for_one_hand_places_the_object(nao: RobotModel, chain: ClosedChain) -> None:
     pose = Pose(position=(0.0, 0.1, 0.02), rpy=(0.3, -0.2, 0.1))
-    held = ClosedChain(
+    held = ClosedChain.take_hold(
         nao, chain.q_start, {"right": Rigid(object_in_hand=pose), "left": Rigid()}, HeldObject()
     )
     data = nao.model.createData()
@@ -318,7 +322,7 @@ def test_object_pose_in_degrees_is_where_the_object_starts(
     nao: RobotModel, chain: ClosedChain
 ) -> None:
     held = HeldObject(pose=Pose(position=(0.2, 0.0, 0.05), rpy_deg=(0.0, 0.0, 90.0)))
-    state = State(ClosedChain(nao, chain.q_start, Rigid(), held))
+    state = State(ClosedChain.take_hold(nao, chain.q_start, Rigid(), held))
     np.testing.assert_allclose(state.p_WO, [0.2, 0, 0.05], atol=1e-15)
     np.testing.assert_allclose(state.R_WO, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
 
@@ -330,7 +334,7 @@ def test_grasps_that_put_the_object_in_two_places_do_not_close(
         arm: Rigid(object_in_hand=Pose(position=(0.0, 0.05, 0.0))) for arm in ("right", "left")
     }
     with pytest.raises(GraspError, match=r"does not close.*'left'.*mm.*degrees.*'right'"):
-        ClosedChain(nao, chain.q_start, grasps, HeldObject())
+        ClosedChain.take_hold(nao, chain.q_start, grasps, HeldObject())
 
 
 def test_object_pose_that_contradicts_the_grasp_does_not_close(
@@ -339,25 +343,27 @@ def test_object_pose_that_contradicts_the_grasp_does_not_close(
     grasps = {"right": Rigid(object_in_hand=Pose()), "left": Rigid()}
     held = HeldObject(pose=Pose(position=(0.5, 0.0, 0.0)))
     with pytest.raises(GraspError, match=r"object\.pose"):
-        ClosedChain(nao, chain.q_start, grasps, held)
+        ClosedChain.take_hold(nao, chain.q_start, grasps, held)
 
 
 def test_grasp_for_an_arm_the_robot_lacks_is_refused(nao: RobotModel, chain: ClosedChain) -> None:
     with pytest.raises(UnknownNameError, match=r"'lefft'; did you mean 'left'"):
-        ClosedChain(nao, chain.q_start, {"right": Rigid(), "lefft": Rigid()}, HeldObject())
+        ClosedChain.take_hold(
+            nao, chain.q_start, {"right": Rigid(), "lefft": Rigid()}, HeldObject()
+        )
 
 
 def test_arm_without_a_grasp_is_named(nao: RobotModel, chain: ClosedChain) -> None:
     with pytest.raises(GraspError, match="left"):
-        ClosedChain(nao, chain.q_start, {"right": Rigid()}, HeldObject())
+        ClosedChain.take_hold(nao, chain.q_start, {"right": Rigid()}, HeldObject())
 
 
 def test_one_arm_cannot_close_a_loop(nao: RobotModel, chain: ClosedChain) -> None:
     single = RobotModel(name="single", model=nao.model, arms=nao.arms[:1])
     with pytest.raises(GraspError, match="needs two"):
-        ClosedChain(single, chain.q_start, Rigid(), HeldObject())
+        ClosedChain.take_hold(single, chain.q_start, Rigid(), HeldObject())
 
 
 def test_start_with_too_few_joints_is_refused(nao: RobotModel) -> None:
     with pytest.raises(InvalidValueError, match=r"\(10,\)"):
-        ClosedChain(nao, np.zeros(9), Rigid(), HeldObject())
+        ClosedChain.take_hold(nao, np.zeros(9), Rigid(), HeldObject())

@@ -91,7 +91,7 @@ def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate
 ) -> None:
     scenario = load("point_on_point")
     exact = run(scenario, controller="qp")
-    other = run(with_solver(scenario, solver, CATALOG), controller="qp")
+    other = run(with_solver(scenario, solver), controller="qp")
     assert other.usable.all()
     # Until the first inaccurate tick both runs are in the same state.
     same = int(np.argmax(other.inaccurate)) if other.inaccurate.any() else other.ticks

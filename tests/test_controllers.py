@@ -22,7 +22,7 @@ from coopqp.controllers import (
     PseudoinverseNullSpace,
     QPController,
 )
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.errors import InvalidValueError
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.profile import Profile

@@ -77,13 +77,13 @@ def closed_states(chain: ClosedChain, count: int, seed: int = 11) -> list[Closed
 @pytest.fixture(scope="module")
 def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO holds a box whose weight is not in its middle."""
-    return ClosedChain(nao, chain.q_start, Rigid(), BOX)
+    return ClosedChain.take_hold(nao, chain.q_start, Rigid(), BOX)
 
 
 @pytest.fixture(scope="module")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """The same box between two hinges: Table 2 of the paper."""
-    return ClosedChain(nao, chain.q_start, Hinge(), BOX)
+    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), BOX)
 
 
 @pytest.fixture(scope="module")
@@ -490,7 +490,7 @@ def heavy(chain: ClosedChain) -> ClosedChain:
             0.4 + 0.1 * joint, np.array([0.1, 0.01, 0.02]), np.diag([1e-3, 2e-3, 2.5e-3])
         )
     robot = replace(chain.robot, model=model)
-    return ClosedChain(robot, chain.q_start, chain.grasps, BOX)
+    return ClosedChain.take_hold(robot, chain.q_start, chain.grasps, BOX)
 
 
 def small_arm(name: str, base: mdh.MdhParameters, joints: int) -> list[mdh.MdhRow]:
@@ -522,13 +522,13 @@ def ring(arms: int, joints: int) -> ClosedChain:
         name="ring", model=model, arms=tuple(Arm(name=n, tip=f"{n}_tip") for n in names)
     )
     q = np.tile(np.linspace(0.4, 0.9, joints), arms) * np.resize([1.0, -0.7, 1.3], arms * joints)
-    return ClosedChain(robot, q, Rigid(), BOX)
+    return ClosedChain.take_hold(robot, q, Rigid(), BOX)
 
 
 @pytest.mark.parametrize("build", [lambda: ring(3, 6), lambda: ring(4, 7), three_arms])
 def test_three_and_four_arms(build: Callable[[], ClosedChain]) -> None:
     chain = build()
-    chain = ClosedChain(chain.robot, chain.q_start, chain.grasps, BOX)
+    chain = ClosedChain.take_hold(chain.robot, chain.q_start, chain.grasps, BOX)
     shares = {arm.name: 1 / len(chain.arms) for arm in chain.arms}
     first, even = ClosedLoopDynamics(chain), ClosedLoopDynamics(chain, shares=shares)
     oracle, some = Oracle(chain, arm=2), closed_states(chain, 8)

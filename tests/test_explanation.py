@@ -19,7 +19,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison, compare
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.profile import Profile
@@ -229,7 +229,7 @@ def test_law_with_the_relaxed_limits_meets_the_task(
             upper[scenario.chain.joint_names.index(joint)] += change
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     chain = scenario.chain
-    wider = ClosedChain(
+    wider = ClosedChain.take_hold(
         replace(scenario.robot_model, model=model),
         chain.q_start,
         scenario.grasps,

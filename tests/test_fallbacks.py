@@ -16,7 +16,7 @@ from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.disturbance import Disturbance
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
@@ -345,7 +345,7 @@ def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> Cl
     q = nao.configuration({**HANDS, **dict(zip(nao.joint_names, _start(nao), strict=True))})
     for name, value in joints.items():
         q[nao.joint_names.index(name)] = value
-    return ClosedChain(nao, q, GRASPS[grasp], HeldObject())
+    return ClosedChain.take_hold(nao, q, GRASPS[grasp], HeldObject())
 
 
 def _start(nao: RobotModel) -> Array:
@@ -523,7 +523,7 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     fault: Any, grasp: str, secondary: tuple[Task, ...], nao: RobotModel
 ) -> None:
     """Every fifth call goes wrong: limits and loops hold, the goal is reached, all is counted."""
-    chain = ClosedChain(nao, nao.configuration(HANDS), GRASPS[grasp], HeldObject())
+    chain = ClosedChain.take_hold(nao, nao.configuration(HANDS), GRASPS[grasp], HeldObject())
     goal = chain.start_position + np.array([0.01, -0.01, 0.02])
     reach = PointOnPoint(name="reach", goal=(goal[0], goal[1], goal[2]))
     given = problem(chain, reach, secondary=secondary, solver=Faulty(fault=fault))

@@ -101,7 +101,7 @@ def held_box(nao: RobotModel) -> ClosedChain:
     q = nao.configuration(
         {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
     )
-    return ClosedChain(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
+    return ClosedChain.take_hold(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
 
 
 # ---- all limits -------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def test_margins_are_negative_where_a_limit_is_broken(held_box: ClosedChain) -> 
 
 
 def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) -> None:
-    loose = ClosedChain(nao, held_box.q_start, Spherical(), HeldObject())
+    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
     q, v = np.vstack([loose.q_start] * 2), np.zeros((1, loose.n))
     passive = loose.joint_names[loose.passive[0]]
     assert f"limit.velocity[{passive}].upper" not in JointVelocity().margins(loose, q, v, DT)
@@ -565,7 +565,7 @@ def test_bodies_in_each_other_give_finite_rows(nao: RobotModel, held_box: Closed
     same = robot(at("a", None, shoulder, 0.0), at("b", "RShoulderPitch", here, 0.0))
     along = robot(at("a", None, shoulder, 0.1), at("b", "RShoulderPitch", here, 0.1))
     for model in (same, along):
-        chain = ClosedChain(model, held_box.q_start, Rigid(), HeldObject())
+        chain = ClosedChain.take_hold(model, held_box.q_start, Rigid(), HeldObject())
         limit = SelfCollision(pairs=(("b", "a"), ("object", "a")))
         rows = empty_rows(chain, limit)
         limit.bind(chain, DT)(State(chain), rows)
@@ -578,7 +578,7 @@ def test_bodies_that_the_grasps_fix_to_each_other_are_no_pair(
 ) -> None:
     hands = "self_collision[RHand|LHand]"
     assert hands not in SelfCollision().rows(held_box)
-    loose = ClosedChain(nao, held_box.q_start, Spherical(), HeldObject())
+    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
     assert hands in SelfCollision().rows(loose)
     assert not any("Hand" in n for n in SelfCollision().rows(loose) if "object" in n)
 
@@ -593,7 +593,7 @@ def test_self_collision_refuses_what_it_cannot_watch(held_box: ClosedChain) -> N
         SelfCollision(gain=101.0).bind(held_box, DT)
     pair = PlanarPair().build()
     q = pair.configuration({"right": [0.5, -1.0, 0.5], "left": [-0.5, 1.0, -0.5]})
-    bare = ClosedChain(pair, q, Rigid(), HeldObject())
+    bare = ClosedChain.take_hold(pair, q, Rigid(), HeldObject())
     with pytest.raises(InvalidValueError, match="has no capsules"):
         SelfCollision().rows(bare)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coopqp
-from coopqp.controllers.qp import LoopProbe
+from coopqp.qp_law.safety import LoopProbe
 from coopqp.rank import null_space
 from coopqp.solver import Budget
 from coopqp.state import State

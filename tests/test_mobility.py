@@ -38,7 +38,7 @@ def firm(chain: ClosedChain) -> Mobility:
 @pytest.fixture(scope="module")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """Table 2: each passive axis along that arm's wrist axis."""
-    return ClosedChain(nao, chain.q_start, Hinge(), HeldObject())
+    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def skewered(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
         arm.name: Hinge(axis=tuple(hand.rotation.T @ line / np.linalg.norm(line)))
         for arm, hand in zip(nao.arms, (right, left), strict=True)
     }
-    return ClosedChain(nao, chain.q_start, hinges, HeldObject())
+    return ClosedChain.take_hold(nao, chain.q_start, hinges, HeldObject())
 
 
 def object_twists(chain: ClosedChain, q: Array) -> Array:
@@ -333,7 +333,7 @@ def stretched_pair() -> ClosedChain:
     """The planar pair with its right arm stretched out."""
     robot = planar_pair().robot
     q = np.array([1.2, 0.0, 0.0, 1.1, 0.9, 0.4])
-    return ClosedChain(robot, q, Rigid(), HeldObject())
+    return ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
 
 
 @pytest.mark.parametrize("rows", [[0, 1, 2], [2], [0, 2, 4], [3, 4, 5], [0, 1, 2, 4]])

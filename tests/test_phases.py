@@ -170,7 +170,7 @@ def test_three_arms_lose_a_loop_for_each_that_lets_go(
 def test_when_the_leader_lets_go_the_others_share_the_object(nao: RobotModel) -> None:
     alpha = {"right": 1.0, "left": 0.0}
     q = nao.configuration({})
-    led = ClosedChain(nao, q, Rigid(), HeldObject(), alpha=alpha)
+    led = ClosedChain.take_hold(nao, q, Rigid(), HeldObject(), alpha=alpha)
     assert led.handed_over(led.q_start, ["left"]).alpha.tolist() == [1.0, 0.0]
     other = led.handed_over(led.q_start, ["right"])
     assert (other.arms[0].name, other.alpha.tolist()) == ("left", [1.0, 0.0])
@@ -178,7 +178,7 @@ def test_when_the_leader_lets_go_the_others_share_the_object(nao: RobotModel) ->
 
 def test_a_released_hand_leaves_its_hinge_alone(nao: RobotModel, chain: ClosedChain) -> None:
     hinge = Revolute(axis=(1.0, 0.0, 0.0))
-    held = ClosedChain(nao, chain.q_start, hinge, HeldObject())
+    held = ClosedChain.take_hold(nao, chain.q_start, hinge, HeldObject())
     turned = held.q_start.copy()
     turned[held.joint_names.index("left.hinge")] = 0.4
     alone = held.moved(turned).handed_over(turned, ["left"])
@@ -320,7 +320,7 @@ def test_a_hand_that_takes_hold_in_motion_stops_as_pinocchio_says(
     chain: ClosedChain, rng: np.random.Generator
 ) -> None:
     box = HeldObject(size=(0.08, 0.19, 0.08), mass=0.2)
-    closed = ClosedChain(chain.robot, chain.q_start, Rigid(), box)
+    closed = ClosedChain.take_hold(chain.robot, chain.q_start, Rigid(), box)
     dynamics = ClosedLoopDynamics(closed)
     v = rng.normal(size=closed.n)
     dynamics.update(closed.q_start, v)

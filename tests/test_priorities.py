@@ -19,7 +19,7 @@ from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.disturbance import Disturbance
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -135,7 +135,7 @@ def gantry() -> ClosedChain:
     arms = tuple(Arm(name=s, tip=t) for s, t in zip(("right", "left"), tips, strict=True))
     robot = RobotModel(name="gantry", model=model, arms=arms)
     start = np.array([0.3, -0.1, 0.2, 0.0, -0.2, 0.1, 0.0, 0.1])
-    return ClosedChain(robot, start, Rigid(), HeldObject())
+    return ClosedChain.take_hold(robot, start, Rigid(), HeldObject())
 
 
 @pytest.mark.parametrize("secondary", [
@@ -181,7 +181,7 @@ SINGULAR_DEG: dict[str, list[float]] = {
 @pytest.mark.parametrize("start", SINGULAR_DEG.values(), ids=SINGULAR_DEG.keys())
 def test_secondary_costs_nothing_after_a_singular_start(start: list[float]) -> None:
     """Stretched arms lose rank; some ticks later they have it back."""
-    chain = ClosedChain(PlanarPair().build(), np.radians(start), Rigid(), HeldObject())
+    chain = ClosedChain.take_hold(PlanarPair().build(), np.radians(start), Rigid(), HeldObject())
     x, y, z = State(chain).p_WO.tolist()
     task = PointOnPoint(name="pull back", goal=(x - 0.1, y + 0.05, z))
     posture = Posture(name="posture", goal=[0.5, -0.3, 0.4, 0.2, 0.6, -0.3])
@@ -552,7 +552,7 @@ def test_copy_of_a_command_keeps_its_share(chain: ClosedChain) -> None:
 @pytest.fixture(scope="module")
 def planar() -> ClosedChain:
     q = np.radians([-20, 70, -50, 20, -70, 50])
-    return ClosedChain(PlanarPair().build(), q, Rigid(), HeldObject())
+    return ClosedChain.take_hold(PlanarPair().build(), q, Rigid(), HeldObject())
 
 
 STACKS: dict[str, tuple[str, ...]] = {

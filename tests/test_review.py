@@ -19,7 +19,7 @@ from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.comparison import summarize
 from coopqp.controller import Command, ControlProblem
 from coopqp.controller_run import run
-from coopqp.controllers.qp import QPLaw
+from coopqp.qp_law.law import QPLaw
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, ScenarioError
 from coopqp.grasps import Rigid
@@ -77,7 +77,7 @@ def taking_hold(before: ClosedChain, after: ClosedChain, v: Array) -> Array:
 def test_the_object_brings_its_own_momentum_into_the_impact(
     chain: ClosedChain, released: str
 ) -> None:
-    both = ClosedChain(chain.robot, chain.q_start, Rigid(), HeldObject(mass=2.0))
+    both = ClosedChain.take_hold(chain.robot, chain.q_start, Rigid(), HeldObject(mass=2.0))
     q, v = both.q_start, np.random.default_rng(3).normal(size=both.n)
     alone = both.handed_over(q, [released])
     after = taking_hold(alone, alone.handed_over(q), v)

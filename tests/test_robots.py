@@ -332,7 +332,9 @@ PR2 = {"right": "r_gripper_tool_frame", "left": "l_gripper_tool_frame"}
 
 
 def held(robot: RobotModel, q: Array | None = None) -> ClosedChain:
-    return ClosedChain(robot, robot.configuration({}) if q is None else q, Rigid(), HeldObject())
+    return ClosedChain.take_hold(
+        robot, robot.configuration({}) if q is None else q, Rigid(), HeldObject()
+    )
 
 
 @needs_robots

@@ -138,9 +138,9 @@ def test_the_schema_covers_every_plug_in() -> None:
 
 def test_a_solver_can_be_changed_by_name() -> None:
     scenario = load("point_on_point")
-    assert with_solver(scenario, "osqp", Catalog()).solver_name == "osqp"
+    assert with_solver(scenario, "osqp").solver_name == "osqp"
     with pytest.raises(UnknownNameError, match="did you mean 'daqp'"):
-        with_solver(scenario, "dapq", Catalog())
+        with_solver(scenario, "dapq")
 
 
 USERS_TASK = '''"""Holds the height of the object."""

@@ -768,7 +768,7 @@ def test_manipulability_stays_finite_where_there_is_none(rng: np.random.Generato
     """A planar robot cannot rise: with z it has no gradient, without it has one."""
     robot = PlanarPair().build()
     q = robot.configuration({"right": [0.3, 0.6, 0.4], "left": [-0.3, -0.6, -0.4]})
-    planar = ClosedChain(robot, q, Rigid(), HeldObject())
+    planar = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
     for q in (planar.q_start, np.zeros(planar.n), *planar.sample(rng, 5)):
         state = State(planar, q)
         assert np.abs(error(Manipulability(), state)).max() < 1e-3
@@ -802,7 +802,7 @@ def test_least_energy_rows_measure_the_kinetic_energy(
 def test_least_energy_is_finite_with_joints_that_move_no_mass(
     nao: RobotModel, chain: ClosedChain
 ) -> None:
-    hinged = ClosedChain(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
     J = rows(MinimumKineticEnergy(), State(hinged)).J
     assert np.isfinite(J).all()
     assert np.linalg.matrix_rank(J) >= hinged.n - 1
@@ -817,7 +817,7 @@ class Hinge(Grasp):
 
 
 def test_joint_without_limits_is_left_alone(nao: RobotModel, chain: ClosedChain) -> None:
-    hinged = ClosedChain(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
     q = np.full(hinged.n, 0.3)
     e = error(JointCentering(), State(hinged, q))
     np.testing.assert_array_equal(e[hinged.passive], [0.0, 0.0])

@@ -16,22 +16,18 @@ singular, only N' A N is not), and a singular actuation scheme is noticed by its
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.saddle import Saddle
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.rank import independent_rows, least_squares, null_space
-
-#: Reciprocal condition number below which a system counts as singular.
-SINGULAR = 1e-12
+from coopqp.rank import independent_rows, null_space
 
 _NOTHING = np.zeros(0)
 
@@ -332,31 +328,6 @@ class ObjectWrenches:
     by_arm: Array
     internal: Array
     rotation: Array
-
-
-class Saddle:
-    """A matrix [top right; left 0], factored by LAPACK without leaving preallocated arrays.
-
-    Args:
-        n: rows of top. m: rows of left.
-    """
-
-    def __init__(self, n: int, m: int) -> None:
-        self._K = np.zeros((n + m, n + m), order="F")
-        self._flat = self._K.reshape(-1, order="F")
-        self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
-
-    def solve(self, rhs: Array) -> tuple[Array, bool]:
-        """Solution, and whether the matrix is singular, so that it is one of least squares."""
-        if not len(rhs):  # one arm alone has no wrenches to tell; LAPACK minds
-            return rhs, False
-        lu, pivots, info = lapack.dgetrf(self._K)
-        if info == 0:
-            # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
-            rcond, _ = lapack.dgecon(lu, math.sqrt(self._flat.dot(self._flat)))
-            if rcond > SINGULAR:
-                return lapack.dgetrs(lu, pivots, rhs)[0], False
-        return least_squares(self._K, rhs), True
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

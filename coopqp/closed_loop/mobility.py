@@ -20,44 +20,14 @@ from numpy.typing import NDArray
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
+from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
 from coopqp.rank import matrix_rank, null_space
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000
 
-#: A rotation of 1 rad counts as much as a translation of this many metres.
-LENGTH = 0.1
-
 #: Singular values of an object motion below this share of the largest count as none.
 MOTION_TOLERANCE = 1e-7
-
-
-@dataclass(frozen=True)
-class Screw:
-    """A twist of the object up to its size.
-
-    Attributes:
-        twist: (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s].
-        axis: unit direction of the screw's axis.
-        point: of the axis nearest to the object's origin, in the world [m]; the origin itself for
-            a translation.
-        pitch: translation per turn [m/rad]; infinite for a translation.
-    """
-
-    twist: tuple[float, ...]
-    axis: tuple[float, ...]
-    point: tuple[float, ...]
-    pitch: float
-
-    def words(self) -> str:
-        """Such as "rotation about the left axis (y)"."""
-        direction = _direction_in_words(np.array(self.axis))
-        if math.isinf(self.pitch):
-            return f"translation along {direction}"
-        at = "({:.3f}, {:.3f}, {:.3f}) m".format(*self.point)
-        if abs(self.pitch) < 1e-3 * LENGTH:
-            return f"rotation about {direction} through {at}"
-        return f"screw about {direction} through {at}, {1e3 * self.pitch:.1f} mm per radian"
 
 
 @dataclass(frozen=True)
@@ -287,17 +257,7 @@ def _uncontrolled(pose: _Pose, active: Sequence[int]) -> Array:
 
 
 def _screws(twists: Array, chain: ClosedChain) -> tuple[Screw, ...]:
-    return tuple(_screw(column, chain.start_position) for column in twists.T)
-
-
-def _screw(twist: Array, origin: Array) -> Screw:
-    v, omega = twist[:3], twist[3:]
-    turn = float(np.linalg.norm(omega))
-    if turn * LENGTH < 1e-6 * max(float(np.linalg.norm(v)), 1e-12):
-        axis = v / np.linalg.norm(v)
-        return Screw(_tuple(twist), _tuple(axis), _tuple(origin), math.inf)
-    point = origin + np.cross(omega, v) / turn**2
-    return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
+    return tuple(screw_of(column, chain.start_position) for column in twists.T)
 
 
 def _schemes(
@@ -412,14 +372,3 @@ def _about_scheme(s: Scheme) -> str:
         f"Actuating {names} is admissible (condition {s.condition:.0f}, "
         f"{s.condition_start:.0f} at the start)."
     )
-
-
-def _direction_in_words(axis: Array) -> str:
-    for i, name in enumerate(("x", "y", "z")):
-        if abs(abs(axis[i]) - 1.0) < 1e-6:
-            return name
-    return "({:.3f}, {:.3f}, {:.3f})".format(*axis)
-
-
-def _tuple(values: Array) -> tuple[float, ...]:
-    return tuple(float(x) for x in values)

@@ -48,7 +48,7 @@ class ResolvedRateLaw(Law):
         weights = np.array([task.weight for task in self._secondary.tasks])
         self._shares = weights / max(float(weights.sum()), 1e-300)
 
-    def tick(self, state: State) -> Command:
+    def decide(self, state: State) -> Command:
         """One evaluation of eq. (33)."""
         tasks, k, command = self._tasks, self._k, self.command
         tasks.update(state)

@@ -5,19 +5,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array, Positive, spec
-from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.controller import Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 
 
 @spec
 class DampedPseudoinverse(Controller):
     """Damped least squares: bounded near singular poses, pays with errors of task and loop."""
+
+    heeds: ClassVar[Heeds] = frozenset({"secondary"})
 
     damping: Positive = 0.02
     """Singular values well below this are damped out [m/rad]."""

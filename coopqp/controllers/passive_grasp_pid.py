@@ -42,16 +42,17 @@ class KinematicPid(Law):
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem)
         self._tasks = TaskStack(problem.tasks, State(problem.chain))
-        self.memory_size = len(self._tasks.e)
-        self._gains = settings.gains(problem, KINEMATIC_GAINS, self.memory_size)
+        self.memory_sizes = {"integral": len(self._tasks.e)}
+        self._gains = settings.gains(problem, KINEMATIC_GAINS, len(self._tasks.e))
 
-    def tick(self, state: State) -> Command:
+    def decide(self, state: State) -> Command:
         """One evaluation; the integral is carried in ``state.memory``."""
         tasks, command = self._tasks, self.command
         tasks.update(state)
         kp, ki, kd = self._gains
-        state.memory += self.problem.dt * tasks.e
-        wanted = tasks.rate - kp * tasks.e - ki * state.memory
+        integral = state.memory["integral"]
+        integral += self.problem.dt * tasks.e
+        wanted = tasks.rate - kp * tasks.e - ki * integral
         wanted -= kd * (tasks.J.dot(state.v) - tasks.rate)
         N = null_space(state.J_loop)
         command.v[:] = N @ least_squares(tasks.J @ N, wanted)
@@ -68,18 +69,19 @@ class TorquePid(Law):
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem, torques=True)
         self._level = TaskDynamics(problem)
-        self.memory_size = len(self._level.tasks.e)
-        self._gains = settings.gains(problem, TORQUE_GAINS, self.memory_size)
+        self.memory_sizes = {"integral": len(self._level.tasks.e)}
+        self._gains = settings.gains(problem, TORQUE_GAINS, len(self._level.tasks.e))
         self._inverse = settings.feed_forward == "inverse_dynamics"
         self._effort = problem.chain.model.effortLimit
 
-    def tick(self, state: State) -> Command:
+    def decide(self, state: State) -> Command:
         """One evaluation; the integral is carried in ``state.memory``."""
         level, command = self._level, self.command
         level.update(state)
         kp, ki, kd = self._gains
         tasks, dynamics = level.tasks, level.dynamics
-        u = kp * tasks.e + ki * state.memory + kd * level.e_dot
+        integral = state.memory["integral"]
+        u = kp * tasks.e + ki * integral + kd * level.e_dot
         Gamma = self._feed_forward(state) - tasks.J.T.dot(u)
         result = dynamics.distribute(Gamma)
         tau = result.tau
@@ -88,7 +90,7 @@ class TorquePid(Law):
         command.tau[:] = tau if finite else 0.0
         command.status = Status.OPTIMAL if finite else Status.NOT_FINITE
         if (np.abs(tau) <= self._effort).all():
-            state.memory += self.problem.dt * tasks.e
+            integral += self.problem.dt * tasks.e
         return command
 
     def _feed_forward(self, state: State) -> Array:

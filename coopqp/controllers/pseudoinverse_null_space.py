@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from coopqp.checked import Positive, spec
-from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.controller import Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 
 
 @spec
 class PseudoinverseNullSpace(Controller):
     """Classical law with null-space term, eq. (33)-(34): leans off limits, can't stop there."""
+
+    heeds: ClassVar[Heeds] = frozenset({"secondary"})
 
     rcond: Positive = 1e-10
     """Singular values below this share of the largest count as zero."""

@@ -5,22 +5,30 @@
     subject to  A a + H = S' tau + J_c' lambda                     dynamics          (hard)
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration (hard)
                 |tau| <= effort limits                             motors            (hard)
-                a within what joint position, velocity and acceleration limits allow (hard)
+                lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits (hard)
 
 g_i is the task's gain. While a motor is at its limit the integral stands still.
-Before a joint reaches its stop its speed must fall to zero: v + a dt <= (upper - q)/brake_time.
+lb, ub, G, h are what the scenario's limits say of the next velocity, but a joint near its stop must
+slow down in time: v + a dt <= (upper - q)/brake_time. Where the velocity has already left a limit,
+it comes back with the largest acceleration.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
 from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.controller import Command, Controller, ControlProblem, Law
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
-from coopqp.qp import QP, RowNames
+from coopqp.qp import QP, Rows
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import add_damping, normal_equations
+from coopqp.row import Row
 from coopqp.solver import Solution, Verifier
 from coopqp.state import State
 
@@ -39,25 +47,15 @@ class TorqueQpLaw(Law):
         self._level = level = TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
         n, k, m = chain.n, len(dynamics.actuated), len(dynamics.drift)
-        joints = chain.joint_names
-        motors = [joints[i] for i in dynamics.actuated]
-        self.qp = QP(
-            RowNames(
-                variables=(
-                    *(f"a[{name}]" for name in joints),
-                    *(f"tau[{name}]" for name in motors),
-                    *(f"wrench.{name}" for name in chain.loops.kept_names),
-                ),
-                equalities=(
-                    *(f"dynamics[{name}]" for name in joints),
-                    *chain.loops.kept_names,
-                ),
-            )
+        start = State(chain)
+        self._bounds = Bounds(
+            chain, problem.limits, start, problem.dt, position_time=settings.brake_time
         )
+        self.qp = QP(_rows(chain, dynamics.actuated.tolist(), self._bounds.rows))
         self.solution = Solution(self.qp)
         self._a, self._tau = slice(0, n), slice(n, n + k)
         self._diagonal = np.repeat([settings.damping, settings.effort, settings.grip], [n, k, m])
-        self.memory_size = len(level.tasks.e)
+        self.memory_sizes = {"integral": len(level.tasks.e)}
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._gains = np.repeat([t.gain for t in problem.tasks], _sizes(level))
         self._weights = level.tasks.weights
@@ -68,7 +66,7 @@ class TorqueQpLaw(Law):
         self._verifier = Verifier(self.qp, self.solution, problem.budget, curvature)
         self._solve = problem.solver.open(self.qp, self.solution)
 
-    def tick(self, state: State) -> Command:
+    def decide(self, state: State) -> Command:
         """Assemble, solve, verify; without a usable answer the motors hold and brake."""
         command = self.command
         self.assemble(state)
@@ -80,7 +78,8 @@ class TorqueQpLaw(Law):
             tau = self.solution.v[self._tau]
             command.tau[self._level.dynamics.actuated] = tau
             if (np.abs(tau) < self._effort).all():
-                state.memory += self.problem.dt * self._level.tasks.e
+                integral = state.memory["integral"]
+                integral += self.problem.dt * self._level.tasks.e
         else:
             command.tau[:] = self._holding(state)
             self.solution.v[:] = 0.0
@@ -97,14 +96,11 @@ class TorqueQpLaw(Law):
     def _fill_objective(self, state: State) -> None:
         qp, level, a = self.qp, self._level, self._a
         tasks, gains = level.tasks, self._gains
-        held = tasks.e + self._settings.integral * gains * state.memory
+        held = tasks.e + self._settings.integral * gains * state.memory["integral"]
         wanted = -level.drift - gains * (2.0 * level.e_dot + gains * held)
-        weighted = tasks.J * self._weights[:, None]
-        qp.P[:] = 0.0
-        qp.P[a, a] = weighted.T.dot(tasks.J)
-        qp.P.reshape(-1)[:: qp.n + 1] += self._diagonal
-        qp.q[:] = 0.0
-        qp.q[a] = -wanted.dot(weighted)
+        qp.P[:], qp.q[:] = 0.0, 0.0
+        normal_equations(tasks.J, self._weights, wanted, 0.0, qp.P[a, a], qp.q[a])
+        add_damping(qp.P, self._diagonal)
         qp.q[a] += self._settings.damping / self._settings.damping_time * state.v
 
     def _fill_equalities(self, state: State) -> None:
@@ -119,14 +115,19 @@ class TorqueQpLaw(Law):
         qp.seal()
 
     def _fill_bounds(self, state: State) -> None:
-        chain, dt, settings = self.problem.chain, self.problem.dt, self._settings
-        fastest = np.minimum(chain.velocity, (chain.upper - state.q) / settings.brake_time)
-        slowest = np.maximum(-chain.velocity, (chain.lower - state.q) / settings.brake_time)
-        limit = settings.acceleration
-        upper = np.clip((fastest - state.v) / dt, -limit, limit)
-        lower = np.clip((slowest - state.v) / dt, -limit, limit)
-        self.qp.ub[self._a] = upper
-        np.minimum(lower, upper, out=self.qp.lb[self._a])
+        """What the limits say of v + a dt, as bounds and rows on a."""
+        qp, a, bounds, v = self.qp, self._a, self._bounds, state.v
+        dt, most = self.problem.dt, self._settings.acceleration
+        bounds.update(state)
+        upper = np.clip((bounds.ub - v) / dt, -most, most)
+        lower = np.clip((bounds.lb - v) / dt, -most, most)
+        qp.ub[a] = upper
+        np.minimum(lower, upper, out=qp.lb[a])
+        if qp.p:
+            # No row asks for more than the joints' acceleration can give.
+            qp.G[:, a] = bounds.G
+            room = (bounds.h - bounds.G.dot(v)) / dt
+            np.maximum(room, -most * np.abs(bounds.G).sum(axis=1), out=qp.h)
 
     def _holding(self, state: State) -> Array:
         """The weight, and a brake that stops the joints, within the motors' limits."""
@@ -135,6 +136,29 @@ class TorqueQpLaw(Law):
         tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
         effort = self.problem.chain.model.effortLimit
         return np.asarray(np.minimum(np.maximum(tau, -effort), effort), float)
+
+
+def _rows(chain: ClosedChain, actuated: Sequence[int], inequalities: tuple[Row, ...]) -> Rows:
+    """Accelerations, torques and wrenches; the dynamics and the loops."""
+    joints, units = chain.joint_names, chain.joint_units
+    a = (
+        Row(name=f"a[{name}]", kind="joint", unit=f"{unit}/s2", joint=name)
+        for name, unit in zip(joints, units, strict=True)
+    )
+    efforts = {"rad": "N m", "m": "N"}
+    tau = (
+        Row(name=f"tau[{joints[i]}]", kind="motor", unit=efforts[units[i]], joint=joints[i])
+        for i in actuated
+    )
+    wrench = (
+        replace(row, name=f"wrench.{row.name}", unit="N m" if row.unit == "rad/s" else "N")
+        for row in chain.loops.kept_rows
+    )
+    dynamics = (
+        Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
+        for name, unit in zip(joints, units, strict=True)
+    )
+    return Rows((*a, *tau, *wrench), inequalities, (*dynamics, *chain.loops.kept_rows))
 
 
 def _sizes(level: TaskDynamics) -> list[int]:
@@ -146,6 +170,7 @@ class TorqueQp(Controller):
     """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
 
     uses_solver: ClassVar[bool] = True
+    heeds: ClassVar[Heeds] = frozenset({"limits"})
 
     integral: NonNegative = 0.3
     """Weight of the integral over gain cubed; above 2 it is unstable."""

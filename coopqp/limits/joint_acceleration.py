@@ -25,6 +25,7 @@ from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.row import Row
 from coopqp.state import State
 
 #: Room of a joint without bounds [rad or m]; infinity would end in inf - inf.
@@ -70,14 +71,14 @@ class JointAcceleration(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Acceleration left, from rest at first, and room left after braking to rest."""
         a = self._limits(chain)
         change = np.diff(v, axis=0, prepend=np.zeros((1, chain.n))) / dt
         lower, upper = self._ends(chain)
         forth, back = _braking_distance(v, a, dt), _braking_distance(-v, a, dt)
         return {
-            **joint_margins("acceleration", chain, a + change, a - change),
+            **joint_margins("acceleration", chain, a + change, a - change, per="/s2"),
             **joint_margins("braking", chain, q[:-1] - lower - back, upper - q[:-1] - forth),
         }
 

@@ -6,11 +6,14 @@ standing still is always allowed. What brings it back is the controller.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.row import Row
 from coopqp.state import State
 
 ZERO = np.zeros(1)
@@ -19,6 +22,8 @@ ZERO = np.zeros(1)
 @spec
 class JointPosition(Limit):
     """Joint position limits of the robot and of the grasps' passive joints."""
+
+    bounds_position: ClassVar[bool] = True
 
     margin: NonNegative = 0.0
     """Kept free at both ends [rad or m]."""
@@ -52,7 +57,7 @@ class JointPosition(Limit):
 
         return tighten_outside
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance to both ends after each tick [rad, m]."""
         lower, upper = self._ends(chain)
         return joint_margins("position", chain, q[1:] - lower, upper - q[1:])

@@ -10,6 +10,7 @@ from pydantic import Field
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.row import Row
 from coopqp.state import State
 
 
@@ -33,7 +34,7 @@ class JointVelocity(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Speed left in each tick [rad/s, m/s]."""
         most = self.scale * chain.velocity
-        return joint_margins("velocity", chain, most + v, most - v)
+        return joint_margins("velocity", chain, most + v, most - v, per="/s")

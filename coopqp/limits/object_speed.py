@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.checked import Array, Positive, spec
-from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.closed_chain import AXES, AXIS_UNITS, ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten, states_along
+from coopqp.row import Row, Side
 from coopqp.state import State
 
 
@@ -26,10 +27,21 @@ class ObjectSpeed(Limit):
         if self.linear is None and self.angular is None:
             raise ValueError("needs linear (m/s), angular (rad/s) or both")
 
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """Upper sides, then lower sides."""
-        axes = AXES[self._part]
-        return tuple(f"object_speed.{axis}.{side}" for side in ("upper", "lower") for axis in axes)
+        axes = list(zip(AXES, AXIS_UNITS, strict=True))[self._part]
+        sides: tuple[Side, ...] = ("upper", "lower")
+        return tuple(
+            Row(
+                name=f"limit.object_speed.{axis}.{side}",
+                kind="limit",
+                owner="object_speed",
+                unit=f"{unit}/s",
+                side=side,
+            )
+            for side in sides
+            for axis, unit in axes
+        )
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Rows of the object's Jacobian with both signs."""
@@ -44,12 +56,12 @@ class ObjectSpeed(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Speed left in each tick, with the Jacobian at its beginning."""
         states = zip(states_along(chain, q[:-1]), v, strict=True)
         speed = np.array([state.J_task[self._part] @ v_k for state, v_k in states])
         left = np.hstack([self._bounds - speed, self._bounds + speed])
-        return {f"limit.{name}": left[:, i] for i, name in enumerate(self.rows(chain))}
+        return {row: left[:, i] for i, row in enumerate(self.rows(chain))}
 
     @property
     def _part(self) -> slice:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import coal
 import numpy as np
@@ -26,6 +26,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
 from coopqp.robot import Capsule
+from coopqp.row import Row
 from coopqp.state import State
 
 OBJECT = "object"
@@ -53,9 +54,17 @@ class SelfCollision(Limit):
                 raise ValueError(f"pair {list(pair)} names one body, or a pair given before")
             seen.add(one)
 
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row a pair."""
-        return tuple(f"self_collision[{a}|{b}]" for a, b in self._pairs(chain))
+        return tuple(
+            Row(
+                name=f"limit.self_collision[{a}|{b}]",
+                kind="limit",
+                owner="self_collision",
+                unit="m/s",
+            )
+            for a, b in self._pairs(chain)
+        )
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
@@ -75,7 +84,7 @@ class SelfCollision(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
         bodies = _Bodies(chain, self._pairs(chain))
         d = np.zeros((len(v), len(bodies.d)))
@@ -83,7 +92,7 @@ class SelfCollision(Limit):
             bodies.update(state)
             row[:] = bodies.d
         d -= self.distance
-        return {f"limit.{name}": d[:, i] for i, name in enumerate(self.rows(chain))}
+        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(self.rows(chain))}
 
     def _pairs(self, chain: ClosedChain) -> tuple[tuple[str, str], ...]:
         """Those given, or those that can meet.

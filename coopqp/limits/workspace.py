@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
 from coopqp.mark import Mark, PlaneMark
+from coopqp.row import Row
 from coopqp.state import State
 
 
@@ -45,14 +47,22 @@ class Workspace(Limit):
         if self.points == () and not self.frames:
             raise ValueError("needs points of the object or frames of the robot")
 
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """Points of the object, then frames."""
         known = [frame.name for frame in chain.model.frames]
         for frame in self.frames:
             if frame not in known:
                 raise UnknownNameError("frame", frame, known, f"{self.name}: ")
-        points = (f"{self.name}.object[{i}]" for i in range(len(self._points(chain))))
-        return (*points, *(f"{self.name}.{frame}" for frame in self.frames))
+        points = (f"object[{i}]" for i in range(len(self._points(chain))))
+        return tuple(
+            Row(
+                name=f"limit.{self.name}.{what}",
+                kind="limit",
+                owner=self.name,
+                unit="m/s",
+            )
+            for what in (*points, *self.frames)
+        )
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a point; the points' world positions are kept for the distances."""
@@ -83,16 +93,16 @@ class Workspace(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[str, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each point from the plane after each tick [m]."""
-        names = self.rows(chain)
+        rows = self.rows(chain)
         points = _Points(chain, self._points(chain), self.frames)
         _, distances, offset = self._plane()
-        d = np.zeros((len(v), len(names)))
+        d = np.zeros((len(v), len(rows)))
         for state, row in zip(states_along(chain, q[1:]), d, strict=True):
             points.update(state)
             distances(points.p, row)
-        return {f"limit.{name}": d[:, i] - offset for i, name in enumerate(names)}
+        return {replace(row, unit="m"): d[:, i] - offset for i, row in enumerate(rows)}
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The plane."""

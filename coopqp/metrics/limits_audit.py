@@ -17,10 +17,10 @@ class LimitsAudit(Metric):
     def measure(self, trace: Trace) -> dict[str, dict[str, float]]:
         """By limit and joint or row, such as limit.position[RElbowRoll].upper."""
         return {
-            name: {
+            row.name: {
                 "margin_min": float(margin.min(initial=float("inf"))),
                 "ticks_at_bound": int((margin <= AT_BOUND).sum()),
                 "saturated_share": float((margin <= AT_BOUND).mean()) if margin.size else 0.0,
             }
-            for name, margin in trace.margins.items()
+            for row, margin in trace.margins.items()
         }

@@ -36,17 +36,18 @@ def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure
     """When which limit was active, a line each; None when none ever was."""
     used: dict[str, int] = {}
     for trace in audited(traces).values():
-        for limit, margin in trace.margins.items():
-            used[limit] = max(used.get(limit, 0), int((margin <= AT_BOUND).sum()))
+        for row, margin in trace.margins.items():
+            used[row.name] = max(used.get(row.name, 0), int((margin <= AT_BOUND).sum()))
     shown = sorted((k for k, ticks in used.items() if ticks), key=lambda k: -used[k])[:MOST_LINES]
     if not shown:
         return None
     data = []
     for name, trace in audited(traces).items():
+        margins = {row.name: margin for row, margin in trace.margins.items()}
         for limit in reversed(shown):
-            if limit not in trace.margins:
+            if limit not in margins:
                 continue
-            active = trace.margins[limit] <= AT_BOUND
+            active = margins[limit] <= AT_BOUND
             t, _ = curves.thinned(trace.t[1:][active], trace.t[1:][active])
             mark = {"color": styles[name].color, "symbol": "square", "size": 5}
             data.append(
@@ -64,10 +65,10 @@ def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure
 
 def audited(traces: Mapping[str, Trace]) -> dict[str, Trace]:
     """The controllers that promise to keep limits."""
-    return {name: trace for name, trace in traces.items() if trace.solver and trace.margins}
+    return {name: trace for name, trace in traces.items() if trace.keeps_limits and trace.margins}
 
 
 def _tightest(trace: Trace) -> list[tuple[str, Array]]:
-    finite = [(k, m) for k, m in trace.margins.items() if np.isfinite(m).any() and m.size]
+    finite = [(row.name, m) for row, m in trace.margins.items() if np.isfinite(m).any() and m.size]
     order = sorted(finite, key=lambda pair: (-int((pair[1] <= AT_BOUND).sum()), pair[1].min()))
     return order[:SHOWN]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.comparison import Comparison
+from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 from coopqp.verdict import ROUNDING

@@ -9,8 +9,9 @@ from itertools import chain as joined
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import CLOSED_ORIENTATION, CLOSED_POSITION, ClosedChain
+from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison
+from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.report import curves
 from coopqp.report.cells import length
 from coopqp.report.curves import Figure, Json, Window
@@ -36,8 +37,8 @@ class Figures:
     def __init__(self, comparison: Comparison) -> None:
         self._comparison = comparison
         self._traces = comparison.traces
-        # Lines that solve QPs first, so that the thin ones lie on top of the thick ones.
-        self._names = sorted(self._traces, key=lambda name: self._traces[name].solver is None)
+        # Those that keep limits first, so that the thin lines lie on top of the thick ones.
+        self._names = sorted(self._traces, key=lambda name: not self._traces[name].keeps_limits)
         self._styles = styles(self._traces)
         # Grasps may differ between controllers; the one with most joints shows them all.
         self._any = max(self._traces.values(), key=lambda trace: len(trace.joints))

@@ -58,14 +58,14 @@ class Style:
 
 
 def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
-    """A style for each controller; those that solve QPs are thick, the first of them full blue."""
+    """A style for each controller; who keeps limits is thick, the first of them full blue."""
     counts = {True: 0, False: 0}
     chosen: dict[str, Style] = {}
     for name, trace in traces.items():
-        is_qp = trace.solver is not None
-        colors, dashes = (QP_COLORS, QP_DASHES) if is_qp else (OTHER_COLORS, OTHER_DASHES)
-        i = counts[is_qp]
-        counts[is_qp] += 1
-        width = QP_WIDTH if is_qp else OTHER_WIDTHS[min(i, len(OTHER_WIDTHS) - 1)]
+        keeps = trace.keeps_limits
+        colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
+        i = counts[keeps]
+        counts[keeps] += 1
+        width = QP_WIDTH if keeps else OTHER_WIDTHS[min(i, len(OTHER_WIDTHS) - 1)]
         chosen[name] = Style(colors[i % len(colors)], dashes[i % len(dashes)], width)
     return chosen

@@ -1,6 +1,8 @@
-"""The summary for the terminal."""
+"""Tables for the terminal: comparisons, replayed ticks, the stress test."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 from rich import box
 from rich.table import Table
@@ -8,6 +10,8 @@ from rich.text import Text
 
 from coopqp.comparison import Comparison
 from coopqp.report.cells import Cell, cells
+from coopqp.study.explanation import Replay, TickRecord
+from coopqp.study.stress import Summary
 
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
 SHOWN = {
@@ -42,3 +46,32 @@ def summary(comparison: Comparison) -> Table:
 def _entry(cell: Cell) -> Text:
     first, *more = cell.lines
     return Text("\n".join([f"{cell.symbol} {first}".strip(), *more]), COLORS[cell.bad])
+
+
+def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:
+    """One row a solver."""
+    table = Table(title=f"{record.scenario}, {record.controller}, tick {record.tick}")
+    for heading in ("solver", "status", "primal residual", "dual residual", "off the saved answer"):
+        table.add_column(heading)
+    for name, answer in answers.items():
+        numbers = (answer.primal_residual, answer.dual_residual, answer.difference)
+        table.add_row(name, answer.status.value, *(f"{number:.2g}" for number in numbers))
+    return table
+
+
+def stress(lines: Sequence[Summary]) -> Table:
+    """One row a kind of rollout."""
+    table = Table(title="random rollouts of the QP law")
+    for heading in (
+        "rollouts", "number", "ended as", "position excess [rad]", "speed excess [rad/s]",
+        "loop [mm]", "loop [mrad]", "fallback ticks", "broken",
+    ):  # fmt: skip
+        table.add_column(heading)
+    for x in lines:
+        ended = ", ".join(f"{count} {name}" for name, count in x.outcomes.items())
+        table.add_row(
+            x.kind, str(x.count), ended, f"{x.position_excess:.1e}", f"{x.velocity_excess:.1e}",
+            f"{1e3 * x.loop_position:.3f}", f"{1e3 * x.loop_orientation:.2f}",
+            str(x.fallbacks), str(x.broken),
+        )  # fmt: skip
+    return table

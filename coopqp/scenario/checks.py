@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain, arm_weights
+from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.hold import arm_weights
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
+from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.yaml import Location, YamlFile
@@ -96,7 +98,7 @@ def _unbound_limits(file: YamlFile, scenario: Scenario) -> list[Fault]:
     chain, taken, faults = scenario.chain, set[str](), []
     for i, limit in enumerate(scenario.limits):
         try:
-            rows = set(limit.rows(chain))
+            rows = set(names_of(limit.rows(chain)))
             limit.bind(chain, scenario.dt)
         except CoopqpError as error:
             faults.append(Fault(file.place(["limits", i]), str(error)))

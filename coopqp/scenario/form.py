@@ -73,7 +73,8 @@ class _Spelling:
         if name in self.aliases and not options:
             return {"qpsolvers": {"backend": name}}
         if name not in self.names:
-            raise ValueError(unknown_name(self.kind, str(name), [*self.names, *self.aliases]))
+            words = unknown_name(self.kind, str(name), [*self.names, *self.aliases])
+            raise ValueError(f"{words} Those of your own need --plugins FOLDER")
         return {name: {} if options is None else options}
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:

@@ -29,17 +29,16 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 
     Args:
         path: of a YAML file, or the name of a shipped scenario.
-        catalog: what it can name; the shipped plug-ins when omitted.
+        catalog: what it can name; shipped and installed plug-ins when omitted.
 
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
     file = read_yaml(find(path))
-    read: Any = check(file, file_model(catalog or Catalog()))
-    scenario = _Reader(file, read).scenario()
+    scenario = _Reader(file, catalog or Catalog()).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
-    elif read.start_deg is not None:
+    elif file.data.get("start_deg") is not None:
         robot = built(file, ["robot"], lambda: scenario.robot_model)
         start = from_degrees(robot, scenario.grasps, scenario.start)
         scenario = replace(scenario, start=start)
@@ -58,7 +57,7 @@ def load_and_solve(
 
     Args:
         path: of a YAML file, or the name of a shipped scenario.
-        catalog: what it can name; the shipped plug-ins when omitted.
+        catalog: what it can name; shipped and installed plug-ins when omitted.
         seed: of the random configurations; the scenario's when omitted.
         progress: called after each try.
 
@@ -66,8 +65,7 @@ def load_and_solve(
         ScenarioError: with every fault, its line and its likely fix.
     """
     file = read_yaml(find(path))
-    read = check(file, file_model(catalog or Catalog()))
-    scenario = _Reader(file, read, needs_start=False).scenario()
+    scenario = _Reader(file, catalog or Catalog(), needs_start=False).scenario()
     return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
 
 
@@ -94,18 +92,17 @@ def find(path: str | Path) -> Path:
     return given if given.exists() else shipped().get(str(path), given)
 
 
-def with_solver(scenario: Scenario, name: str, catalog: Catalog) -> Scenario:
+def with_solver(scenario: Scenario, name: str) -> Scenario:
     """The scenario with another QP solver.
 
     Args:
         scenario: as read.
-        name: a solver of the catalogue, or an installed backend of qpsolvers.
-        catalog: what can be named.
+        name: a solver of its catalogue, or an installed backend of qpsolvers.
 
     Raises:
         UnknownNameError: no such solver; names the nearest.
     """
-    return replace(scenario, solver=solver_by_name(name, catalog), solver_name=name)
+    return replace(scenario, solver=solver_by_name(name, scenario.catalog), solver_name=name)
 
 
 def solver_by_name(name: str, catalog: Catalog) -> Solver:
@@ -128,10 +125,11 @@ def solver_names(catalog: Catalog) -> tuple[str, ...]:
 
 
 class _Reader:
-    """From the checked file to the scenario; collects the faults that only show together."""
+    """From the file to the scenario; collects the faults that only show together."""
 
-    def __init__(self, file: YamlFile, read: BaseModel, *, needs_start: bool = True) -> None:
-        self._file, self._read, self._needs_start = file, read, needs_start
+    def __init__(self, file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> None:
+        self._file, self._catalog, self._needs_start = file, catalog, needs_start
+        self._read: BaseModel = check(file, file_model(catalog))
         self._faults: list[Fault] = []
 
     def scenario(self) -> Scenario:
@@ -163,6 +161,7 @@ class _Reader:
             seed=read.seed,
             on_infeasible=read.on_infeasible,
             source=self._file.path.read_text(encoding="utf-8"),
+            catalog=self._catalog,
         )
         self._check_times(scenario)
         for name in scenario.grasp_of:

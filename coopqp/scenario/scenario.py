@@ -22,6 +22,7 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
+from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.phase import Phase
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
@@ -49,6 +50,7 @@ class Scenario:
         seed: of everything random.
         on_infeasible: see :class:`coopqp.controller.ControlProblem`.
         source: text of the file it was read from.
+        catalog: what it can name; its metrics are measured.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Scenario:
     seed: int = 0
     on_infeasible: OnInfeasible = "scale"
     source: str = ""
+    catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
@@ -110,7 +113,7 @@ class Scenario:
         """The closed chain at the start, built once."""
         robot = self.robot_model
         start, passive = start_of(robot, self.start)
-        return ClosedChain(
+        return ClosedChain.take_hold(
             robot,
             robot.configuration(start),
             self.grasps,

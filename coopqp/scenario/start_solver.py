@@ -25,13 +25,14 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.closed_chain import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
-from coopqp.closed_loop.mobility import LENGTH
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
 from coopqp.held_object import HeldObject
-from coopqp.qp import QP, RowNames
+from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.qp import QP, Rows
 from coopqp.robot import RobotModel
+from coopqp.row import joint_rows
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 
@@ -273,7 +274,8 @@ class _Search:
         self.nearest = problem.middle.copy()
         self.tries = self.found = 0
         self._margin, self._gap = -np.inf, np.inf
-        self._qp = QP(RowNames(tuple(problem.model.names[1 + j] for j in self.columns)))
+        joints = [problem.model.names[1 + j] for j in self.columns]
+        self._qp = QP(Rows(joint_rows(joints, ["rad"] * len(joints))))
         self._solution = Solution(self._qp)
         self._solve = Daqp().open(self._qp, self._solution)
 

@@ -13,7 +13,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, with_config
@@ -21,10 +20,12 @@ from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
-from coopqp.controllers.qp import QPLaw
 from coopqp.errors import CoopqpError
-from coopqp.hierarchy import Bounds
-from coopqp.qp import QP, RowNames
+from coopqp.limit import bound_rows
+from coopqp.qp import QP, Rows
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.law import QPLaw
+from coopqp.row import Row, Side, names_of
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -53,9 +54,9 @@ class TickRecord:
         budget: what an answer may be off by.
         P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`.
         inequalities: number of rows of G in C.
-        variables, inequality_names, equality_names: names.
-        lb_names, ub_names: the limit that each bound on v comes from.
-        J, wanted, task_names: rows of the first level's tasks.
+        variables, inequality_rows, equality_rows: what they are.
+        lb_rows, ub_rows: the limit that each bound on v comes from.
+        J, wanted, task_rows: rows of all tasks.
         answer, status: what the controller made of it, all levels included.
         first_answer: what its solver made of this QP.
     """
@@ -76,14 +77,14 @@ class TickRecord:
     lower: list[float]
     upper: list[float]
     inequalities: int
-    variables: list[str]
-    inequality_names: list[str]
-    equality_names: list[str]
-    lb_names: list[str]
-    ub_names: list[str]
+    variables: list[Row]
+    inequality_rows: list[Row]
+    equality_rows: list[Row]
+    lb_rows: list[Row]
+    ub_rows: list[Row]
     J: list[list[float]]
     wanted: list[float]
-    task_names: list[str]
+    task_rows: list[Row]
     answer: list[float]
     first_answer: list[float]
     status: str
@@ -116,11 +117,11 @@ class TickRecord:
 
     def fits(self) -> bool:
         """Whether all shapes belong together."""
-        n, p, m = len(self.variables), len(self.inequality_names), len(self.equality_names)
-        k = len(self.task_names)
+        n, p, m = len(self.variables), len(self.inequality_rows), len(self.equality_rows)
+        k = len(self.task_rows)
         shapes = (
             (self.P, (n, n)), (self.q_cost, (n,)), (self.lower, (n + p + m,)),
-            (self.upper, (n + p + m,)), (self.lb_names, (n,)), (self.ub_names, (n,)),
+            (self.upper, (n + p + m,)),
             (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
         )  # fmt: skip
         tables = ((self.C, p + m), (self.J, k))
@@ -128,15 +129,12 @@ class TickRecord:
             all(np.shape(values) == shape for values, shape in shapes)
             and all(np.shape(rows) == (count, n) for rows, count in tables if count)
             and self.inequalities == p
+            and len(self.lb_rows) == len(self.ub_rows) == n
         )
 
     def qp(self) -> QP:
         """The program, in arrays."""
-        qp = QP(
-            RowNames(
-                tuple(self.variables), tuple(self.inequality_names), tuple(self.equality_names)
-            )
-        )
+        qp = QP(Rows(tuple(self.variables), tuple(self.inequality_rows), tuple(self.equality_rows)))
         qp.P[:], qp.q[:] = self.P, self.q_cost
         if self.C:
             qp.C[:] = self.C
@@ -196,6 +194,10 @@ class Replay:
     dual_residual: float
     difference: float
 
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
+
 
 def record_tick(
     law: QPLaw, state: State, *, scenario: str, controller: str, tick: int
@@ -209,13 +211,15 @@ def record_tick(
         controller: likewise.
         tick: likewise.
     """
-    memory = state.memory.tolist()
+    memory = state.memory.numbers.tolist()
     command = law.tick(state)
     first_answer = law.solution.v.tolist()
     law.assemble(state)
     qp, problem = law.first.qp, law.problem
-    lb_names, ub_names = bound_names(problem, state)
-    shares = qp.n - problem.chain.n
+    shares = qp.rows.variables[problem.chain.n :]
+    pad = ((0, 0), (0, len(shares)))
+    below = [*bounding(problem, state, "lower"), *(_share_bound(s, "lower") for s in shares)]
+    above = [*bounding(problem, state, "upper"), *(_share_bound(s, "upper") for s in shares)]
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
     return TickRecord(
@@ -235,42 +239,46 @@ def record_tick(
         lower=_finite(qp.lower),
         upper=_finite(qp.upper),
         inequalities=qp.p,
-        variables=list(qp.names.variables),
-        inequality_names=[f"limit.{name}" for name in qp.names.inequalities],
-        equality_names=list(qp.names.equalities),
-        lb_names=lb_names + ["scale.lower"] * shares,
-        ub_names=ub_names + ["scale.upper"] * shares,
-        J=np.pad(tasks.J, ((0, 0), (0, shares))).tolist(),
+        variables=list(qp.rows.variables),
+        inequality_rows=list(qp.rows.inequalities),
+        equality_rows=list(qp.rows.equalities),
+        lb_rows=below,
+        ub_rows=above,
+        J=np.pad(tasks.J, pad).tolist(),
         wanted=tasks.wanted.tolist(),
-        task_names=list(tasks.names),
-        answer=command.v.tolist() + [command.scale] * shares,
+        task_rows=list(tasks.rows),
+        answer=command.v.tolist() + [command.scale] * len(shares),
         first_answer=first_answer,
         status=command.status.name,
     )
 
 
-def bound_names(problem: ControlProblem, state: State) -> tuple[list[str], list[str]]:
-    """The limit that each lower and upper bound on v comes from."""
-    n, joints = problem.chain.n, problem.chain.joint_names
-    lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
-    below = [f"no limit[{joint}].lower" for joint in joints]
-    above = [f"no limit[{joint}].upper" for joint in joints]
+def bounding(problem: ControlProblem, state: State, side: Side) -> list[Row]:
+    """The limit that each joint's lower or upper bound on v comes from."""
+    chain = problem.chain
+    tightest = np.full(chain.n, np.inf)
+    found = [
+        Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
+        for joint in chain.joint_names
+    ]
     for limit in problem.limits:
-        alone = Bounds(_with_limit(problem, limit), state)
+        alone = Bounds(chain, [limit], state, problem.dt)
         alone.update(state)
-        word = _word(limit)
-        for i, joint in enumerate(joints):
-            if alone.lb[i] > lb[i]:
-                lb[i], below[i] = alone.lb[i], f"limit.{word}[{joint}].lower"
-            if alone.ub[i] < ub[i]:
-                ub[i], above[i] = alone.ub[i], f"limit.{word}[{joint}].upper"
-    return below, above
+        bound = -alone.lb if side == "lower" else alone.ub
+        for i, row in enumerate(bound_rows(limit, chain, side)):
+            if bound[i] < tightest[i]:
+                tightest[i], found[i] = bound[i], row
+    return found
+
+
+def _share_bound(share: Row, side: Side) -> Row:
+    return replace(share, name=f"scale.{side}", side=side)
 
 
 def explain(record: TickRecord) -> Explanation:
     """The smallest relaxation of the limits that would let loops and tasks hold."""
     qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))
-    wanted, names = np.array(record.wanted), record.task_names
+    wanted, names = np.array(record.wanted), names_of(record.task_rows)
     gap = np.abs(J @ np.array(record.answer) - wanted)
     missed = tuple(name for name, g in zip(names, gap, strict=True) if g > MISSED)
     if not missed:
@@ -301,7 +309,7 @@ def replay(record: TickRecord, solver: Solver) -> Replay:
 
 def _loops(record: TickRecord, qp: QP) -> tuple[Array, Array]:
     """The loop rows alone; hard and scaled tasks are tasks here."""
-    kept = [i for i, name in enumerate(record.equality_names) if name.startswith("loop")]
+    kept = [i for i, row in enumerate(record.equality_rows) if row.kind == "loop"]
     return qp.A[kept], qp.b[kept]
 
 
@@ -343,21 +351,13 @@ def _relax(record: TickRecord, qp: QP, J: Array, wanted: Array) -> Array | None:
 
 
 def _named(record: TickRecord, r: Array) -> tuple[Relaxation, ...]:
-    names = [*record.lb_names, *record.ub_names, *record.inequality_names]
-    found = []
-    for name, amount in zip(names, r, strict=True):
-        if amount > NOTHING:
-            position = name.startswith("limit.position")
-            step = record.dt if position else 1.0
-            found.append(Relaxation(name, float(amount) * step, _unit(name)))
+    rows = [*record.lb_rows, *record.ub_rows, *record.inequality_rows]
+    found = [
+        Relaxation(row.name, float(amount) * (record.dt if row.of_place else 1.0), row.unit)
+        for row, amount in zip(rows, r, strict=True)
+        if amount > NOTHING
+    ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
-
-
-def _unit(name: str) -> str:
-    if name.startswith("limit.position"):
-        return "rad"
-    of_joints = ("limit.velocity", "limit.acceleration")
-    return "rad/s" if name.startswith(of_joints) or ".rot_" in name else "m/s"
 
 
 def _sentence(
@@ -385,16 +385,6 @@ def _listed(names: Sequence[str]) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _word(limit: object) -> str:
-    """``position`` for JointPosition, ``object_speed`` for ObjectSpeed."""
-    name = type(limit).__module__.rsplit(".", 1)[-1]
-    return name.removeprefix("joint_")
-
-
-def _with_limit(problem: ControlProblem, limit: Any) -> ControlProblem:
-    return replace(problem, limits=(limit,))
 
 
 def _finite(values: Array) -> list[float]:

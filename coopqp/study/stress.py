@@ -21,14 +21,16 @@ from coopqp.checked import Array
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.controllers.qp import QPLaw
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.plants.kinematic import KinematicModel
 from coopqp.profile import Profile
+from coopqp.qp_law.law import QPLaw
 from coopqp.rank import null_space
 from coopqp.robots.nao_t14 import NaoT14
+from coopqp.rollout import drive
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp
 from coopqp.state import State
@@ -134,7 +136,7 @@ def one_rollout(seed: int) -> Rollout:
 def draw(rng: np.random.Generator, grasp: str, *, outside: bool, tight: bool) -> ControlProblem:
     """A random problem: start, task and limits."""
     robot = NaoT14().build()
-    first = ClosedChain(robot, robot.configuration(START), GRASPS[grasp], HeldObject())
+    first = ClosedChain.take_hold(robot, robot.configuration(START), GRASPS[grasp], HeldObject())
     q = _walk(rng, first, outside=outside)
     chain = first.moved(q)
     limits = (
@@ -224,19 +226,15 @@ def _run(problem: ControlProblem, seed: int, grasp: str, tight: bool) -> Rollout
 def _round(law: QPLaw, state: State, speed: Array, watch: _Watch) -> None:
     """Run for a while and keep the worst of everything."""
     chain = law.problem.chain
-    for _ in range(TICKS):
-        state.update()
-        command = law.tick(state)
+    plant = KinematicModel(DT, chain.n)
+    for command, _ in drive(law, plant, state, TICKS):
         watch.fallbacks += command.status.fallback or not command.status.usable
         watch.velocity_excess = max(watch.velocity_excess, float((np.abs(command.v) - speed).max()))
         if not np.isfinite(command.v).all():
             watch.broken.add("commanded NaN")
             break
-        state.q += command.v * DT
-        state.v[:] = command.v
-        state.t += DT
         _watch(watch, chain, state)
-    state.update()
+    _watch(watch, chain, state)
 
 
 def _beyond(chain: ClosedChain, q: Array) -> Array:

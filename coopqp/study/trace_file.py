@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 from typing import TextIO
 
-from coopqp.controllers.qp import QPLaw
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
 from coopqp.state import State
 

@@ -1,0 +1,39 @@
+"""The saddle-point system of a closed chain's dynamics, solved without choosing coordinates."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import lapack
+
+from coopqp.checked import Array
+from coopqp.rank import least_squares
+
+#: Reciprocal condition number below which a system counts as singular.
+SINGULAR = 1e-12
+
+
+class Saddle:
+    """A matrix [top right; left 0], factored by LAPACK without leaving preallocated arrays.
+
+    Args:
+        n: rows of top. m: rows of left.
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        self._K = np.zeros((n + m, n + m), order="F")
+        self._flat = self._K.reshape(-1, order="F")
+        self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
+
+    def solve(self, rhs: Array) -> tuple[Array, bool]:
+        """Solution, and whether the matrix is singular, so that it is one of least squares."""
+        if not len(rhs):  # one arm alone has no wrenches to tell; LAPACK minds
+            return rhs, False
+        lu, pivots, info = lapack.dgetrf(self._K)
+        if info == 0:
+            # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
+            rcond, _ = lapack.dgecon(lu, math.sqrt(self._flat.dot(self._flat)))
+            if rcond > SINGULAR:
+                return lapack.dgetrs(lu, pivots, rhs)[0], False
+        return least_squares(self._K, rhs), True

@@ -1,0 +1,60 @@
+"""The limits of one problem as bounds and inequality rows on the velocity."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.row import Row
+from coopqp.state import State
+
+
+class Bounds:
+    """lb <= v <= ub and G v <= h, as some limits have them at a state.
+
+    Args:
+        chain: what is limited.
+        limits: in the order in which they tighten; one that a later one heeds comes first.
+        start: a state, for limits that are constant.
+        dt: control period [s].
+        position_time: time in which a position bound may be reached, when that is not dt [s].
+
+    Attributes:
+        lb, ub, G, h: as of the last update, shapes (n,), (n,), (p, n), (p,).
+        rows: of G.
+    """
+
+    def __init__(
+        self,
+        chain: ClosedChain,
+        limits: Sequence[Limit],
+        start: State,
+        dt: float,
+        position_time: float | None = None,
+    ) -> None:
+        by_limit = [limit.rows(chain) for limit in limits]
+        self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
+        self.lb, self.ub = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
+        self.G, self.h = np.zeros((len(self.rows), chain.n)), np.zeros(len(self.rows))
+        self._each_tick: list[tuple[Tighten, LimitRows]] = []
+        ends = itertools.accumulate(map(len, by_limit), initial=0)
+        for limit, (first, last) in zip(limits, itertools.pairwise(ends), strict=True):
+            part = slice(first, last)
+            block = LimitRows(self.lb, self.ub, self.G[part], self.h[part])
+            reached_in = position_time if limit.bounds_position and position_time else dt
+            tighten = limit.bind(chain, reached_in)
+            if limit.constant:
+                tighten(start, block)
+            else:
+                self._each_tick.append((tighten, block))
+        self._constant_lb, self._constant_ub = self.lb.copy(), self.ub.copy()
+
+    def update(self, state: State) -> None:
+        """Ask the limits that change."""
+        self.lb[:], self.ub[:] = self._constant_lb, self._constant_ub
+        for tighten, block in self._each_tick:
+            tighten(state, block)

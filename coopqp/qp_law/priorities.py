@@ -1,0 +1,127 @@
+"""Strict priorities: a sequence of QPs, each within what the ones before leave free.
+
+Level 0 decides v_0. What its tasks and the loops see of it is fixed for the levels after:
+
+    Q v = Q v_0,   Q an orthonormal basis of the rows decided so far,
+
+so that level 1 moves in their null space alone, and so on. Q comes from a singular value
+decomposition, which minds no redundant rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.exact_tasks import ExactTasks
+from coopqp.qp_law.level import Level
+from coopqp.rank import matrix_rank
+from coopqp.row import Row
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.task import Task, TaskStack
+
+SAMPLES = 6  # configurations at which ranks are taken, beside the start
+
+
+def groups(problem: ControlProblem) -> list[list[Task]]:
+    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty."""
+    soft = [task for task in problem.tasks if task.mode == "soft"]
+    first = min((task.priority for task in soft), default=0)
+    main = [
+        [k for k in soft if k.priority == p] for p in sorted({first, *(k.priority for k in soft)})
+    ]
+    later = [
+        [k for k in problem.secondary if k.priority == p]
+        for p in sorted({k.priority for k in problem.secondary})
+    ]
+    # What a scaled task can do comes before all soft ones, whatever their weights.
+    first_alone: list[list[Task]] = (
+        [[]] if any(task.mode == "scaled" for task in problem.tasks) else []
+    )
+    return [*first_alone, *main, *later]
+
+
+class LaterLevel:
+    """A level after the first.
+
+    Args:
+        problem: what to control.
+        before: the soft tasks of all levels before it, level by level.
+        exact: the hard and scaled tasks.
+        tasks: the soft tasks of this level.
+        bounds: the limits.
+        damping: cost of |v|^2.
+
+    Attributes:
+        nothing_free: whether the levels before it decide all joints.
+        level: its QP.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        before: Sequence[TaskStack],
+        exact: ExactTasks,
+        tasks: TaskStack,
+        bounds: Bounds,
+        damping: float,
+    ) -> None:
+        stacks = (*before, exact.hard, exact.scaled)
+        self._decided = Decided(problem.chain, stacks)
+        rank = self._decided.rank
+        self.nothing_free = rank == problem.chain.n
+        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(rank))
+        self.level = Level(problem, tasks, rows, bounds, damping)
+
+    def improve(
+        self, state: State, bounds: Bounds, v: Array, status: Status
+    ) -> tuple[Status, Array]:
+        """Improve v where it is still free; keep it when this level fails."""
+        level, Q = self.level, self._decided.basis(state)
+        level.assemble(bounds)
+        level.A[:] = Q
+        Q.dot(v, level.b)
+        own = level.solve()
+        if not own.usable:
+            return Status.INACCURATE, v
+        return (status if own is Status.OPTIMAL else own), level.v
+
+
+class Decided:
+    """The rows that the loops and the levels so far have decided, as an orthonormal basis.
+
+    Args:
+        chain: whose loops.
+        stacks: the tasks that have been decided.
+
+    Attributes:
+        rank: how many of the rows are independent in general, so that a singular start leaves
+            nothing undecided.
+    """
+
+    def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
+        self._blocks = [stack.J for stack in stacks]
+        self.rank = 0
+        state = State(chain)
+        for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
+            state.q[:] = q
+            state.update()
+            for stack in stacks:
+                stack.update(state)
+            rows = np.vstack([state.J_loop, *self._blocks])
+            self.rank = max(self.rank, matrix_rank(rows))
+        self.rank = min(self.rank, chain.n)
+
+    def basis(self, state: State) -> Array:
+        """Q at a state for which the stacks are up to date, shape (rank, n)."""
+        rows = np.vstack([state.J_loop, *self._blocks])
+        if not np.isfinite(rows).all():
+            return np.full((self.rank, rows.shape[1]), np.nan)
+        Vt: Array = np.linalg.svd(rows, full_matrices=self.rank > len(rows))[2]
+        return Vt[: self.rank]

@@ -1,0 +1,97 @@
+"""The look at the loops after the step: no step may open one farther than the budget."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.blas import dnrm2
+
+from coopqp.checked import Array
+from coopqp.controller import Command, ControlProblem
+from coopqp.limit import movers
+from coopqp.solver import Status
+from coopqp.state import State
+
+SHORTEN = 0.5  # a step that opens a loop too far is halved ...
+SHORTEST = 2.0**-10  # ... down to this share, and then not made
+
+
+class LoopProbe:
+    """Looks ahead whether a step would leave the loops within their budget.
+
+    The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is
+    bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
+    sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
+    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Where that is within the budget,
+    as in most ticks, nothing is computed.
+
+    Args:
+        problem: chain, period and budget.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        chain, budget = problem.chain, problem.budget
+        self._model, self._data = chain.model, chain.model.createData()
+        self._frames = frames = chain.frames[: chain.holding]
+        self._dt = np.full(chain.n, problem.dt)
+        self._q = np.zeros(chain.n)
+        self._gap, self._turn = budget.loop_position, budget.loop_orientation
+        pin.framesForwardKinematics(self._model, self._data, chain.q_start)
+        X_0, *others = (self._data.oMf[frame] for frame in frames)
+        self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
+        self._others = [(X.translation, X.rotation) for X in others]
+        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in frames])
+        per_arm = moved * moved.sum(axis=1, keepdims=True)
+        self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
+        self._steepest = float(self._second_order.max(initial=0.0))  # a bound that takes one norm
+        self._reach, self._squares = chain.reach, np.zeros(chain.n)
+
+    def shorten(self, state: State, command: Command) -> None:
+        """Halve the step until the loops stay within the budget after it."""
+        share = 1.0
+        while not self.within(state, command.v):
+            share *= SHORTEN
+            if share < SHORTEST:
+                command.v[:] = 0.0
+                command.status = Status.STEP_SHORTENED
+                return
+            command.v *= SHORTEN
+            command.status = Status.STEP_SHORTENED
+
+    def within(self, state: State, v: Array) -> bool:
+        """Whether the loops are within budget after a step v dt, or no worse than before it."""
+        if not self._others:  # one arm alone closes no loop
+            return True
+        error, speed = 2.0 * dnrm2(state.closed_error), dnrm2(v)
+        if self._fits(error, self._steepest * speed * speed):
+            return True
+        opened = max(self._second_order.dot(np.multiply(v, v, self._squares)).tolist())
+        return self._fits(error, opened) or self._look(state, v)
+
+    def _fits(self, error: float, opened: float) -> bool:
+        return error + self._reach * opened <= self._gap and error + opened <= self._turn
+
+    def _look(self, state: State, v: Array) -> bool:
+        np.multiply(v, self._dt, self._q)
+        np.add(self._q, state.q, self._q)
+        pin.forwardKinematics(self._model, self._data, self._q)
+        for frame in self._frames:
+            pin.updateFramePlacement(self._model, self._data, frame)
+        for p, R in self._others:
+            if np.linalg.norm(p - self._p_0) > self._gap:
+                return self._no_worse(state)
+            if np.linalg.norm(pin.log3(R.dot(self._R_0T))) > self._turn:
+                return self._no_worse(state)
+        return True
+
+    def _no_worse(self, state: State) -> bool:
+        """A loop that is open already may be closed by steps that leave it open for now."""
+        before = np.linalg.norm(state.closed_error.reshape(-1, 2, 3), axis=2)
+        for (p, R), (gap, turn) in zip(self._others, before, strict=True):
+            gap_after = np.linalg.norm(p - self._p_0)
+            turn_after = np.linalg.norm(pin.log3(R.dot(self._R_0T)))
+            if gap_after > max(gap, self._gap):
+                return False
+            if turn_after > max(turn, self._turn):
+                return False
+        return True

@@ -1,0 +1,39 @@
+"""What of a scenario has no effect on some of its controllers, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from coopqp.limits import JointPosition, JointVelocity
+from coopqp.scenario.scenario import Scenario
+
+#: The limits of every scenario that names none; that baselines ignore them is their point.
+USUAL_LIMITS = (JointPosition(), JointVelocity())
+
+
+def notes(scenario: Scenario) -> list[str]:
+    """One sentence for each part of the scenario that not every controller reads.
+
+    Args:
+        scenario: whose controllers say what they heed.
+    """
+    return [
+        f"{what} no effect on {' and '.join(deaf)}"
+        for part, what in _stated(scenario)
+        if (deaf := [name for name, c in scenario.controllers.items() if part not in c.heeds])
+    ]
+
+
+def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """The parts that this scenario has beyond what every scenario has."""
+    tasks = [task for phase in scenario.schedule for task in phase.tasks]
+    if scenario.limits != USUAL_LIMITS:
+        yield "limits", "the limits have"
+    if any(task.mode != "soft" for task in tasks):
+        yield "modes", "that tasks are hard or scaled has"
+    if any(task.priority for task in tasks):
+        yield "priorities", "the priorities of tasks have"
+    if scenario.secondary:
+        yield "secondary", "the secondary objectives have"
+    if scenario.on_infeasible != "scale":
+        yield "on_infeasible", "on_infeasible has"

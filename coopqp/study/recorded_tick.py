@@ -1,0 +1,60 @@
+"""A tick of a written trace, whole: the law that made it and the state that it began with."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+
+from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.qp_law.law import QPLaw
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import TickRecord, record_tick
+from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
+
+
+def recorded_tick(
+    path: Path, scenario: Scenario, controller: str | None = None, tick: int | None = None
+) -> TickRecord:
+    """Do a tick of a trace again and keep it.
+
+    Args:
+        path: of ``trace.csv``.
+        scenario: that it was written for.
+        controller: whose; the first QP controller of the trace when None.
+        tick: which; the first that gave something up when None, else the last.
+
+    Raises:
+        CoopqpError: no such file, controller or tick; no controller that solves a QP.
+    """
+    laws = _qp_laws(scenario, controllers_of(path))
+    if not laws:
+        raise InvalidValueError(f"{path}: no controller here solves a QP in velocities")
+    chosen = controller or next(iter(laws))
+    if chosen not in laws:
+        raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
+    k = blocked_tick(path, chosen) if tick is None else tick
+    held, law = scenario.held_by(chosen), laws[chosen]
+    phase = max(0, bisect_right(held.first_ticks, k) - 1)
+    if phase:
+        # The arms that hold from here on took hold where the trace says that they were.
+        problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
+        built = scenario.controllers[chosen].build(list(islice(problems, phase + 1))[-1])
+        assert isinstance(built, QPLaw)  # as in the first phase
+        law = built
+    state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
+    name = path.parent.resolve().name
+    return record_tick(law, state, scenario=name, controller=chosen, tick=k)
+
+
+def _qp_laws(scenario: Scenario, names: Sequence[str]) -> dict[str, QPLaw]:
+    """The laws of a scenario's controllers that solve a QP in velocities."""
+    laws = {}
+    for name in names:
+        plugin = scenario.controllers.get(name)
+        if plugin is not None and not plugin.commands_torques:
+            law = plugin.build(scenario.held_by(name).problem())
+            if isinstance(law, QPLaw):
+                laws[name] = law
+    return laws
