@@ -281,7 +281,7 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     faults: list[Fault] = []
     for name in scenarios:
         try:
-            _load(name, catalog, None)
+            _note(_load(name, catalog, None))
         except ScenarioError as error:
             faults.extend(error.faults)
         else:
@@ -324,14 +324,19 @@ def schema(catalog: Any) -> None:
 
 def _load(name: str, catalog: Any, solver: str | None) -> Any:
     from coopqp.scenario.loader import load, with_solver
-    from coopqp.scenario.notes import notes
 
     loaded = load(name, catalog)
     for line in loaded.robot_model.warnings:
         click.echo(f"warning: {line}", err=True)
-    for line in notes(loaded):
-        click.echo(f"note: {line}", err=True)
     return with_solver(loaded, solver) if solver else loaded
+
+
+def _note(scenario: Any) -> None:
+    """Say which parts of a scenario have no effect on which of its controllers."""
+    from coopqp.scenario.notes import notes
+
+    for line in notes(scenario):
+        click.echo(f"note: {line}", err=True)
 
 
 def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
@@ -339,6 +344,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     from coopqp.comparison import compare as run_all
     from coopqp.report import files, table
 
+    _note(scenario)
     if out:
         files.check_folder(out)
     with _progress(controllers, scenario.ticks) as progress:
