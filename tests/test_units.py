@@ -16,6 +16,8 @@ from shipped_here import HAS_ROBOTS
 import coopqp
 from coopqp.comparison import Comparison, summarize
 from coopqp.errors import ScenarioError
+from coopqp.limits import JointAcceleration, Workspace
+from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, cells
 from coopqp.report.figures import Figures
 from coopqp.report.scene.playback import scene
@@ -293,3 +295,21 @@ def test_a_motor_that_slides_has_a_force(write: Write) -> None:
     units = {figure.title: figure.unit for figure in found}
     assert units["Force of rail"] == "N"
     assert units["Torque of r1"] == "N m"
+
+
+def test_the_audit_tells_each_limit_in_its_unit(write: Write) -> None:
+    scenario = load(write())
+    wall = Workspace(normal=(-1, 0, 0), through=(0.9, 0, 0))
+    limits = (*scenario.limits, JointAcceleration(max=50.0), wall)
+    compared = coopqp.compare(replace(scenario, limits=limits), controllers=["qp"])
+    trace, units = compared.traces["qp"], {}
+    for row in trace.margins:
+        alone = {"qp": replace(trace, margins={row: trace.margins[row]})}
+        (cell, *_) = re.findall(r"<td>([^<]*)</td>", audit.rows(alone))
+        number, _, units[row.name] = cell.partition(" ")
+        assert float(number) == pytest.approx(trace.margins[row].min(), rel=1e-2)
+    for joint, unit in (("rail", "m"), ("r2", "rad")):
+        for kind, per in (("position", ""), ("velocity", "/s"), ("acceleration", "/s2")):
+            assert units[f"limit.{kind}[{joint}].upper"] == f"{unit}{per}"
+        assert units[f"limit.braking[{joint}].lower"] == unit
+    assert units["limit.workspace.object[0]"] == "m"
