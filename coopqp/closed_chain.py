@@ -30,7 +30,7 @@ from coopqp.grasp import Grasp
 from coopqp.held_object import HeldObject
 from coopqp.hold import Hold, take_hold
 from coopqp.rank import independent_rows, matrix_rank
-from coopqp.robot import RobotModel
+from coopqp.robot import RobotModel, joint_units
 from coopqp.row import Row, names_of
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
@@ -229,8 +229,7 @@ class ClosedChain:
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        kinds = (joint.shortname() for joint in itertools.islice(self.model.joints, 1, None))
-        return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

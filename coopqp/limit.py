@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array, spec, type_name
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark
 from coopqp.row import Row, Side
 from coopqp.state import State
 
@@ -81,6 +82,14 @@ class Limit(ABC):
             left out.
         """
         return {}
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """What pictures show of it: where it is; nothing by default.
+
+        Args:
+            t: since the beginning of the motion, or of its phase [s].
+        """
+        return ()
 
 
 def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:

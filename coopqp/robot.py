@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -124,6 +125,11 @@ class RobotModel:
         """Names in the order of q."""
         return tuple(self.model.names[1:])
 
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
+        return joint_units(self.model)
+
     def arm_joints(self, arm: Arm) -> tuple[str, ...]:
         """Names of the joints between the base and the arm's tip, base first."""
         tip = self.model.frames[self.model.getFrameId(arm.tip)]
@@ -169,6 +175,16 @@ class RobotModel:
                     by_arm[joint] = (key, number)
                 q[self.model.idx_qs[self.model.getJointId(joint)]] = number
         return q
+
+
+def joint_units(model: pin.Model) -> tuple[str, ...]:
+    """Unit of each joint's coordinate, in the order of q."""
+    return tuple(unit_of(joint) for joint in itertools.islice(model.joints, 1, None))
+
+
+def unit_of(joint: Any) -> str:
+    """Unit of the coordinate of a pinocchio joint model: "m" where it slides, else "rad"."""
+    return "m" if joint.shortname().startswith("JointModelP") else "rad"
 
 
 #: Data of a pinocchio model with one number per velocity coordinate.

@@ -21,6 +21,7 @@ from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -99,6 +100,14 @@ class Task(ABC):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """What pictures show of it: where the goal is then, not the way there; nothing by default.
+
+        Args:
+            t: since its reference set out [s].
+        """
+        return ()
 
     @property
     def end(self) -> float:

@@ -21,6 +21,7 @@ from coopqp.checked import Array, Direction, Positive, Vector3, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
+from coopqp.mark import Mark, PlaneMark
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -102,6 +103,10 @@ class Workspace(Limit):
             points.update(state)
             distances(points.p, row)
         return {replace(row, unit="m"): d[:, i] - offset for i, row in enumerate(rows)}
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The plane."""
+        return (PlaneMark(normal=np.array(self.normal), through=np.array(self.through)),)
 
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
         n = unit(self.normal)

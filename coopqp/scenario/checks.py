@@ -132,7 +132,7 @@ def _check_passive(
         i = chain.joint_names.index(name)
         value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
         if not low <= value <= high:
-            words = _outside(name, value, low, high, in_degrees=key.endswith("deg"))
+            words = _outside(name, value, (low, high), _unit(chain.joint_units[i], key))
             faults.append(Fault(file.place([key, name]), words))
     if faults:
         raise ScenarioError(faults)
@@ -145,19 +145,26 @@ def outside_limits(
     faults: list[tuple[Location, str]] = []
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    for joint, value, low, high in zip(robot.joint_names, q, lower, upper, strict=True):
+    joints_of_robot = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
+    for joint, unit, value, low, high in joints_of_robot:
         if low <= value <= high:
             continue
         location: list[str | int] = [key, joint]
         for arm, joints in arms.items():
             if arm in start and joint in joints and joint not in start:
                 location = [key, arm, joints.index(joint)]
-        faults.append((location, _outside(joint, value, low, high, in_degrees=key.endswith("deg"))))
+        faults.append((location, _outside(joint, value, (low, high), _unit(unit, key))))
     return faults
 
 
-def _outside(joint: str, value: float, low: float, high: float, *, in_degrees: bool) -> str:
-    scale, unit = (math.degrees(1.0), "degrees") if in_degrees else (1.0, "rad")
+def _unit(unit: str, key: str) -> str:
+    """The unit in which the file gives a joint's start."""
+    return "degrees" if unit == "rad" and key == "start_deg" else unit
+
+
+def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -> str:
+    scale = math.degrees(1.0) if unit == "degrees" else 1.0
+    low, high = limits
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
         f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"

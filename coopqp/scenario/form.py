@@ -148,7 +148,10 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
         ),
         "start_deg": (
             dict[str, float | list[float]] | None,
-            Field(default=None, description="The same in degrees; instead of start."),
+            Field(
+                default=None,
+                description="The same with degrees for radians; joints that slide keep metres.",
+            ),
         ),
         "tasks": (
             Annotated[_list_of(catalog, "tasks"), Field(min_length=1)] | None,

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel
 
 from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
@@ -17,7 +16,7 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen, file_model
 from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario, Start
+from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
 from coopqp.scenario.yaml import Location, YamlFile, read_yaml
 from coopqp.solver import Solver
@@ -39,6 +38,10 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     scenario = _Reader(file, catalog or Catalog()).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
+    elif file.data.get("start_deg") is not None:
+        robot = built(file, ["robot"], lambda: scenario.robot_model)
+        start = from_degrees(robot, scenario.grasps, scenario.start)
+        scenario = replace(scenario, start=start)
     check_start(file, scenario)
     return scenario
 
@@ -189,9 +192,7 @@ class _Reader:
         if both or (self._needs_start and read.start is None and read.start_deg is None):
             place = [] if read.start is None else ["start_deg"]
             self._fault(place, "give one of start (radians) and start_deg (degrees)")
-        if read.start_deg is None:
-            return read.start or {}
-        return {key: np.radians(value).tolist() for key, value in read.start_deg.items()}
+        return read.start or read.start_deg or {}
 
     def _named(self, key: str, slots: Sequence[BaseModel], *inside: str | int) -> tuple[Any, ...]:
         """The plug-ins of a list, each with a name of its own."""

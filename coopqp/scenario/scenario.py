@@ -21,7 +21,7 @@ from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic
-from coopqp.robot import Robot, RobotModel
+from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.phase import Phase
 from coopqp.solver import Budget, Solver
@@ -170,6 +170,32 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
                 raise InvalidValueError(f"{key}: found {value}, needs one finite number")
             passive[key] = float(numbers[0])
     return own, passive
+
+
+def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
+    """A start in radians and metres from one in degrees and metres.
+
+    Args:
+        robot: whose start it is.
+        grasps: one for all arms, or one for each by the arm's name.
+        start: by arm, joint or passive joint; degrees, metres where a joint slides.
+    """
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
+    for arm in robot.arms:
+        grasp = grasps.get(arm.name) if isinstance(grasps, Mapping) else grasps
+        for passive in grasp.passive_joints(np.eye(3)) if grasp else ():
+            units[f"{arm.name}.{passive.name}"] = unit_of(passive.joint)
+    joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    converted: dict[str, float | list[float]] = {}
+    for key, value in start.items():
+        # Names and counts that are wrong are refused where the start is used.
+        slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
+        if np.size(value) == len(slides):
+            kept = np.reshape(slides, np.shape(value))
+            converted[key] = np.where(kept, value, np.radians(value)).tolist()
+        else:
+            converted[key] = np.radians(value).tolist()
+    return converted
 
 
 def arm_names(robot: RobotModel) -> set[str]:
