@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from laws import DT
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows
 from coopqp.limits import (
@@ -15,6 +16,7 @@ from coopqp.limits import (
     SelfCollision,
     Workspace,
 )
+from coopqp.row import Row
 from coopqp.trace import Trace
 
 TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))
@@ -38,3 +40,10 @@ def least(limit: Limit, chain: ClosedChain, done: Trace) -> float:
 def empty_rows(chain: ClosedChain, limit: Limit) -> LimitRows:
     n, p = chain.n, len(limit.rows(chain))
     return LimitRows(np.full(n, -8.0), np.full(n, 8.0), np.full((p, n), np.nan), np.full(p, np.nan))
+
+
+def by_name(margins: dict[Row, Array]) -> dict[str, Array]:
+    """Margins by the names of their rows, each of which stands once."""
+    named = {row.name: margin for row, margin in margins.items()}
+    assert len(named) == len(margins)
+    return named

@@ -8,7 +8,8 @@ import scipy.optimize
 from example_settings import examples
 
 from coopqp.checked import Array
-from coopqp.qp import QP, RowNames
+from coopqp.qp import QP, Rows
+from coopqp.row import Kind, Row
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.solvers import Qpsolvers
 from coopqp.solvers.qpsolvers import installed
@@ -28,12 +29,17 @@ each_solver = pytest.mark.parametrize(
 
 def empty_qp(n: int = N, p: int = P, m: int = M) -> QP:
     return QP(
-        RowNames(
-            variables=tuple(f"v{i}" for i in range(n)),
-            inequalities=tuple(f"row{i}" for i in range(p)),
-            equalities=tuple(f"loop{i}" for i in range(m)),
+        Rows(
+            variables=rows("joint", n),
+            inequalities=rows("limit", p),
+            equalities=rows("loop", m),
         )
     )
+
+
+def rows(kind: Kind, count: int) -> tuple[Row, ...]:
+    """Rows of one kind, numbered."""
+    return tuple(Row(name=f"{kind}{i}", kind=kind) for i in range(count))
 
 
 def random_qp(rng: np.random.Generator, p: int = P) -> QP:

@@ -16,6 +16,7 @@ from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.rank import matrix_rank
 from coopqp.robot import RobotModel
+from coopqp.row import names_of
 from coopqp.state import State
 
 H = 1e-5  # step of the central differences [rad]
@@ -67,7 +68,7 @@ def test_passive_joints_come_after_their_arm(hinged: ClosedChain, nao: RobotMode
 def test_loop_rows_are_named_by_arm_and_axis(chain: ClosedChain) -> None:
     axes = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
     assert chain.loops.names == tuple(f"loop[left].{axis}" for axis in axes)
-    assert chain.loops.kept_names == chain.loops.names
+    assert chain.loops.kept_rows == chain.loops.rows
     assert chain.loops.dropped == ()
     assert not chain.loops.varying
 
@@ -160,7 +161,7 @@ def test_object_point_moves_with_its_jacobian(chain: ClosedChain, closed_loop_wa
 def test_planar_arms_have_three_loop_rows_and_name_the_rest() -> None:
     pair = planar_pair()
     assert pair.loops.rank == 3
-    assert pair.loops.kept_names == ("loop[left].x", "loop[left].y", "loop[left].rot_z")
+    assert names_of(pair.loops.kept_rows) == ("loop[left].x", "loop[left].y", "loop[left].rot_z")
     assert pair.loops.dropped == ("loop[left].z", "loop[left].rot_x", "loop[left].rot_y")
     assert not pair.loops.varying
 

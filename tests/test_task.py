@@ -6,6 +6,7 @@ import numpy as np
 from example_tasks import SMOOTH, THROUGH, at
 
 from coopqp.closed_chain import ClosedChain
+from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import PointOnPlane, PointOnPoint
@@ -18,7 +19,12 @@ def test_stack_keeps_tasks_in_order_with_their_gains_and_weights(chain: ClosedCh
     ]
     stack = TaskStack(tasks, State(chain))
     stack.update(at(chain, chain.q_start, 1.2))
-    assert stack.names == ("task[reach].x", "task[reach].y", "task[reach].z", "task[lay].normal")
+    assert names_of(stack.rows) == (
+        "task[reach].x",
+        "task[reach].y",
+        "task[reach].z",
+        "task[lay].normal",
+    )
     assert stack.slices == (slice(0, 3), slice(3, 4))
     np.testing.assert_array_equal(stack.weights, [2, 2, 2, 0.5])
     np.testing.assert_allclose(stack.wanted, stack.rate - np.array([4, 4, 4, 3]) * stack.e)

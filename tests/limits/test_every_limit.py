@@ -8,7 +8,7 @@ from functools import partial
 import laws
 import numpy as np
 import pytest
-from example_limits import EXAMPLES, TABLE, TOLERANCE, empty_rows
+from example_limits import EXAMPLES, TABLE, TOLERANCE, by_name, empty_rows
 from laws import DT, run
 
 from coopqp.checked import Pose as PoseSpec
@@ -26,6 +26,7 @@ from coopqp.limits import (
 )
 from coopqp.profile import Profile
 from coopqp.robot import RobotModel
+from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.tasks import JointCentering, Pose
 
@@ -45,26 +46,26 @@ def test_every_limit_holds_in_random_runs(held_box: ClosedChain, seed: int) -> N
     for limit in EXAMPLES:
         if given_up and isinstance(limit, JointAcceleration):
             continue
-        for name, margin in limit.margins(held_box, done.q, done.v, DT).items():
+        for name, margin in by_name(limit.margins(held_box, done.q, done.v, DT)).items():
             kind = name.removeprefix("limit.").split(".")[0].split("[")[0]
             assert margin.shape == (150,)
             assert margin.min() >= -TOLERANCE.get(kind, 1e-9), name
 
 
 def test_rows_and_margins_have_names_of_their_own(held_box: ClosedChain) -> None:
-    rows = [name for limit in EXAMPLES for name in limit.rows(held_box)]
+    rows = [name for limit in EXAMPLES for name in names_of(limit.rows(held_box))]
     assert len(set(rows)) == len(rows)
-    assert {"object_speed.x.upper", "object_speed.rot_z.lower"} <= set(rows)
-    assert {"table.object[0]", "table.object[7]", "table.RHand"} <= set(rows)
-    assert "self_collision[RForearm|torso]" in rows
+    assert {"limit.object_speed.x.upper", "limit.object_speed.rot_z.lower"} <= set(rows)
+    assert {"limit.table.object[0]", "limit.table.object[7]", "limit.table.RHand"} <= set(rows)
+    assert "limit.self_collision[RForearm|torso]" in rows
     q = np.vstack([held_box.q_start] * 2)
     margins = [
         name
         for limit in EXAMPLES
-        for name in limit.margins(held_box, q, np.zeros((1, held_box.n)), DT)
+        for name in by_name(limit.margins(held_box, q, np.zeros((1, held_box.n)), DT))
     ]
     assert len(set(margins)) == len(margins)
-    assert {f"limit.{name}" for name in rows} <= set(margins)
+    assert set(rows) <= set(margins)
     assert {
         "limit.position[RElbowRoll].upper",
         "limit.velocity[RElbowRoll].lower",
@@ -79,24 +80,30 @@ def test_margins_are_negative_where_a_limit_is_broken(held_box: ClosedChain) -> 
     q[2, i] = held_box.upper[i] + 0.1
     v = np.zeros((2, held_box.n))
     v[1, i] = held_box.velocity[i] + 1.0
-    position = JointPosition().margins(held_box, q, v, DT)["limit.position[RElbowRoll].upper"]
-    velocity = JointVelocity().margins(held_box, q, v, DT)["limit.velocity[RElbowRoll].upper"]
+    position = by_name(JointPosition().margins(held_box, q, v, DT))[
+        "limit.position[RElbowRoll].upper"
+    ]
+    velocity = by_name(JointVelocity().margins(held_box, q, v, DT))[
+        "limit.velocity[RElbowRoll].upper"
+    ]
     assert position[0] > 0.0
     assert position[1] == pytest.approx(-0.1)
     assert velocity.tolist() == pytest.approx([held_box.velocity[i], -1.0])
     limit = JointAcceleration(max=20.0)
-    change = limit.margins(held_box, q, v, DT)["limit.acceleration[RElbowRoll].upper"]
+    change = by_name(limit.margins(held_box, q, v, DT))["limit.acceleration[RElbowRoll].upper"]
     assert change.tolist() == pytest.approx([20.0, 20.0 - (held_box.velocity[i] + 1.0) / DT])
-    assert limit.margins(held_box, q, v, DT)["limit.braking[RElbowRoll].upper"][1] < 0.0
+    assert by_name(limit.margins(held_box, q, v, DT))["limit.braking[RElbowRoll].upper"][1] < 0.0
 
 
 def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) -> None:
     loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
     q, v = np.vstack([loose.q_start] * 2), np.zeros((1, loose.n))
     passive = loose.joint_names[loose.passive[0]]
-    assert f"limit.velocity[{passive}].upper" not in JointVelocity().margins(loose, q, v, DT)
+    assert f"limit.velocity[{passive}].upper" not in by_name(
+        JointVelocity().margins(loose, q, v, DT)
+    )
     for limit in (JointPosition(), JointAcceleration(max=10.0), JointVelocity()):
-        assert all(np.isfinite(m).all() for m in limit.margins(loose, q, v, DT).values())
+        assert all(np.isfinite(m).all() for m in by_name(limit.margins(loose, q, v, DT)).values())
 
 
 @pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
@@ -123,7 +130,7 @@ def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
 
 @pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
 def test_rows_may_be_part_of_a_larger_matrix(held_box: ClosedChain, limit: Limit) -> None:
-    plain, p = empty_rows(held_box, limit), len(limit.rows(held_box))
+    plain, p = empty_rows(held_box, limit), len(names_of(limit.rows(held_box)))
     wide = np.zeros((p, held_box.n + 2))
     part = LimitRows(plain.lb.copy(), plain.ub.copy(), wide[:, : held_box.n], np.zeros(p))
     limit.bind(held_box, DT)(State(held_box), plain)
@@ -139,15 +146,15 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
     held_box: ClosedChain, rng: np.random.Generator, limit: Limit
 ) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
-    tighten, names = limit.bind(held_box, DT), limit.rows(held_box)
+    tighten, names = limit.bind(held_box, DT), names_of(limit.rows(held_box))
     deep = 0
     for q in held_box.sample(rng, 200):  # many with bodies in each other or under the table
         state.q[:] = q
         state.update()
         tighten(state, rows)
         assert np.isfinite(rows.G).all()
-        margins = limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT)
-        room = np.array([margins[f"limit.{name}"][0] for name in names])
+        margins = by_name(limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT))
+        room = np.array([margins[name][0] for name in names])
         assert (rows.h[(room >= 0.0) | (room < -SHALLOW)] >= 0.0).all()
         assert rows.h.min() >= -10.0 * SHALLOW  # what is asked back, at the default gain
         deep += int((room < -SHALLOW).sum())

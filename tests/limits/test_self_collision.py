@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
-from example_limits import empty_rows, least
+from example_limits import by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
 from coopqp.checked import Array
@@ -23,6 +23,7 @@ from coopqp.limits import JointPosition, SelfCollision
 from coopqp.profile import Profile
 from coopqp.robot import Capsule, RobotModel
 from coopqp.robots import PlanarPair
+from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
@@ -74,7 +75,7 @@ class Oracle:
         return X.act(np.array(capsule.start)), X.act(np.array(capsule.end))
 
     def distance(self, pair: str, q: Array) -> float:
-        """Of the pair in "self_collision[A|B]", less the radii; not below what touches."""
+        """Of the pair in "limit.self_collision[A|B]", less the radii; not below what touches."""
         pin.framesForwardKinematics(self.chain.model, self.data, q)
         one, other = pair.split("[")[1].rstrip("]").split("|")
         if "object" in (one, other):
@@ -89,7 +90,7 @@ class Oracle:
 def test_distances_are_those_of_closed_forms(held_box: ClosedChain) -> None:
     rng, oracle, limit = np.random.default_rng(3), Oracle(held_box), SelfCollision(distance=0.0)
     q = held_box.sample(rng, 120)
-    margins = limit.margins(held_box, q, np.zeros((119, held_box.n)), DT)
+    margins = by_name(limit.margins(held_box, q, np.zeros((119, held_box.n)), DT))
     compared = 0
     for name, margin in margins.items():
         for row, d in zip(q[1:], margin, strict=True):
@@ -105,7 +106,7 @@ def test_collision_rows_are_the_rate_of_the_distances(held_box: ClosedChain) -> 
     rng, limit, step = np.random.default_rng(4), SelfCollision(distance=0.0), 1e-5
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten = limit.bind(held_box, DT)
-    capsules = [i for i, name in enumerate(limit.rows(held_box)) if "object" not in name]
+    capsules = [i for i, name in enumerate(names_of(limit.rows(held_box))) if "object" not in name]
     off = []
     for q in held_box.sample(rng, 60):
         state.q[:] = q
@@ -113,7 +114,7 @@ def test_collision_rows_are_the_rate_of_the_distances(held_box: ClosedChain) -> 
         tighten(state, rows)
         v = rng.normal(size=held_box.n)
         path = np.vstack([q, q + step * v, q - step * v])
-        margins = limit.margins(held_box, path, np.zeros((2, held_box.n)), DT)
+        margins = by_name(limit.margins(held_box, path, np.zeros((2, held_box.n)), DT))
         slope = np.array([(m[0] - m[1]) / (2 * step) for m in margins.values()])
         off.append(np.abs(slope + rows.G @ v))
     # Closed form between capsules; to the box, coal iterates to 1e-6 m.
@@ -127,7 +128,8 @@ def test_no_pair_is_too_close_where_robots_start(held_box: ClosedChain) -> None:
     middle = 0.5 * (held_box.lower + held_box.upper)
     q = np.vstack([held_box.q_start, held_box.q_start, middle, 0.0 * middle])
     assert all(
-        m.min() > 0.0 for m in limit.margins(held_box, q, np.zeros((3, held_box.n)), DT).values()
+        m.min() > 0.0
+        for m in by_name(limit.margins(held_box, q, np.zeros((3, held_box.n)), DT)).values()
     )
 
 
@@ -143,12 +145,13 @@ def test_what_is_pulled_into_the_torso_stops_before_it(
     pull = PointOnPoint(goal=goal, profile=Profile(duration=0.5))
     done = run(QPController(), problem(held_box, pull, limits=[*LIMITS, limit]), 250)
     distances = {
-        name: [oracle.distance(name, q) for q in done.q[::5]] for name in limit.rows(held_box)
+        name: [oracle.distance(name, q) for q in done.q[::5]]
+        for name in names_of(limit.rows(held_box))
     }
     assert min(map(min, distances.values())) >= limit.distance - 1e-4
     assert least(limit, held_box, done) >= -1e-4
     if gain == 10.0:
-        assert min(distances[f"self_collision[{blocked}]"]) < limit.distance + 1e-3
+        assert min(distances[f"limit.self_collision[{blocked}]"]) < limit.distance + 1e-3
 
 
 def test_forearms_and_hands_driven_together_stop_apart(held_box: ClosedChain) -> None:
@@ -170,7 +173,9 @@ def test_forearms_and_hands_driven_together_stop_apart(held_box: ClosedChain) ->
         )
         assert v is not None
         state.q += v * DT
-        nearest.append(min(oracle.distance(name, state.q) for name in limit.rows(held_box)))
+        nearest.append(
+            min(oracle.distance(name, state.q) for name in names_of(limit.rows(held_box)))
+        )
     assert nearest[0] > 0.05
     assert min(nearest) >= limit.distance - 1e-4
     assert min(nearest) < limit.distance + 1e-3
@@ -200,7 +205,7 @@ def test_bodies_in_each_other_give_finite_rows(nao: RobotModel, held_box: Closed
 def test_bodies_that_the_grasps_fix_to_each_other_are_no_pair(
     nao: RobotModel, held_box: ClosedChain
 ) -> None:
-    hands = "self_collision[RHand|LHand]"
+    hands = "limit.self_collision[RHand|LHand]"
     assert hands not in SelfCollision().rows(held_box)
     loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
     assert hands in SelfCollision().rows(loose)
@@ -233,4 +238,4 @@ def test_a_capsule_on_an_unknown_joint_is_refused(nao: RobotModel) -> None:
 )
 def test_a_released_hand_is_watched_against_the_one_that_holds(chain: ClosedChain) -> None:
     alone = chain.handed_over(chain.q_start, ["left"])
-    assert "self_collision[RHand|LHand]" in SelfCollision().rows(alone)
+    assert "limit.self_collision[RHand|LHand]" in SelfCollision().rows(alone)

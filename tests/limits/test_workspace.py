@@ -7,7 +7,7 @@ from functools import partial
 import laws
 import numpy as np
 import pytest
-from example_limits import TABLE, empty_rows, least
+from example_limits import TABLE, by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
 from coopqp.closed_chain import ClosedChain
@@ -15,6 +15,7 @@ from coopqp.controllers import QPController
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limits import Workspace
 from coopqp.profile import Profile
+from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
@@ -54,7 +55,7 @@ def test_workspace_rows_are_the_rate_of_the_distances(
             path = np.vstack([q, q, q])
             path[1, i] += step
             path[2, i] -= step
-            margins = tilted.margins(held_box, path, np.zeros((2, held_box.n)), DT)
+            margins = by_name(tilted.margins(held_box, path, np.zeros((2, held_box.n)), DT))
             slope = [(m[0] - m[1]) / (2 * step) for m in margins.values()]
             # Loops open a little here; the object's mean turn is linear to first order only.
             assert np.allclose(-rows.G[:, i], slope, atol=1e-5)
@@ -71,8 +72,8 @@ def test_workspace_refuses_what_it_cannot_watch(held_box: ClosedChain) -> None:
 
 def test_points_given_replace_the_corners(held_box: ClosedChain) -> None:
     limit = Workspace(normal=(0, 0, 2), through=(0, 0, 0), points=((0.0, 0.0, -0.1),))
-    assert limit.rows(held_box) == ("workspace.object[0]",)
+    assert names_of(limit.rows(held_box)) == ("limit.workspace.object[0]",)
     q = np.vstack([held_box.q_start] * 2)
-    margins = limit.margins(held_box, q, np.zeros((1, held_box.n)), DT)
+    margins = by_name(limit.margins(held_box, q, np.zeros((1, held_box.n)), DT))
     height = State(held_box).p_WO[2] - 0.1
     assert margins["limit.workspace.object[0]"][0] == pytest.approx(height)

@@ -67,7 +67,8 @@ def test_limits_that_are_never_given_up_have_no_negative_margin(
 ) -> None:
     """Only where acceleration was given up may its margin be negative."""
     _, trace = blocked
-    for name, margin in trace.margins.items():
+    for row, margin in trace.margins.items():
+        name = row.name
         kept = "acceleration" not in name and "braking" not in name
         ticks = np.array([kept or s != "ACCELERATION_GIVEN_UP" for s in trace.status])
         calm = ticks & np.append(True, ticks[:-1])

@@ -12,6 +12,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.qp_law.law import QPLaw
+from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
@@ -51,6 +52,6 @@ def test_qp_minimises_what_its_docstring_says(
 def test_qp_names_its_variables_and_rows(reach_too_far: ControlProblem, chain: ClosedChain) -> None:
     law = QPController().build(reach_too_far)
     assert isinstance(law, QPLaw)
-    assert law.qp.names.variables == chain.joint_names
-    assert law.qp.names.equalities == chain.loops.names
-    assert law.qp.names.inequalities == ()
+    assert names_of(law.qp.rows.variables) == chain.joint_names
+    assert law.qp.rows.equalities == chain.loops.rows
+    assert law.qp.rows.inequalities == ()

@@ -181,7 +181,7 @@ def test_a_tick_of_any_phase_can_be_kept_and_solved_again(tmp_path: Path, tick: 
         row = list(csv.DictReader(stream))[tick]
     recorded = [float(row[f"v[{name}]"]) for name in load(out / "scenario.yaml").chain.joint_names]
     np.testing.assert_allclose(record.answer, recorded, atol=1e-6)
-    loops = [name for name in record.equality_names if name.startswith("loop[")]
+    loops = [row for row in record.equality_rows if row.kind == "loop"]
     assert len(loops) == (0 if ALONE <= tick < AGAIN else 6)
 
 

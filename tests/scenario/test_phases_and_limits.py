@@ -38,7 +38,7 @@ def test_the_audit_of_accelerations_knows_that_a_phase_begins_in_motion(tmp_path
     trace = run(phased(tmp_path, text), controller="qp")
     assert set(trace.status) == {"OPTIMAL"}
     assert np.abs(np.diff(trace.v, axis=0)).max() / trace.dt < 5.0 + 1e-9
-    left = [margin.min() for name, margin in trace.margins.items() if "acceleration" in name]
+    left = [margin.min() for row, margin in trace.margins.items() if row.owner == "acceleration"]
     assert min(left) > -1e-9
 
 

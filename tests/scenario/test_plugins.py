@@ -17,7 +17,7 @@ from coopqp import Catalog, CoopqpError, cli, compare, load
 from coopqp.scenario.catalog import COLLECTIONS, Entry
 from coopqp.scenario.loader import with_solver
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "plugins"
 FILES = sorted(EXAMPLES.glob("*/[!_]*.py"))
 EXAMPLE = {file.parent.name: file for file in FILES}

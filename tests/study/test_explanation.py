@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_limits import by_name
 from kept_ticks import POSE, WIDE, at, first_tick, record
 from laws import DT, LIMITS, NEAR, STEP, ticks
 from scipy.optimize import linprog
@@ -107,7 +108,7 @@ def test_named_limits_are_at_their_ends_in_the_trace(
     """The explanation blames joints that really rest at that limit."""
     trace = compared.traces["qp"]
     for relaxation in explain(record(law, at(compared, law, tick), tick)).relaxations:
-        assert trace.margins[relaxation.name][tick] < 1e-6
+        assert by_name(trace.margins)[relaxation.name][tick] < 1e-6
 
 
 @pytest.mark.parametrize("tick", LATE)
@@ -224,7 +225,9 @@ def test_rows_have_one_name_in_explanation_and_audit(chain: ClosedChain) -> None
     task = PointOnPoint(name="lift", goal=(x, y, z + 0.05), profile=STEP)
     limit = ObjectSpeed(linear=0.02)
     found = explain(first_tick(chain, task, limits=(*LIMITS, limit)))
-    audited = limit.margins(chain, np.tile(chain.q_start, (2, 1)), np.zeros((1, chain.n)), DT)
+    audited = by_name(
+        limit.margins(chain, np.tile(chain.q_start, (2, 1)), np.zeros((1, chain.n)), DT)
+    )
     assert {relaxation.name for relaxation in found.relaxations} <= set(audited)
 
 

@@ -19,6 +19,7 @@ from coopqp.controllers import QPController
 from coopqp.errors import CoopqpError
 from coopqp.limits import JointAcceleration, ObjectSpeed
 from coopqp.qp_law.law import QPLaw
+from coopqp.row import names_of
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.study.explanation import TickRecord, explain, replay
@@ -64,10 +65,12 @@ def test_record_is_the_program_that_the_law_solved(compared: Comparison, law: QP
     law.assemble(state)
     for name in ("P", "q", "C", "lower", "upper"):
         np.testing.assert_array_equal(getattr(kept.qp(), name), getattr(law.qp, name))
-    assert kept.variables == list(state.chain.joint_names)
-    assert kept.task_names == ["task[reach].x", "task[reach].y", "task[reach].z"]
+    assert names_of(kept.variables) == state.chain.joint_names
+    assert names_of(kept.task_rows) == ("task[reach].x", "task[reach].y", "task[reach].z")
     lower, upper = np.array(kept.lower[:10]), np.array(kept.upper[:10])
-    for i, (low, high) in enumerate(zip(kept.lb_names, kept.ub_names, strict=True)):
+    for i, (low, high) in enumerate(
+        zip(names_of(kept.lb_rows), names_of(kept.ub_rows), strict=True)
+    ):
         joint = state.chain.joint_names[i]
         slowest = -state.chain.velocity[i] == lower[i]
         assert low == f"limit.{'velocity' if slowest else 'position'}[{joint}].lower"
@@ -201,7 +204,7 @@ def test_truncated_or_extended_record_is_refused(saved: Path) -> None:
         ("variables", 10),
         ("damping", "little"),
         ("answer", []),
-        ("lb_names", []),
+        ("lb_rows", []),
     ],
     ids=lambda value: repr(value)[:20],
 )

@@ -15,6 +15,7 @@ from example_tasks import EXAMPLES, POINT, H, at, object_point, rows
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
 from coopqp.profile import Profile
+from coopqp.row import names_of
 from coopqp.scenario.loader import load
 from coopqp.tasks import Twist
 
@@ -56,7 +57,7 @@ def test_twist_can_be_commanded_from_python(chain: ClosedChain) -> None:
         command=lambda t: (2.0 * t, 0.1 * t),
     )
     stack = rows(task, at(chain, chain.q_start, 0.5))
-    assert stack.names == ("task[].x", "task[].rot_z")
+    assert names_of(stack.rows) == ("task[].x", "task[].rot_z")
     np.testing.assert_allclose(stack.rate, [0.05, 1.0])
 
 

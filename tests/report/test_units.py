@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from shipped_here import HAS_ROBOTS
+from scenario_files import HAS_ROBOTS
 
 import coopqp
 from coopqp.comparison import Comparison, summarize
