@@ -206,10 +206,10 @@ def test_bodies_that_the_grasps_fix_to_each_other_are_no_pair(
     nao: RobotModel, held_box: ClosedChain
 ) -> None:
     hands = "limit.self_collision[RHand|LHand]"
-    assert hands not in SelfCollision().rows(held_box)
+    assert hands not in names_of(SelfCollision().rows(held_box))
     loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
-    assert hands in SelfCollision().rows(loose)
-    assert not any("Hand" in n for n in SelfCollision().rows(loose) if "object" in n)
+    assert hands in names_of(SelfCollision().rows(loose))
+    assert not any("Hand" in n for n in names_of(SelfCollision().rows(loose)) if "object" in n)
 
 
 def test_self_collision_refuses_what_it_cannot_watch(held_box: ClosedChain) -> None:

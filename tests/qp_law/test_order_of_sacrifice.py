@@ -29,7 +29,8 @@ def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
     """The same chain, with position limits this far around q [rad]."""
     model = chain.robot.model.copy()
     model.lowerPositionLimit, model.upperPositionLimit = q - room, q + room
-    return ClosedChain(replace(chain.robot, model=model), chain.q_start, Rigid(), HeldObject())
+    narrow = replace(chain.robot, model=model)
+    return ClosedChain.take_hold(narrow, chain.q_start, Rigid(), HeldObject())
 
 
 def keeps_position_and_velocity_limits(chain: ClosedChain, q: Array, v: Array) -> bool:

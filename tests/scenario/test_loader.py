@@ -50,7 +50,7 @@ FAULTS = [
     ("tasks:", "tasks:\n  - posture: {goal: {rihgt: [1, 2]}}", "tasks[0]: posture.goal: "),
     ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0]}}, "
      "{workspace: {normal: [0, 1, 0], through: [0, -1, 0]}}]", "limits[1]: another limit has a row "
-     "'workspace.object[0]' too; add 'name:'"),
+     "'limit.workspace.object[0]' too; add 'name:'"),
     ("dt: 0.01", "dt: 0.01\nlimits: [{workspace: {normal: [0, 0, 1], through: [0, 0, 0], "
      "frames: [RHnd]}}]", "limits[0]: workspace: unknown frame 'RHnd'; did you mean 'RHand'"),
     ("start: ", "start_deg: {right: [0, 0, 0, 20, 0]}\nstart: ", "give one of start (radians)"),
@@ -131,9 +131,9 @@ def test_the_schema_covers_every_plug_in() -> None:
 
 def test_a_solver_can_be_changed_by_name() -> None:
     scenario = load("point_on_point")
-    assert with_solver(scenario, "osqp", Catalog()).solver_name == "osqp"
+    assert with_solver(scenario, "osqp").solver_name == "osqp"
     with pytest.raises(UnknownNameError, match="did you mean 'daqp'"):
-        with_solver(scenario, "dapq", Catalog())
+        with_solver(scenario, "dapq")
 
 
 USERS_TASK = '''"""Holds the height of the object."""
