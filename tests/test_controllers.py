@@ -553,7 +553,10 @@ def test_tick_leaves_the_state_alone_and_answers_alike_twice(
         ({"dt": np.nan}, "dt"),
         ({"kappa": -1.0}, "kappa"),
         ({"kappa": 1.1 / DT}, "kappa"),
-        ({"secondary": [JointCentering(name="centre", mode="hard")]}, "'centre' is hard, but"),
+        (
+            {"secondary": [JointCentering(name="centre", mode="hard")]},
+            "'centre' is hard, secondary",
+        ),
         ({"secondary": [JointCentering(name="centre", gain=101.0)]}, "centre"),
     ],
 )

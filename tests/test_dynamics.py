@@ -13,7 +13,6 @@ import pytest
 import scipy.linalg
 from mujoco_model import MujocoChain
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from test_closed_chain import planar_pair, spherical_pair, three_arms
 
 from coopqp.checked import Vector3, spec
@@ -819,6 +818,6 @@ def test_passive_joint_has_no_motor(hinged: ClosedChain) -> None:
     ],
 )
 def test_object_that_no_body_can_be(values: dict[str, object], message: str) -> None:
-    with pytest.raises(ValidationError, match=message) as caught:
+    with pytest.raises(InvalidValueError, match=message) as caught:
         HeldObject(**values)
-    assert caught.value.error_count() == 1
+    assert len(str(caught.value).splitlines()) == 1

@@ -13,9 +13,10 @@ from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
-from coopqp.scenario.yaml import Location, YamlFile
+from coopqp.scenario.yaml import YamlFile
 from coopqp.state import State
 from coopqp.task import Task
+from coopqp.wording import Location
 
 T = TypeVar("T")
 
