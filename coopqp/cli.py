@@ -113,7 +113,7 @@ def mobility(
     as_json: bool,
 ) -> None:
     """Tell what a scenario's grasp allows, before anything moves."""
-    from coopqp.report import files
+    from coopqp.report import files, strict_json
     from coopqp.report import mobility as report
 
     asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
@@ -121,7 +121,7 @@ def mobility(
     if page:
         files.write_one(page, report.page(study))
     if as_json:
-        click.echo(json.dumps(report.as_json(study), indent=2))
+        click.echo(strict_json.text(report.as_json(study)))
         return
     for table in report.tables(study):
         _console().print(table)
@@ -151,7 +151,7 @@ def explain(
     """
     from dataclasses import asdict
 
-    from coopqp.report import files
+    from coopqp.report import files, strict_json
     from coopqp.study import explanation
 
     record = _tick(trace, tick, controller, task_folders)
@@ -159,7 +159,8 @@ def explain(
     if save:
         files.write_one(save, record.text())
     if as_json:
-        click.echo(json.dumps({"tick": record.tick, "status": record.status, **asdict(found)}))
+        data = {"tick": record.tick, "status": record.status, **asdict(found)}
+        click.echo(strict_json.text(data))
         return
     click.echo(f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):")
     click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
@@ -173,6 +174,7 @@ def explain(
 @JSON
 def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
+    from coopqp.report import strict_json
     from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study import explanation
@@ -189,7 +191,7 @@ def replay(file: Path, solver: tuple[str, ...], as_json: bool) -> None:
             "v": answer.v.tolist(),
         }
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
+        click.echo(strict_json.text(rows))
         return
     from rich.table import Table
 
@@ -211,6 +213,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
 
+    from coopqp.report import strict_json
     from coopqp.study import stress as trial
 
     with _progress(["rollouts"], rollouts) as progress:
@@ -219,7 +222,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
-        click.echo(json.dumps(data, indent=2))
+        click.echo(strict_json.text(data))
     else:
         _console().print(_stress_table(lines))
         for r in broken[:20]:
@@ -240,6 +243,7 @@ def solve_start(
 
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
+    from coopqp.report import strict_json
     from coopqp.scenario.catalog import Catalog
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
@@ -248,9 +252,8 @@ def solve_start(
         report = (lambda done, total: progress("solving", done / total)) if progress else None
         found = load_and_solve(scenario, Catalog(task_folders), seed=seed, progress=report)
     if as_json:
-        margin = found.margin if found.margin < float("inf") else None
-        data = {"start": found.start, "margin": margin, "tries": found.tries, "found": found.found}
-        click.echo(json.dumps(data, indent=2))
+        asked = ("start", "margin", "tries", "found")
+        click.echo(strict_json.text({key: getattr(found, key) for key in asked}))
         return
     click.echo(yaml_text(found), nl=False)
 
@@ -387,7 +390,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
         comparison = run_all(scenario, controllers=controllers, progress=progress)
     written = files.write(comparison, out) if out else []
     if as_json:
-        click.echo(json.dumps(comparison.as_json(), indent=2))
+        click.echo(files.metrics_json(comparison), nl=False)
         return
     _console().print(table.summary(comparison))
     for path in written:
