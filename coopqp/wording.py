@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import traceback
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -47,6 +48,19 @@ def faults(
         if not _follows(detail, details)
     ]
     return list(dict.fromkeys(found))
+
+
+def raised(error: Exception, file: str | None = None) -> str:
+    """``FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught.
+        file: whose line counts; that which raised the error if omitted.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if file in (None, frame.filename)]
+    place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
+    return f"{place}: raises {type(error).__name__}: {error}"
 
 
 def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:

@@ -26,7 +26,7 @@ from coopqp import wording
 from coopqp.checked import NonNegative, Positive
 from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
-from coopqp.errors import Fault, ScenarioError, unknown_name
+from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
@@ -275,6 +275,10 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
     except ValidationError as error:
         found = wording.faults(error, file.data, model, {Robot: _slot(model, "robot")})
         faults += [Fault(file.place(location), message) for location, message in found]
+    except CoopqpError:
+        raise
+    except Exception as error:  # from the __post_init__ of a plug-in
+        raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
     if faults:
         raise ScenarioError(faults)
     return read

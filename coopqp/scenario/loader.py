@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from coopqp.checked import taken_names
 from coopqp.controller import TELL_APART, Controller, problem_faults
-from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.scenario.catalog import Catalog
@@ -21,9 +21,11 @@ from coopqp.scenario.form import SOLVE, check, chosen, file_model
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
+from coopqp.scenario.trial import blamed
 from coopqp.scenario.yaml import YamlFile, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
+from coopqp.task import Task
 from coopqp.wording import Location
 
 
@@ -229,12 +231,21 @@ class _Reader:
             for place, message in found:
                 self._fault([*inside, *place] if place[0] == "tasks" else place, message)
         for place, task, phase in placed_tasks(scenario):
-            if task.end > phase.duration + 1e-9:
-                self._fault(
-                    place,
-                    f"the reference of '{task.name}' arrives at {task.end:g} s, after the end at "
-                    f"{phase.duration:g} s; make it shorter or the duration longer",
-                )
+            self._check_end(place, task, phase.duration)
+
+    def _check_end(self, place: Location, task: Task, duration: float) -> None:
+        try:
+            with blamed(task):
+                end = task.end
+        except CoopqpError as error:
+            self._fault(place, str(error))
+            return
+        if not end <= duration + 1e-9:
+            self._fault(
+                place,
+                f"the reference of '{task.name}' arrives at {end:g} s, after the end at "
+                f"{duration:g} s; make it shorter or the duration longer",
+            )
 
 
 def _plugins(slots: Sequence[BaseModel]) -> tuple[Any, ...]:
