@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
@@ -106,6 +106,56 @@ def numbers(value: Any, count: int) -> Any:
     if not isinstance(listed, list | tuple) or len(listed) != count:
         raise ValueError(f"needs {count} numbers")
     return listed
+
+
+def array(name: str, values: ArrayLike) -> Array:
+    """Numbers given in Python, as an array of their own of whatever shape.
+
+    Args:
+        name: what they are, for the message.
+        values: numbers, NaN and infinities too.
+
+    Raises:
+        InvalidValueError: they are no numbers, or ragged.
+    """
+    try:
+        return np.array(values, float)
+    except (TypeError, ValueError):
+        raise InvalidValueError(f"{name}: found {values!r}, needs numbers") from None
+
+
+def vector(name: str, values: ArrayLike, n: int) -> Array:
+    """The same for n numbers, shape (n,).
+
+    Raises:
+        InvalidValueError: they are no numbers, or not n.
+    """
+    found = array(name, values)
+    if found.shape != (n,):
+        raise InvalidValueError(f"{name}: found shape {found.shape}, needs ({n},)")
+    return found
+
+
+def finite(name: str, found: Array) -> Array:
+    """The array as it is.
+
+    Raises:
+        InvalidValueError: a number is NaN or infinite.
+    """
+    if not np.isfinite(found).all():
+        raise InvalidValueError(f"{name}: found {found.tolist()}, needs finite numbers")
+    return found
+
+
+def seeded(seed: int) -> np.random.Generator:
+    """Random numbers that are the same for equal seeds.
+
+    Raises:
+        InvalidValueError: the seed is negative.
+    """
+    if seed < 0:
+        raise InvalidValueError(f"seed: found {seed}, needs at least 0")
+    return np.random.default_rng(seed)
 
 
 def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:

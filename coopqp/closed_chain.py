@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, finite, vector
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
@@ -134,11 +134,7 @@ class ClosedChain:
         self.grasps = grasp_of_each(robot, grasps)
         if len(robot.arms) < 2:
             raise GraspError(f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two")
-        start = np.asarray(q_start, float)
-        if start.shape != (robot.model.nq,):
-            raise InvalidValueError(
-                f"q_start: found shape {start.shape}, needs ({robot.model.nq},)"
-            )
+        start = finite("q_start", vector("q_start", q_start, robot.model.nq))
         self._robot_start = start
         self._without_object, self._ends = with_passive_joints(
             robot,
@@ -168,7 +164,7 @@ class ClosedChain:
             q: configuration with the loops closed, passive joints included, shape (n,).
         """
         other = copy.copy(self)
-        other.q_start = np.array(q, float)
+        other.q_start = vector("q", q, self.n)
         other.start_position = self.object_pose(other.q_start).translation.copy()
         return other
 
@@ -188,7 +184,7 @@ class ClosedChain:
         """
         other = copy.copy(self)
         other.__dict__.pop("reach", None)  # it depends on where the hands take hold
-        other.q_start = np.array(q, float)
+        other.q_start = vector("q", q, self.n)
         X_WO, data = self.object_pose(q), self.model.createData()
         pin.framesForwardKinematics(self.model, data, other.q_start)
         carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
@@ -211,7 +207,7 @@ class ClosedChain:
             q: configuration, shape (n,).
         """
         data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, np.asarray(q, float))
+        pin.framesForwardKinematics(self.model, data, vector("q", q, self.n))
         X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
         p, turn = X_0.translation.copy(), np.zeros(3)
         for weight, X in zip(self.alpha[1:], others, strict=False):

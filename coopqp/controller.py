@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from pydantic import Field, field_validator
 
 from coopqp.checked import overshoot, spec, taken_names, type_name
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import State
@@ -59,6 +59,9 @@ class ControlProblem:
 
     def __post_init__(self) -> None:
         found = list(problem_faults(self.dt, self.kappa, self.tasks, self.secondary))
+        if self.on_infeasible not in get_args(OnInfeasible):
+            known = unknown_name("choice", str(self.on_infeasible), get_args(OnInfeasible))
+            found.append((("on_infeasible",), known))
         if found:
             lines = (f"{dotted(place)}: {message}" for place, message in found)
             raise InvalidValueError("\n".join(lines))
@@ -75,8 +78,8 @@ def problem_faults(
         tasks: the main tasks.
         secondary: objectives for what the tasks leave free.
     """
-    if not 0.0 < dt < np.inf:
-        yield ("dt",), f"found {dt} s; needs more than 0"
+    if wrong := period_fault(dt):
+        yield ("dt",), wrong
         return
     if not kappa >= 0.0:
         yield ("kappa",), f"found {kappa}; needs at least 0"
@@ -88,6 +91,11 @@ def problem_faults(
         if task.mode != "soft":
             words = f"'{task.name}' is {task.mode}, secondary objectives are soft"
             yield ("secondary", i), f"{words}; put it under tasks"
+
+
+def period_fault(dt: float) -> str:
+    """What is wrong with a control period [s]; empty if nothing is."""
+    return "" if 0.0 < dt < np.inf else f"found {dt} s; needs a finite time, more than 0"
 
 
 def _task_faults(key: str, tasks: Sequence[Task], dt: float) -> Iterator[tuple[Location, str]]:
