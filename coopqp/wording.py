@@ -60,7 +60,7 @@ def raised(error: Exception, file: str | None = None) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
-    return f"{place}: raises {type(error).__name__}: {error}"
+    return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:

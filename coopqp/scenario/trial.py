@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -30,8 +31,11 @@ from coopqp.wording import raised
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
 NEARBY = 0.03
+#: The same for those that are asked where a task disagrees nearby: it may start where it is
+#: singular, as where an axis points against its goal, and rows hold other promises there.
+FARTHER = 0.3
 #: Newton steps that close the loops there; they converge quadratically.
-CLOSING = 3
+CLOSING = 5
 #: Loop error that they may leave [m, rad].
 CLOSED = 1e-6
 WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minimum(rows.ub, ...)"
@@ -68,17 +72,27 @@ class Places:
     """
 
     def __init__(self, chain: ClosedChain) -> None:
-        rng = np.random.default_rng(0)
         self.start = State(chain)
-        self.nearby = tuple(_place(self.start, rng) for _ in SHARES)
+        self.nearby = self._around(NEARBY)
+
+    @cached_property
+    def farther(self) -> tuple[_Nearby, ...]:
+        """As many that are farther away."""
+        return self._around(FARTHER)
+
+    def _around(self, spread: float) -> tuple[_Nearby, ...]:
+        rng = np.random.default_rng(0)
+        return tuple(_place(self.start, rng, spread) for _ in SHARES)
 
 
-def _place(start: State, rng: np.random.Generator) -> _Nearby:
+def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
     chain, n = start.chain, start.chain.n
-    here = State(chain, start.q + NEARBY * rng.standard_normal(n))
-    here.close_loops(CLOSING)
-    if not np.abs(here.closed_error).max(initial=0.0) < CLOSED:  # a singular start: stay there
-        here = State(chain, start.q)
+    way = rng.standard_normal(n)
+    for nearer in (1.0, 0.5, 0.25, 0.0):  # where the loops cannot be closed, go less far
+        here = State(chain, start.q + nearer * spread * way)
+        here.close_loops(CLOSING)
+        if np.abs(here.closed_error).max(initial=0.0) < CLOSED:
+            break
     free = null_space(here.J_loop)
     v = free @ rng.standard_normal(free.shape[1])
     v /= max(float(np.linalg.norm(v)), STEP)
@@ -115,8 +129,11 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         elif task.asks_velocity:
             _check_zero_error(look, seen)
         elif any(s.rows.e.any() or s.rows.rate.any() for s in seen):
-            for s in seen:
-                s.check_derivatives()
+            for i, s in enumerate(seen):
+                if s.disagreement():
+                    s = _Seen(look, places.farther[i], s.t)
+                if wrong := s.disagreement():
+                    raise _PromiseError(wrong)
 
 
 class _Look:
@@ -134,40 +151,36 @@ class _Look:
         self._evaluate(state, rows)
         state.t = before
         for key in ("e", "J", "rate"):
-            wrong = ~np.isfinite(getattr(rows, key)).reshape(k, -1).all(axis=1)
-            if wrong.any():
-                row = int(np.argmax(wrong))
-                raise _PromiseError(
-                    f"row {self.names[row]}: {key} is {getattr(rows, key)[row]}, needs finite "
-                    "numbers"
-                )
+            _check_finite(key, self.names, getattr(rows, key), state.chain)
         return rows
 
 
 class _Seen:
-    """What a task writes at a place, and how it changes from there."""
+    """What a task writes at a place and a time, and how it changes from there."""
 
     def __init__(self, look: _Look, place: _Nearby, t: float) -> None:
-        self._look, self._place, self._t = look, place, t
+        self._look, self._place, self.t = look, place, t
         self.rows = look.at(place.here, t)
 
-    def check_derivatives(self) -> None:
-        """Refuse rows with e_dot other than J v - rate."""
-        look, place, t = self._look, self._place, self._t
+    def disagreement(self) -> str:
+        """The row in which e_dot is farthest from J v - rate; empty where they agree."""
+        look, place, t = self._look, self._place, self.t
         moved = look.at(place.ahead, t).e - look.at(place.behind, t).e
-        self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP))
         passed = look.at(place.here, t + STEP).e - look.at(place.here, t - STEP).e
-        self._compare("rate", self.rows.rate, -passed / (2.0 * STEP))
+        return self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
+            "rate", self.rows.rate, -passed / (2.0 * STEP)
+        )
 
-    def _compare(self, what: str, said: Array, found: Array) -> None:
+    def _compare(self, what: str, said: Array, found: Array) -> str:
         allowed = RELATIVE * (np.abs(said) + np.abs(found)) + ABSOLUTE
         excess = np.abs(said - found) - allowed
         row = int(np.argmax(excess))
-        if excess[row] > 0.0:
-            raise _PromiseError(
-                f"row {self._look.names[row]}: {what} is {said[row]:.4g}, finite differences of e "
-                f"say {found[row]:.4g}"
-            )
+        if excess[row] <= 0.0:
+            return ""
+        return (
+            f"row {self._look.names[row]}: {what} is {said[row]:.4g}, finite differences of e say "
+            f"{found[row]:.4g}"
+        )
 
 
 def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
@@ -214,7 +227,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
             tighten(state, open_)
             tighten(state, shut)
-            _check_inequalities(names, open_)
+            _check_inequalities(chain, names, open_)
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 
 
@@ -226,12 +239,22 @@ def _limit_rows(chain: ClosedChain, names: Sequence[str], width: float) -> Limit
     )  # fmt: skip
 
 
-def _check_inequalities(names: Sequence[str], rows: LimitRows) -> None:
-    for name, G, h in zip(names, rows.G, rows.h, strict=True):
-        if not np.isfinite(G).all():
-            raise _PromiseError(f"row {name}: G is {G}, needs finite numbers")
+def _check_inequalities(chain: ClosedChain, names: Sequence[str], rows: LimitRows) -> None:
+    _check_finite("G", names, rows.G, chain)
+    for name, h in zip(names, rows.h, strict=True):
         if not h > -np.inf:
             raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
+
+
+def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
+    """Refuse a column, or a matrix with a column a joint, that is not finite."""
+    wrong = np.argwhere(~np.isfinite(values))
+    if not len(wrong):
+        return
+    row, *column = wrong[0].tolist()
+    what = f"{key} of {chain.joint_names[column[0]]}" if column else key
+    found = values[tuple(wrong[0])]
+    raise _PromiseError(f"row {names[row]}: {what} is {found}, needs a finite number")
 
 
 def _check_bounds(chain: ClosedChain, open_: LimitRows, shut: LimitRows, *, inside: bool) -> None:
