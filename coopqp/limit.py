@@ -169,7 +169,7 @@ def joint_margins(
 
 def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
     """What a limit's bounds on v are called, joint by joint, in units of a velocity or a place."""
-    kind = type_name(limit).removeprefix("joint_")
+    kind = type_name(type(limit)).removeprefix("joint_")
     per = "" if limit.bounds_position else "/s"
     return tuple(joint_limit(kind, chain, i, side, per) for i in range(chain.n))
 

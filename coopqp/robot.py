@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, array, finite
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 
@@ -157,13 +157,11 @@ class RobotModel:
             if key not in arms and key not in self.joint_names:
                 raise UnknownNameError("arm or joint", key, [*arms, *self.joint_names])
             joints = arms.get(key, (key,))
-            numbers = np.atleast_1d(np.asarray(value, float))
+            numbers = np.atleast_1d(finite(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
                     f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
                 )
-            if not np.isfinite(numbers).all():
-                raise InvalidValueError(f"{key}: found {numbers.tolist()}, needs finite numbers")
             for joint, number in zip(joints, numbers, strict=True):
                 other, same = by_arm.get(joint, (key, number))
                 if number != same:

@@ -15,9 +15,10 @@ from coopqp.robot import RobotModel
 from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
-from coopqp.scenario.yaml import Location, YamlFile
-from coopqp.state import State
+from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.yaml import YamlFile
 from coopqp.task import Task
+from coopqp.wording import Location
 
 T = TypeVar("T")
 
@@ -60,7 +61,9 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         raise ScenarioError([Fault(file.place(location), str(error))]) from None
     if not allowed:
         _check_passive(file, chain, passive, key)
-    faults = [*_unbound_tasks(file, scenario), *_unbound_limits(file, scenario)]
+    places = _places(scenario)
+    first = places[scenario.schedule[0].name]
+    faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
     if faults:
         raise ScenarioError(faults)
 
@@ -77,32 +80,37 @@ def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
     return faults
 
 
-def _unbound_tasks(file: YamlFile, scenario: Scenario) -> list[Fault]:
-    """Tasks that name what is not there, or have a wrong size; each is bound in its phase.
+def _places(scenario: Scenario) -> dict[str, Places]:
+    """Where plug-ins are tried, by phase.
 
     The later phases are tried where the first begins: nobody knows yet where the motion leads.
     """
     problems = scenario.problems(lambda _: scenario.chain.q_start)
     phases = zip(scenario.schedule, problems, strict=True)
-    starts, faults = {phase.name: State(problem.chain) for phase, problem in phases}, []
+    return {phase.name: Places(problem.chain) for phase, problem in phases}
+
+
+def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Places]) -> list[Fault]:
+    """Tasks that name what is not there or break a promise; each is tried in its phase."""
+    faults = []
     for place, task, phase in placed_tasks(scenario):
         try:
-            task.bind(starts[phase.name])
+            try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             faults.append(Fault(file.place(place), str(error)))
     return faults
 
 
-def _unbound_limits(file: YamlFile, scenario: Scenario) -> list[Fault]:
-    """Limits that name what is not there, and rows of two limits with one name."""
-    chain, taken, faults = scenario.chain, set[str](), []
+def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:
+    """Limits that name what is not there or break a promise, and two rows with one name."""
+    taken, faults = set[str](), []
     for i, limit in enumerate(scenario.limits):
         try:
-            rows = set(names_of(limit.rows(chain)))
-            limit.bind(chain, scenario.dt)
+            try_limit(limit, places, scenario.dt)
         except CoopqpError as error:
             faults.append(Fault(file.place(["limits", i]), str(error)))
             continue
+        rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
             words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
             faults.append(Fault(file.place(["limits", i]), words))

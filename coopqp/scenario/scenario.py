@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, array, finite
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Controller, ControlProblem, OnInfeasible
+from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import Grasp
@@ -51,6 +51,9 @@ class Scenario:
         on_infeasible: see :class:`coopqp.controller.ControlProblem`.
         source: text of the file it was read from.
         catalog: what it can name; its metrics are measured.
+
+    Raises:
+        InvalidValueError: dt or a duration is no time.
     """
 
     name: str
@@ -78,6 +81,17 @@ class Scenario:
     on_infeasible: OnInfeasible = "scale"
     source: str = ""
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        wrong = period_fault(self.dt)
+        found = [f"dt: {wrong}"] if wrong else []
+        found += [
+            f"duration: found {phase.duration} s; needs a finite time, at least 0"
+            for phase in self.schedule
+            if not 0.0 <= phase.duration < np.inf
+        ]
+        if found:
+            raise InvalidValueError("\n".join(found))
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
@@ -165,9 +179,9 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     for key, value in start.items():
         arm, dot, _ = key.rpartition(".")
         if dot and arm in arms and key not in robot.joint_names:
-            numbers = np.atleast_1d(np.asarray(own.pop(key), float))
-            if numbers.shape != (1,) or not np.isfinite(numbers).all():
-                raise InvalidValueError(f"{key}: found {value}, needs one finite number")
+            numbers = np.atleast_1d(finite(key, array(key, own.pop(key))))
+            if numbers.shape != (1,):
+                raise InvalidValueError(f"{key}: found {value}, needs one number")
             passive[key] = float(numbers[0])
     return own, passive
 
