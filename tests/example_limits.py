@@ -8,7 +8,14 @@ from laws import DT
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows
-from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, SelfCollision, Workspace
+from coopqp.limits import (
+    JointAcceleration,
+    JointPosition,
+    JointVelocity,
+    ObjectSpeed,
+    SelfCollision,
+    Workspace,
+)
 from coopqp.row import Row
 from coopqp.trace import Trace
 

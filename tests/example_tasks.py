@@ -14,7 +14,28 @@ from coopqp.geometry import Turn
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.tasks import Distance, JointCentering, LineOnLine, LineOnPlane, Manipulability, MinimumKineticEnergy, MinimumVelocity, Orientation, PlaneOnPlane, Pointing, PointOnCircle, PointOnLine, PointOnPlane, PointOnPoint, Pose, Posture, Prismatic, RelativeMotion, Revolute, Twist
+from coopqp.tasks import (
+    Distance,
+    JointCentering,
+    LineOnLine,
+    LineOnPlane,
+    Manipulability,
+    MinimumKineticEnergy,
+    MinimumVelocity,
+    Orientation,
+    PlaneOnPlane,
+    Pointing,
+    PointOnCircle,
+    PointOnLine,
+    PointOnPlane,
+    PointOnPoint,
+    Pose,
+    Posture,
+    Prismatic,
+    RelativeMotion,
+    Revolute,
+    Twist,
+)
 
 H = 1e-5  # step of the central differences [s]
 POINT = (0.03, -0.02, 0.05)  # away from the object's origin [m]

@@ -20,7 +20,7 @@ from coopqp.tasks import JointCentering, PointOnPoint
         ({"dt": np.nan}, "dt"),
         ({"kappa": -1.0}, "kappa"),
         ({"kappa": 1.1 / DT}, "kappa"),
-        ({"secondary": [JointCentering(name="centre", mode="hard")]}, "'centre' is hard, but"),
+        ({"secondary": [JointCentering(name="centre", mode="hard")]}, ", secondary"),
         ({"secondary": [JointCentering(name="centre", gain=101.0)]}, "centre"),
     ],
 )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from pydantic import ValidationError
 
+from coopqp.errors import InvalidValueError
 from coopqp.held_object import HeldObject
 
 
@@ -23,6 +23,6 @@ from coopqp.held_object import HeldObject
     ],
 )
 def test_object_that_no_body_can_be(values: dict[str, object], message: str) -> None:
-    with pytest.raises(ValidationError, match=message) as caught:
+    with pytest.raises(InvalidValueError, match=message) as caught:
         HeldObject(**values)
-    assert caught.value.error_count() == 1
+    assert len(str(caught.value).splitlines()) == 1

@@ -10,7 +10,12 @@ from laws import DT, LIMITS, STEP, UNREACHABLE, answer, distances, problem, run
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem
-from coopqp.controllers import DampedPseudoinverse, Pseudoinverse, PseudoinverseNullSpace, QPController
+from coopqp.controllers import (
+    DampedPseudoinverse,
+    Pseudoinverse,
+    PseudoinverseNullSpace,
+    QPController,
+)
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint

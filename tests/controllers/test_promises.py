@@ -27,7 +27,9 @@ from coopqp.trace import Trace
 LIMITS: dict[str, Limit] = {
     "joint_velocity": JointVelocity(scale=0.002),
     "object_speed": ObjectSpeed(linear=0.005),
-    "workspace": Workspace(normal=(0.0, 0.0, -1.0), through=(0.0, 0.0, 0.085)),
+    "workspace": Workspace(
+        normal=(0.0, 0.0, 1.0), through=(0.0, 0.0, 0.035), points=((0.0, 0.0, 0.0),)
+    ),
     "joint_acceleration": JointAcceleration(max=0.3),
 }
 #: The plant integrates through the period, and torques act on a model that is linear in it.

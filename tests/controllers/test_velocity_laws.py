@@ -12,7 +12,12 @@ from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, answer, distances, problem
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller
-from coopqp.controllers import DampedPseudoinverse, Pseudoinverse, PseudoinverseNullSpace, QPController
+from coopqp.controllers import (
+    DampedPseudoinverse,
+    Pseudoinverse,
+    PseudoinverseNullSpace,
+    QPController,
+)
 from coopqp.solver import Budget
 from coopqp.state import State
 from coopqp.task import Task, TaskStack

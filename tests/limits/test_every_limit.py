@@ -17,7 +17,13 @@ from coopqp.controllers import QPController
 from coopqp.grasps import Spherical
 from coopqp.held_object import HeldObject
 from coopqp.limit import SHALLOW, Limit, LimitRows, damp
-from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, SelfCollision
+from coopqp.limits import (
+    JointAcceleration,
+    JointPosition,
+    JointVelocity,
+    ObjectSpeed,
+    SelfCollision,
+)
 from coopqp.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.row import names_of

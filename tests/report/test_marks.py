@@ -20,7 +20,16 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.geometry import Turn
 from coopqp.limits import Workspace
-from coopqp.mark import CircleMark, LineMark, Mark, PlaneMark, PointMark, PoseMark, SphereMark, TrackedMark
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    SphereMark,
+    TrackedMark,
+)
 from coopqp.profile import Profile
 from coopqp.report.page import render
 from coopqp.report.scene.playback import scene
@@ -28,7 +37,22 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows, TaskStack
-from coopqp.tasks import Distance, LineOnLine, LineOnPlane, Orientation, PlaneOnPlane, Pointing, PointOnCircle, PointOnLine, PointOnPlane, PointOnPoint, Pose, Prismatic, Revolute, Twist
+from coopqp.tasks import (
+    Distance,
+    LineOnLine,
+    LineOnPlane,
+    Orientation,
+    PlaneOnPlane,
+    Pointing,
+    PointOnCircle,
+    PointOnLine,
+    PointOnPlane,
+    PointOnPoint,
+    Pose,
+    Prismatic,
+    Revolute,
+    Twist,
+)
 
 Array = NDArray[np.float64]
 Walk = Callable[[ClosedChain, int], list[Array]]

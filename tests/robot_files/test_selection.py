@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from chains import held
-from pydantic import ValidationError
 
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.robots import Mjcf, Several, Urdf
@@ -211,5 +210,5 @@ def test_a_folder_or_binary_file_is_no_robot(tmp_path: Path) -> None:
 
 
 def test_no_arm_at_all_is_refused() -> None:
-    with pytest.raises(ValidationError, match="needs arms by name"):
+    with pytest.raises(InvalidValueError, match="needs arms by name"):
         Urdf(path=Path("x"), arms={})

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.robots import MdhTable
@@ -23,7 +22,7 @@ from coopqp.robots.mdh_table import TableRow
     ],
 )
 def test_a_row_that_cannot_be_is_refused(row: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(InvalidValueError, match=message):
         TableRow(**row)
 
 

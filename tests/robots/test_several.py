@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from pydantic import ValidationError
 
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.robots import NaoT14, PlanarPair, Several, Urdf
 
 
@@ -48,7 +47,7 @@ def test_bodies_that_must_not_hit_others_come_along() -> None:
 
 
 def test_a_robot_among_several_must_be_one() -> None:
-    with pytest.raises(ValidationError, match="needs a robot"):
+    with pytest.raises(InvalidValueError, match="needs a robot"):
         Several(robots={"a": {"robot": "nao_t14"}})
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from shipped_here import LOADABLE
+from scenario_files import LOADABLE
 
-from coopqp import CoopqpError, Limit, LimitRows, ScenarioError, State, Task, TaskRows, spec
+from coopqp import CoopqpError, Limit, LimitRows, Row, ScenarioError, State, Task, TaskRows, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Tighten
 from coopqp.profile import Profile
@@ -274,8 +274,8 @@ class _Bound(Limit):
     how: str = "tightens"
     """What it does."""
 
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        return ("bound.x", "bound.y")
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        return tuple(Row(name=f"bound.{axis}", kind="limit", unit="m/s") for axis in "xy")
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         def tighten(state: State, rows: LimitRows) -> None:

@@ -16,7 +16,17 @@ from coopqp.checked import Array
 from coopqp.geometry import axes_along
 from coopqp.profile import Profile
 from coopqp.task import Task
-from coopqp.tasks import Distance, LineOnLine, LineOnPlane, Orientation, PlaneOnPlane, Pointing, PointOnCircle, Prismatic, Revolute
+from coopqp.tasks import (
+    Distance,
+    LineOnLine,
+    LineOnPlane,
+    Orientation,
+    PlaneOnPlane,
+    Pointing,
+    PointOnCircle,
+    Prismatic,
+    Revolute,
+)
 
 
 def angle_between(a: Array, b: Array) -> float:

@@ -57,7 +57,7 @@ def test_twist_can_be_commanded_from_python(chain: ClosedChain) -> None:
         command=lambda t: (2.0 * t, 0.1 * t),
     )
     stack = rows(task, at(chain, chain.q_start, 0.5))
-    assert names_of(stack.rows) == ("task[].x", "task[].rot_z")
+    assert names_of(stack.rows) == ("task[twist].x", "task[twist].rot_z")
     np.testing.assert_allclose(stack.rate, [0.05, 1.0])
 
 
