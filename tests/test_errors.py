@@ -313,17 +313,18 @@ def entries(s: Scenario) -> dict[str, tuple[Build, str]]:
     def scenario(**changes: Any) -> Build:
         return lambda: coopqp.compare(replace(s, **changes))
 
+    hold = ClosedChain.take_hold
     return {
         "chain, words": (
-            lambda: ClosedChain.take_hold(robot, ["a"] * n, rigid, held),
+            lambda: hold(robot, ["a"] * n, rigid, held),
             "q_start: found",
         ),  # type: ignore[arg-type]
         "chain, ragged": (
-            lambda: ClosedChain.take_hold(robot, [[1], [1, 2]], rigid, held),
+            lambda: hold(robot, [[1], [1, 2]], rigid, held),
             "needs numbers",
         ),  # type: ignore[arg-type]
         "chain, NaN": (
-            lambda: ClosedChain.take_hold(robot, np.nan * q, rigid, held),
+            lambda: hold(robot, np.nan * q, rigid, held),
             "needs finite numbers",
         ),
         "chain, moved": (lambda: chain.moved(np.zeros(2)), f"found shape (2,), needs ({n},)"),
