@@ -11,6 +11,7 @@ from time import perf_counter
 
 import numpy as np
 import pytest
+from laws import ticks
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controller import ControlProblem
@@ -25,29 +26,26 @@ TURNS = 61
 TARGET = 0.15  # of a tick
 
 
-def motion(law: QPLaw, dt: float) -> Callable[[], None]:
+def motion(law: QPLaw) -> Callable[[], None]:
     """The whole motion of the scenario."""
 
-    def ticks() -> None:
-        state = law.start()
-        for _ in range(TICKS):
-            state.update()
-            state.q += law.tick(state).v * dt
-            state.t += dt
+    def whole() -> None:
+        for _ in ticks(law, law.start(), TICKS):
+            pass
 
-    return ticks
+    return whole
 
 
 @pytest.mark.benchmark(group="verification")
 def test_tick_verified(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """As it is."""
-    benchmark(motion(QPLaw(scenario.problem(), 1e-6), scenario.dt))
+    benchmark(motion(QPLaw(scenario.problem(), 1e-6)))
 
 
 @pytest.mark.benchmark(group="verification")
 def test_tick_unverified(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """The solver's word taken for everything, and no look at the loops after the step."""
-    benchmark(motion(trusting(scenario.problem()), scenario.dt))
+    benchmark(motion(trusting(scenario.problem())))
 
 
 @pytest.mark.benchmark(group="verification")
@@ -57,8 +55,8 @@ def test_share(benchmark: BenchmarkFixture, scenario: Scenario, levels: int) -> 
     problem = scenario.problem()
     if levels == 1:
         problem = replace(problem, secondary=())
-    verified = motion(QPLaw(problem, 1e-6), problem.dt)
-    unverified = motion(trusting(problem), problem.dt)
+    verified = motion(QPLaw(problem, 1e-6))
+    unverified = motion(trusting(problem))
     times: list[tuple[float, float]] = []
 
     def measure() -> None:
@@ -93,12 +91,8 @@ def test_explanation(benchmark: BenchmarkFixture) -> None:
     scenario = load("joint_limit_stress")
     law = QPLaw(scenario.problem(), 1e-6)
     state = law.start()
-    for _ in range(150):
-        state.update()
-        state.v[:] = law.tick(state).v
-        state.q += state.v * scenario.dt
-        state.t += scenario.dt
-    state.update()
+    for _ in ticks(law, state, 150):
+        pass
 
     def once() -> str:
         record = record_tick(law, state, scenario="", controller="qp", tick=150)

@@ -33,6 +33,7 @@ from coopqp.qp import QP as QP
 from coopqp.robot import Arm as Arm
 from coopqp.robot import Robot as Robot
 from coopqp.robot import RobotModel as RobotModel
+from coopqp.row import Row as Row
 from coopqp.scenario.catalog import Catalog as Catalog
 from coopqp.scenario.loader import load as load
 from coopqp.scenario.phase import Phase as Phase

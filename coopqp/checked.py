@@ -7,14 +7,20 @@ Python API, with one set of checks and one JSON Schema.
 
 from __future__ import annotations
 
+import functools
 import math
+import re
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
+
+from coopqp import wording
+from coopqp.errors import InvalidValueError
 
 T = TypeVar("T")
 
@@ -28,16 +34,61 @@ CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstring
 def spec(cls: type[T]) -> type[T]:
     """Make a class a frozen, keyword-only, validated dataclass.
 
-    Building one with a wrong value raises ``pydantic.ValidationError``, a ``ValueError`` that
-    names the field, what was found and what is allowed.
+    Building one with wrong values raises one :class:`coopqp.errors.InvalidValueError` that names
+    each of them, what was found and what is allowed, in the words of a scenario file's faults.
     """
     checked: Any = dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
+    checked.__init__ = _in_our_words(checked.__init__)
     return cast(type[T], checked)
 
 
-def type_name(plugin: object) -> str:
-    """The name of a plug-in's type in YAML, which is that of its file."""
-    return type(plugin).__module__.rpartition(".")[2]
+def _in_our_words(build: Callable[..., None]) -> Callable[..., None]:
+    """An ``__init__`` that raises no error of pydantic's.
+
+    Where a spec is a field of another, or of a file's form, pydantic builds it without
+    ``__init__``, so that there all faults keep their places.
+    """
+
+    @functools.wraps(build)
+    def build_or_refuse(self: Any, *args: Any, **values: Any) -> None:
+        try:
+            build(self, *args, **values)
+        except ValidationError as error:
+            name, found = type(self).__name__, wording.faults(error, values, type(self))
+            lines = (f"{wording.dotted((name, *place))}: {message}" for place, message in found)
+            raise InvalidValueError("\n".join(lines)) from None
+
+    return build_or_refuse
+
+
+def type_name(cls: type) -> str:
+    """Name of a plug-in's type, as in YAML: that of its file.
+
+    A class that lies in no folder of plug-ins, such as one in a script, is named after itself,
+    ``HoldStill`` as ``hold_still``.
+    """
+    folder, _, file = cls.__module__.rpartition(".")
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__)
+    return file if folder else words.lower()
+
+
+def taken_names(names: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Index of each name that another one before it has, and what is wrong with it."""
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            yield i, f"the name '{name}' is taken"
+
+
+def overshoot(gain: float, dt: float) -> str:
+    """What is wrong with a gain [1/s] that takes back more than all in one tick; else empty.
+
+    Args:
+        gain: share of an error, or of a distance, that goes per second.
+        dt: control period [s].
+    """
+    if gain * dt <= 1.0 + 1e-9:
+        return ""
+    return f"gain {gain} 1/s overshoots; needs at most 1/dt = {1.0 / dt:g} 1/s"
 
 
 def _three(value: Any) -> Any:
@@ -55,6 +106,56 @@ def numbers(value: Any, count: int) -> Any:
     if not isinstance(listed, list | tuple) or len(listed) != count:
         raise ValueError(f"needs {count} numbers")
     return listed
+
+
+def array(name: str, values: ArrayLike) -> Array:
+    """Numbers given in Python, as an array of their own of whatever shape.
+
+    Args:
+        name: what they are, for the message.
+        values: numbers, NaN and infinities too.
+
+    Raises:
+        InvalidValueError: they are no numbers, or ragged.
+    """
+    try:
+        return np.array(values, float)
+    except (TypeError, ValueError):
+        raise InvalidValueError(f"{name}: found {values!r}, needs numbers") from None
+
+
+def vector(name: str, values: ArrayLike, n: int) -> Array:
+    """The same for n numbers, shape (n,).
+
+    Raises:
+        InvalidValueError: they are no numbers, or not n.
+    """
+    found = array(name, values)
+    if found.shape != (n,):
+        raise InvalidValueError(f"{name}: found shape {found.shape}, needs ({n},)")
+    return found
+
+
+def finite(name: str, found: Array) -> Array:
+    """The array as it is.
+
+    Raises:
+        InvalidValueError: a number is NaN or infinite.
+    """
+    if not np.isfinite(found).all():
+        raise InvalidValueError(f"{name}: found {found.tolist()}, needs finite numbers")
+    return found
+
+
+def seeded(seed: int) -> np.random.Generator:
+    """Random numbers that are the same for equal seeds.
+
+    Raises:
+        InvalidValueError: the seed is negative.
+    """
+    if seed < 0:
+        raise InvalidValueError(f"seed: found {seed}, needs at least 0")
+    return np.random.default_rng(seed)
 
 
 def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -137,7 +137,7 @@ def mobility(
     as_json: bool,
 ) -> None:
     """Tell what a scenario's grasp allows, before anything moves."""
-    from coopqp.report import files
+    from coopqp.report import files, strict_json
     from coopqp.report import mobility as report
 
     asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
@@ -145,7 +145,7 @@ def mobility(
     if page:
         files.write_one(page, report.page(study))
     if as_json:
-        click.echo(json.dumps(report.as_json(study), indent=2))
+        click.echo(strict_json.text(report.as_json(study)))
         return
     for table in report.tables(study):
         _console().print(table)
@@ -175,7 +175,7 @@ def explain(
     """
     from dataclasses import asdict
 
-    from coopqp.report import files
+    from coopqp.report import files, strict_json
     from coopqp.study import explanation
     from coopqp.study.recorded_tick import recorded_tick
     from coopqp.study.trace_file import controllers_of
@@ -188,7 +188,8 @@ def explain(
     if save:
         files.write_one(save, record.text())
     if as_json:
-        click.echo(json.dumps({"tick": record.tick, "status": record.status, **asdict(found)}))
+        data = {"tick": record.tick, "status": record.status, **asdict(found)}
+        click.echo(strict_json.text(data))
         return
     click.echo(f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):")
     click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
@@ -211,11 +212,11 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
         name: explanation.replay(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
-    if as_json:
-        click.echo(json.dumps({name: a.as_json() for name, a in answers.items()}, indent=2))
-        return
-    from coopqp.report import table
+    from coopqp.report import strict_json, table
 
+    if as_json:
+        click.echo(strict_json.text({name: a.as_json() for name, a in answers.items()}))
+        return
     _console().print(table.replay(record, answers))
 
 
@@ -228,6 +229,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
 
+    from coopqp.report import strict_json
     from coopqp.study import stress as trial
 
     with _progress(["rollouts"], rollouts) as progress:
@@ -236,7 +238,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
-        click.echo(json.dumps(data, indent=2))
+        click.echo(strict_json.text(data))
     else:
         from coopqp.report import table
 
@@ -257,6 +259,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
+    from coopqp.report import strict_json
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
@@ -264,9 +267,8 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
         report = (lambda done, total: progress("solving", done / total)) if progress else None
         found = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
-        margin = found.margin if found.margin < float("inf") else None
-        data = {"start": found.start, "margin": margin, "tries": found.tries, "found": found.found}
-        click.echo(json.dumps(data, indent=2))
+        asked = ("start", "margin", "tries", "found")
+        click.echo(strict_json.text({key: getattr(found, key) for key in asked}))
         return
     click.echo(yaml_text(found), nl=False)
 
@@ -351,7 +353,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
         comparison = run_all(scenario, controllers=controllers, progress=progress)
     written = files.write(comparison, out) if out else []
     if as_json:
-        click.echo(json.dumps(comparison.as_json(), indent=2))
+        click.echo(files.metrics_json(comparison), nl=False)
         return
     _console().print(table.summary(comparison))
     for path in written:

@@ -25,12 +25,12 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, vector
 from coopqp.grasp import Grasp
 from coopqp.held_object import HeldObject
 from coopqp.hold import Hold, take_hold
 from coopqp.rank import independent_rows, matrix_rank
-from coopqp.robot import RobotModel
+from coopqp.robot import RobotModel, joint_units
 from coopqp.row import Row, names_of
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
@@ -156,7 +156,8 @@ class ClosedChain:
         Args:
             q: configuration with the loops closed, passive joints included, shape (n,).
         """
-        start, p_WO = np.array(q, float), self.object_pose(q).translation.copy()
+        start = vector("q", q, self.n)
+        p_WO = self.object_pose(start).translation.copy()
         return ClosedChain(replace(self.hold, q=start, p_WO=p_WO))
 
     def handed_over(self, q: Array, released: Collection[str] = ()) -> ClosedChain:
@@ -173,8 +174,9 @@ class ClosedChain:
             UnknownNameError: an arm that the robot does not have.
             GraspError: no arm is left that holds the object.
         """
+        q = vector("q", q, self.n)
         X_WO, data = self.object_pose(q), self.model.createData()
-        pin.framesForwardKinematics(self.model, data, np.array(q, float))
+        pin.framesForwardKinematics(self.model, data, q)
         carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
         X_by_arm = {
             arm: X if arm in self.hold.holders or arm in released else X_WO
@@ -190,7 +192,7 @@ class ClosedChain:
             q: configuration, shape (n,).
         """
         data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, np.asarray(q, float))
+        pin.framesForwardKinematics(self.model, data, vector("q", q, self.n))
         X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
         p, turn = X_0.translation.copy(), np.zeros(3)
         for weight, X in zip(self.alpha[1:], others, strict=False):
@@ -229,8 +231,7 @@ class ClosedChain:
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        kinds = (joint.shortname() for joint in itertools.islice(self.model.joints, 1, None))
-        return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coopqp.controller_run import Progress, run
+from coopqp.errors import InvalidValueError
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 from coopqp.verdict import verdict
@@ -32,7 +33,7 @@ class Comparison:
         """What ``metrics.json`` holds."""
         return {
             "scenario": self.scenario.name,
-            "kappa": self.scenario.kappa,
+            "kappa": self.scenario.drift_gain,
             "dt": self.scenario.dt,
             "controllers": {name: dict(values) for name, values in self.metrics.items()},
         }
@@ -55,6 +56,8 @@ def compare(
         CoopqpError: as :func:`run`.
     """
     names = list(controllers) or list(scenario.controllers)
+    if not names:
+        raise InvalidValueError("controllers: none given, and the scenario has none")
     traces = {name: run(scenario, controller=name, progress=progress) for name in names}
     return summarize(scenario, traces)
 

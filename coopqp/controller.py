@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, field_validator
 
-from coopqp.checked import spec
+from coopqp.checked import overshoot, spec, taken_names, type_name
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.loop_observer import LoopObserver
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import Memory, State
 from coopqp.task import Task
+from coopqp.wording import Location, dotted
+
+TELL_APART = "add 'name:' to tell them apart"
 
 OnInfeasible = Literal["scale", "hold", "stop"]
 
@@ -46,6 +50,9 @@ class ControlProblem:
         on_infeasible: what to do in a tick in which not everything can hold: "scale" gives up, in
             this order, hard and scaled tasks, acceleration limits, the drift correction; "hold"
             stands still for the tick; "stop" stands still from then on.
+
+    Raises:
+        InvalidValueError: with everything that cannot be asked, see :func:`problem_faults`.
     """
 
     chain: ClosedChain
@@ -59,26 +66,54 @@ class ControlProblem:
     on_infeasible: OnInfeasible = "scale"
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.dt < np.inf:
-            raise InvalidValueError(f"dt: found {self.dt} s, needs more than 0")
-        if self.kappa == math.inf:
+        if self.kappa == math.inf and self.dt > 0.0:
             object.__setattr__(self, "kappa", 1.0 / self.dt)
-        if not 0.0 <= self.kappa * self.dt <= 1.0 + 1e-9:
-            raise InvalidValueError(
-                f"kappa: found {self.kappa} 1/s, needs 0 to 1/dt = {1 / self.dt:g} 1/s; "
-                "more would overshoot"
-            )
-        for task in (*self.tasks, *self.secondary):
-            if task.gain * self.dt > 1.0 + 1e-9:
-                raise InvalidValueError(
-                    f"task {task.name}: gain {task.gain} 1/s needs at most 1/dt = {1 / self.dt:g}"
-                )
-        for task in self.secondary:
-            if task.mode != "soft":
-                raise InvalidValueError(
-                    f"secondary: '{task.name}' is {task.mode}, but objectives for what the tasks "
-                    "leave free are soft; put it under tasks"
-                )
+        found = list(problem_faults(self.dt, self.kappa, self.tasks, self.secondary))
+        if self.on_infeasible not in get_args(OnInfeasible):
+            known = unknown_name("choice", str(self.on_infeasible), get_args(OnInfeasible))
+            found.append((("on_infeasible",), known))
+        if found:
+            lines = (f"{dotted(place)}: {message}" for place, message in found)
+            raise InvalidValueError("\n".join(lines))
+
+
+def problem_faults(
+    dt: float, kappa: float, tasks: Sequence[Task], secondary: Sequence[Task]
+) -> Iterator[tuple[Location, str]]:
+    """What no controller can be asked for: places such as tasks[0], and what is wrong there.
+
+    Args:
+        dt: control period [s].
+        kappa: drift gain [1/s].
+        tasks: the main tasks.
+        secondary: objectives for what the tasks leave free.
+    """
+    if wrong := period_fault(dt):
+        yield ("dt",), wrong
+        return
+    if not kappa >= 0.0:
+        yield ("kappa",), f"found {kappa}; needs at least 0"
+    if kappa * dt > 1.0 + 1e-9:
+        yield ("kappa",), f"found {kappa}; needs at most 1/dt = {1.0 / dt:g} 1/s"
+    yield from _task_faults("tasks", tasks, dt)
+    yield from _task_faults("secondary", secondary, dt)
+    for i, task in enumerate(secondary):
+        if task.mode != "soft":
+            words = f"'{task.name}' is {task.mode}, secondary objectives are soft"
+            yield ("secondary", i), f"{words}; put it under tasks"
+
+
+def period_fault(dt: float) -> str:
+    """What is wrong with a control period [s]; empty if nothing is."""
+    return "" if 0.0 < dt < np.inf else f"found {dt} s; needs a finite time, more than 0"
+
+
+def _task_faults(key: str, tasks: Sequence[Task], dt: float) -> Iterator[tuple[Location, str]]:
+    for i, taken in taken_names([task.name for task in tasks]):
+        yield (key, i), f"{taken}; {TELL_APART}"
+    for i, task in enumerate(tasks):
+        if wrong := overshoot(task.gain, dt):
+            yield (key, i), f"'{task.name}': {wrong}"
 
 
 class Command:
@@ -183,8 +218,13 @@ class Controller(ABC):
         """Whether it commands torques, which only plants with masses take."""
         return False
 
-    name: str = ""
+    name: Annotated[str, Field(validate_default=True)] = ""
     """Your name for it in tables; its type's name if omitted."""
+
+    @field_validator("name")
+    @classmethod
+    def _type_name_if_empty(cls, name: str) -> str:
+        return name or type_name(cls)
 
     @abstractmethod
     def build(self, problem: ControlProblem) -> Law:

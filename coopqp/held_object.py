@@ -9,7 +9,6 @@ import pinocchio as pin
 from pydantic import BeforeValidator
 
 from coopqp.checked import Lengths3, NonNegative, Pose, Vector3, numbers, spec
-from coopqp.errors import InvalidValueError
 from coopqp.inertia import check_inertia, inertia_matrix
 
 Six = Annotated[
@@ -34,10 +33,7 @@ class HeldObject:
 
     def __post_init__(self) -> None:
         if self.inertia is not None:
-            try:
-                check_inertia(inertia_matrix(self.inertia), "inertia")
-            except InvalidValueError as error:
-                raise ValueError(str(error)) from None
+            check_inertia(inertia_matrix(self.inertia), "inertia")
 
     def body(self) -> pin.Inertia:
         """Mass properties in the object frame."""

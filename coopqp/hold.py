@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, finite, vector
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
@@ -112,7 +112,7 @@ class Hold:
             GraspError: no arm is left that holds the object.
         """
         check_released(self.robot, released)
-        other = replace(self, q=np.array(q, float), p_WO=p_WO, released=tuple(released))
+        other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))
 
     def in_hands(self, X_WO: Mapping[str, pin.SE3]) -> dict[str, pin.SE3]:
@@ -155,9 +155,7 @@ def take_hold(
     by_arm = grasp_of_each(robot, grasps)
     if len(robot.arms) < 2:
         raise GraspError(f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two")
-    start = np.asarray(q_start, float)
-    if start.shape != (robot.model.nq,):
-        raise InvalidValueError(f"q_start: found shape {start.shape}, needs ({robot.model.nq},)")
+    start = finite("q_start", vector("q_start", q_start, robot.model.nq))
     check_released(robot, released)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, start)

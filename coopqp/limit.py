@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array, spec, type_name
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark
 from coopqp.row import Row, Side
 from coopqp.state import State
 
@@ -81,6 +82,14 @@ class Limit(ABC):
             left out.
         """
         return {}
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """What pictures show of it: where it is; nothing by default.
+
+        Args:
+            t: since the beginning of the motion, or of its phase [s].
+        """
+        return ()
 
 
 def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
@@ -160,7 +169,7 @@ def joint_margins(
 
 def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
     """What a limit's bounds on v are called, joint by joint, in units of a velocity or a place."""
-    kind = type_name(limit).removeprefix("joint_")
+    kind = type_name(type(limit)).removeprefix("joint_")
     per = "" if limit.bounds_position else "/s"
     return tuple(joint_limit(kind, chain, i, side, per) for i in range(chain.n))
 

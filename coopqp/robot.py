@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, array, finite
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 
@@ -124,6 +125,11 @@ class RobotModel:
         """Names in the order of q."""
         return tuple(self.model.names[1:])
 
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
+        return joint_units(self.model)
+
     def arm_joints(self, arm: Arm) -> tuple[str, ...]:
         """Names of the joints between the base and the arm's tip, base first."""
         tip = self.model.frames[self.model.getFrameId(arm.tip)]
@@ -151,13 +157,11 @@ class RobotModel:
             if key not in arms and key not in self.joint_names:
                 raise UnknownNameError("arm or joint", key, [*arms, *self.joint_names])
             joints = arms.get(key, (key,))
-            numbers = np.atleast_1d(np.asarray(value, float))
+            numbers = np.atleast_1d(finite(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
                     f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
                 )
-            if not np.isfinite(numbers).all():
-                raise InvalidValueError(f"{key}: found {numbers.tolist()}, needs finite numbers")
             for joint, number in zip(joints, numbers, strict=True):
                 other, same = by_arm.get(joint, (key, number))
                 if number != same:
@@ -169,6 +173,16 @@ class RobotModel:
                     by_arm[joint] = (key, number)
                 q[self.model.idx_qs[self.model.getJointId(joint)]] = number
         return q
+
+
+def joint_units(model: pin.Model) -> tuple[str, ...]:
+    """Unit of each joint's coordinate, in the order of q."""
+    return tuple(unit_of(joint) for joint in itertools.islice(model.joints, 1, None))
+
+
+def unit_of(joint: Any) -> str:
+    """Unit of the coordinate of a pinocchio joint model: "m" where it slides, else "rad"."""
+    return "m" if joint.shortname().startswith("JointModelP") else "rad"
 
 
 #: Data of a pinocchio model with one number per velocity coordinate.

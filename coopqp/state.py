@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from coopqp.checked import Array
+from coopqp.checked import Array, vector
 from coopqp.closed_chain import ClosedChain
 from coopqp.rank import independent_rows, least_squares
 
@@ -54,6 +54,9 @@ class State:
         memory: what the law must remember between ticks; the law makes its own where this is
             not it. Together with t, q and v it is all that is needed to replay a tick.
 
+    Raises:
+        InvalidValueError: q is no n numbers.
+
     Attributes:
         t: [s].
         q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s]. Where velocities are
@@ -88,7 +91,7 @@ class State:
         arms, n = len(chain.arms), chain.n
         self.chain = chain
         self.t = t
-        self.q = np.array(chain.q_start if q is None else q, float)
+        self.q = vector("q", chain.q_start if q is None else q, n)
         self.v = np.zeros(n)
         self.memory = Memory({}) if memory is None else memory
         self.J_ext = np.zeros((6 * arms, n))

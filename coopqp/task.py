@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -74,7 +75,7 @@ class Task(ABC):
     asks_velocity: ClassVar[bool] = False
     """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 
-    name: str = ""
+    name: Annotated[str, Field(validate_default=True)] = ""
     """Your name for it in tables and messages; its type's name if omitted."""
     gain: Positive = 5.0
     """How fast the error decays [1/s]; at most 1/dt."""
@@ -86,6 +87,11 @@ class Task(ABC):
     """soft: as well as it can; hard: exactly; scaled: in its direction, as fast as it can."""
     priority: Annotated[int, Field(ge=0, le=9)] = 0
     """Strict level of a soft task, 0 first; weights count within a level."""
+
+    @field_validator("name")
+    @classmethod
+    def _type_name_if_empty(cls, name: str) -> str:
+        return name or type_name(cls)
 
     @abstractmethod
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
@@ -102,6 +108,14 @@ class Task(ABC):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """What pictures show of it: where the goal is then, not the way there; nothing by default.
+
+        Args:
+            t: since its reference set out [s].
+        """
+        return ()
 
     @property
     def end(self) -> float:

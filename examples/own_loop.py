@@ -38,11 +38,10 @@ def main() -> None:
     law = QPController().build(problem)
     state = law.start()
     for _ in range(300):
-        state.update()  # after q has been measured
         command = law.tick(state)
         if not command.status.usable:
             print(command.status.value)
-        state.q += command.v * DT  # your robot goes here
+        state.q += command.v * DT  # your robot goes here; the next tick reads what it measures
         state.v[:] = command.v
         state.t += DT
     state.update()

@@ -16,7 +16,8 @@ import numpy as np
 
 from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import TINY, Approach
+from coopqp.geometry import TINY, Approach, Reference
+from coopqp.mark import Mark, SphereMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -48,15 +49,14 @@ class Distance(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The distance changes from what it is now."""
-        c_0, c_dot, length = np.array(self.to), np.array(self.velocity), self.length
+        other, length = self._other(), self.length
         tracked, away = PointOfObject(self.point, start.chain.n), np.zeros(3)
 
         def measure(state: State) -> float:
             """The distance; leaves the direction in ``away``."""
             tracked.update(state)
-            np.multiply(c_dot, -state.t, away)
-            np.subtract(away, c_0, away)
-            np.add(away, tracked.p, away)
+            other.update(state.t)
+            np.subtract(tracked.p, other.c, away)
             x, y, z = away.tolist()
             distance = math.hypot(x, y, z)
             if distance > TINY:
@@ -69,8 +69,18 @@ class Distance(Task):
 
         def evaluate(state: State, rows: TaskRows) -> None:
             rows.e[0] = measure(state) - length
-            rows.rate[0] = away.dot(c_dot)
+            rows.rate[0] = away.dot(other.c_dot)
             away.dot(tracked.J, rows.J[0])
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """All points at the distance, and the point that goes there."""
+        other = self._other()
+        other.update(t)
+        return SphereMark(center=other.c, radius=self.length), TrackedMark(point=self.point)
+
+    def _other(self) -> Reference:
+        """The point in space."""
+        return Reference(self.to, velocity=self.velocity)

@@ -20,6 +20,7 @@ import numpy as np
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -66,7 +67,7 @@ class LineOnLine(Task):
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        line = self._line()
         seen = PointInReference(self.point, line, start.chain.n)
         line.update(start.t)
         seen.update(start)
@@ -84,3 +85,12 @@ class LineOnLine(Task):
             alignment.fill(state, e[2:], J[2:], rate[2:])
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The line, and the point of the object's own."""
+        line = self._line()
+        line.update(t)
+        return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+
+    def _line(self) -> Reference:
+        return Reference(self.through, self.direction, self.velocity, self.turn)

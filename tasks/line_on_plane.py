@@ -22,6 +22,7 @@ import numpy as np
 from coopqp.checked import Direction, Positive, Vector3, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end, polar
+from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -66,7 +67,7 @@ class LineOnPlane(Task):
 
     def bind(self, start: State) -> Evaluate:
         """Height and angle shrink from what they are now."""
-        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        plane = self._plane()
         seen, a_O = PointInReference(self.point, plane, start.chain.n), unit(self.axis)
         aside, across = np.zeros(3), np.zeros(3)  # -w in the plane's axes and in the world's
 
@@ -90,3 +91,12 @@ class LineOnPlane(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The plane, and the point of the object's line."""
+        plane = self._plane()
+        plane.update(t)
+        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+
+    def _plane(self) -> Reference:
+        return Reference(self.through, self.normal, self.velocity, self.turn)

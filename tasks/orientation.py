@@ -12,10 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Pose, Positive, Vector3, one_angle, spec
+from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import RotationError
 from coopqp.grasp import pose_matrix
+from coopqp.mark import Mark, PoseMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -50,11 +51,18 @@ class Orientation(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from how the object is turned now."""
-        goal = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        error, world = RotationError(goal, self.profile, start.R_WO), np.eye(3)
+        error, world = RotationError(self._goal(), self.profile, start.R_WO), np.eye(3)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             out = rows.e, rows.J, rows.rate
             error.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The orientation, wherever the object is."""
+        return (PoseMark(rotation=self._goal()),)
+
+    def _goal(self) -> Array:
+        R: Array = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+        return R

@@ -18,6 +18,7 @@ from __future__ import annotations
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -62,7 +63,7 @@ class PlaneOnPlane(Task):
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        plane = self._plane()
         seen = PointInReference(self.point, plane, start.chain.n)
         plane.update(start.t)
         seen.update(start)
@@ -78,3 +79,12 @@ class PlaneOnPlane(Task):
             alignment.fill(state, e[1:], J[1:], rate[1:])
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The plane, and the point of the object's own."""
+        plane = self._plane()
+        plane.update(t)
+        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+
+    def _plane(self) -> Reference:
+        return Reference(self.through, self.normal, self.velocity, self.turn)

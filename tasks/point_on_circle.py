@@ -19,6 +19,7 @@ import numpy as np
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import CircleMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -54,7 +55,7 @@ class PointOnCircle(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The offset shrinks from what it is now."""
-        circle = Reference(self.center, self.normal, self.velocity, self.turn)
+        circle = self._circle()
         seen, radius = PointInReference(self.point, circle, start.chain.n), self.radius
         outward = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
@@ -77,3 +78,15 @@ class PointOnCircle(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The circle, and the point that goes there."""
+        circle = self._circle()
+        circle.update(t)
+        return (
+            CircleMark(center=circle.c, normal=circle.RT[2], radius=self.radius),
+            TrackedMark(point=self.point),
+        )
+
+    def _circle(self) -> Reference:
+        return Reference(self.center, self.normal, self.velocity, self.turn)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from coopqp.checked import Direction, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -47,7 +48,7 @@ class PointOnLine(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The offset shrinks from what it is now."""
-        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        line = self._line()
         seen = PointInReference(self.point, line, start.chain.n)
         line.update(start.t)
         seen.update(start)
@@ -60,3 +61,12 @@ class PointOnLine(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The line, and the point that goes there."""
+        line = self._line()
+        line.update(t)
+        return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+
+    def _line(self) -> Reference:
+        return Reference(self.through, self.direction, self.velocity, self.turn)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from coopqp.checked import Direction, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -45,7 +46,7 @@ class PointOnPlane(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The height shrinks from what it is now."""
-        plane = Reference(self.through, self.normal, self.velocity, self.turn)
+        plane = self._plane()
         seen = PointInReference(self.point, plane, start.chain.n)
         plane.update(start.t)
         seen.update(start)
@@ -59,3 +60,12 @@ class PointOnPlane(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The plane, and the point that goes there."""
+        plane = self._plane()
+        plane.update(t)
+        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+
+    def _plane(self) -> Reference:
+        return Reference(self.through, self.normal, self.velocity, self.turn)

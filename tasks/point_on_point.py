@@ -11,6 +11,7 @@ import numpy as np
 
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.mark import Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -53,3 +54,7 @@ class PointOnPoint(Task):
             rows.J[:] = tracked.J
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The goal, and the point that goes there."""
+        return PointMark(at=np.array(self.goal)), TrackedMark(point=self.point)

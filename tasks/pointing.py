@@ -17,6 +17,7 @@ from typing import ClassVar
 from coopqp.checked import Direction, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Reference, Turn, last_end
+from coopqp.mark import LineMark, Mark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -50,7 +51,7 @@ class Pointing(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The wished direction sets out from where the axis points now."""
-        reference = Reference(direction=self.direction, turn=self.turn)
+        reference = self._reference()
         reference.update(start.t)
         alignment = Alignment(self.axis, reference, self.profile, start)
 
@@ -59,3 +60,12 @@ class Pointing(Task):
             alignment.fill(state, rows.e, rows.J, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The direction, wherever the object is."""
+        reference = self._reference()
+        reference.update(t)
+        return (LineMark(direction=reference.RT[2]),)
+
+    def _reference(self) -> Reference:
+        return Reference(direction=self.direction, turn=self.turn)

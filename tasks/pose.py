@@ -18,6 +18,7 @@ from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, RotationError
 from coopqp.grasp import pose_matrix
+from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -67,3 +68,8 @@ class Pose(Task):
             rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The goal, and the object's origin."""
+        goal = pose_matrix(self.goal)
+        return PoseMark(rotation=goal.rotation, position=goal.translation), TrackedMark()

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Direction, Pose, Positive, Vector3, one_angle, spec
+from coopqp.checked import Array, Direction, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, RotationError, Turn, last_end
 from coopqp.grasp import pose_matrix
+from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -70,12 +71,10 @@ class Prismatic(Task):
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        line = Reference(self.through, self.direction, self.velocity, self.turn)
+        line = self._line()
         seen = PointInReference(self.point, line, start.chain.n)
-        R_goal = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        if self.rpy is None and self.rpy_deg is None:
-            R_goal = start.R_WO
-        Q_goal = line.RT @ R_goal
+        R_goal = self._goal()
+        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
         line.update(start.t)
         seen.update(start)
         rotation = RotationError(Q_goal, self.profile, line.RT @ start.R_WO)
@@ -94,3 +93,23 @@ class Prismatic(Task):
                 rate[2:] += rotation.rows.dot(line.omega)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The line, the point that goes there and, when it is given, the orientation."""
+        line, R_goal = self._line(), self._goal()
+        RT_0 = line.RT.copy()
+        line.update(t)
+        slide = LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+        if R_goal is None:
+            return slide
+        return (*slide, PoseMark(rotation=line.RT.T @ RT_0 @ R_goal))
+
+    def _line(self) -> Reference:
+        return Reference(self.through, self.direction, self.velocity, self.turn)
+
+    def _goal(self) -> Array | None:
+        """How the object shall be turned before the line turns, shape (3, 3), if that is given."""
+        if self.rpy is None and self.rpy_deg is None:
+            return None
+        R: Array = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+        return R

@@ -17,6 +17,7 @@ from __future__ import annotations
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.mark import LineMark, Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -61,7 +62,7 @@ class Revolute(Task):
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        hinge = Reference(self.through, self.direction, self.velocity, self.turn)
+        hinge = self._hinge()
         seen = PointInReference(self.point, hinge, start.chain.n)
         hinge.update(start.t)
         seen.update(start)
@@ -77,3 +78,16 @@ class Revolute(Task):
             alignment.fill(state, e[3:], J[3:], rate[3:])
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The hinge, and the point that goes there."""
+        hinge = self._hinge()
+        hinge.update(t)
+        return (
+            LineMark(direction=hinge.RT[2], through=hinge.c),
+            PointMark(at=hinge.c),
+            TrackedMark(point=self.point),
+        )
+
+    def _hinge(self) -> Reference:
+        return Reference(self.through, self.direction, self.velocity, self.turn)

@@ -18,6 +18,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.mark import Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -90,3 +91,7 @@ class Twist(Task):
             np.multiply(wanted, share, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The point that moves."""
+        return (TrackedMark(point=self.point),)

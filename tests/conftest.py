@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from chains import BOX, HANDS, Hinge, Walk
+from laws import DT, LIMITS, UNREACHABLE, problem
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.state import State
-
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
+from coopqp.tasks import PointOnPoint
 
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
 CLOSED = 1e-13  # largest loop error after the projection [m, rad]
@@ -36,11 +35,20 @@ def nao() -> RobotModel:
 
 @pytest.fixture(scope="session")
 def chain(nao: RobotModel) -> ClosedChain:
-    """NAO holds a box firmly, hands at x = 0.186, y = -/+0.104, z = 0.047 m."""
-    q = nao.configuration(
-        {"right": [0.7, -0.2, 1.2, 0.9, 0.1], "left": [0.7, 0.2, -1.2, -0.9, -0.1]}
-    )
-    return ClosedChain.take_hold(nao, q, Rigid(), HeldObject())
+    """NAO holds a box firmly."""
+    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject())
+
+
+@pytest.fixture(scope="session")
+def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
+    """The same with a hinge in each hand, as in the paper's Table 2."""
+    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+
+
+@pytest.fixture(scope="session")
+def hinged_box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
+    """A box whose weight is not in its middle, between two hinges."""
+    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), BOX)
 
 
 @pytest.fixture
@@ -77,3 +85,9 @@ def _close(state: State) -> bool:
             return True
         state.q -= np.linalg.pinv(state.J_rel, rcond=SINGULAR) @ state.loop_error
     return False
+
+
+@pytest.fixture(scope="session")
+def reach_too_far(chain: ClosedChain) -> ControlProblem:
+    """A goal that NAO cannot reach, within its limits."""
+    return problem(chain, PointOnPoint(goal=UNREACHABLE), limits=LIMITS, kappa=1 / DT)

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
-from shipped_here import LOADABLE
+from command_line import typed
+from scenario_files import LOADABLE
 
-from coopqp.cli import main
 from coopqp.scenario.loader import shipped
-
-
-def coopqp(*words: str | Path) -> Result:
-    """The outcome of a command; an exception that is not an exit is raised."""
-    return CliRunner().invoke(main, [str(w) for w in words], catch_exceptions=False)
 
 
 @pytest.fixture
@@ -32,7 +26,7 @@ def short(tmp_path: Path) -> Path:
 
 def test_compare_prints_a_table_and_writes_the_report(short: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = coopqp("compare", short, "--out", out)
+    result = typed("compare", short, "--out", out)
     assert result.exit_code == 0
     assert "pseudoinverse" in result.output
     for name in ("report.html", "metrics.json", "trace.csv"):
@@ -41,20 +35,20 @@ def test_compare_prints_a_table_and_writes_the_report(short: Path, tmp_path: Pat
 
 
 def test_compare_in_json_is_json_alone(short: Path) -> None:
-    result = coopqp("compare", short, "--json", "--controllers", "qp, damped_pseudoinverse")
+    result = typed("compare", short, "--json", "--controllers", "qp, damped_pseudoinverse")
     assert set(json.loads(result.stdout)["controllers"]) == {"qp", "damped_pseudoinverse"}
 
 
 def test_run_takes_one_controller_and_a_solver(short: Path) -> None:
-    result = coopqp("run", short, "--controller", "qp", "--solver", "proxqp", "--json")
+    result = typed("run", short, "--controller", "qp", "--solver", "proxqp", "--json")
     assert json.loads(result.stdout)["controllers"]["qp"]["solver"] == "proxqp"
 
 
 def test_validate_reports_every_file(short: Path, tmp_path: Path) -> None:
-    assert coopqp("validate", *LOADABLE).exit_code == 0
+    assert typed("validate", *LOADABLE).exit_code == 0
     bad = tmp_path / "bad.yaml"
     bad.write_text("robot: nao\n", encoding="utf-8")
-    result = coopqp("validate", short, bad)
+    result = typed("validate", short, bad)
     assert result.exit_code == 2
     assert f"{short}: ok" in result.stdout
     assert f"error: {bad}:1: robot: unknown robot 'nao'" in result.stderr
@@ -75,7 +69,7 @@ def test_validate_reports_every_file(short: Path, tmp_path: Path) -> None:
 def test_bad_input_ends_with_exit_code_2_and_no_traceback(
     short: Path, words: list[str], message: str
 ) -> None:
-    result = coopqp(*[short if word == "SHORT" else word for word in words])
+    result = typed(*[short if word == "SHORT" else word for word in words])
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
     assert "Traceback" not in result.output
@@ -84,19 +78,19 @@ def test_bad_input_ends_with_exit_code_2_and_no_traceback(
 def test_nothing_is_written_when_the_scenario_is_refused(tmp_path: Path) -> None:
     bad, out = tmp_path / "bad.yaml", tmp_path / "out"
     bad.write_text("robot: nao_t14\n", encoding="utf-8")
-    assert coopqp("compare", bad, "--out", out).exit_code == 2
+    assert typed("compare", bad, "--out", out).exit_code == 2
     assert not out.exists()
 
 
 def test_list_names_everything_with_help() -> None:
-    listed = json.loads(coopqp("list", "--json").stdout)
+    listed = json.loads(typed("list", "--json").stdout)
     assert "point_on_plane" in listed["tasks"]
     assert all(text for lines in listed.values() for text in lines.values())
-    assert "joint_velocity" in coopqp("list", "limits").output
+    assert "joint_velocity" in typed("list", "limits").output
 
 
 def test_schema_is_a_json_schema() -> None:
-    schema = json.loads(coopqp("schema").stdout)
+    schema = json.loads(typed("schema").stdout)
     assert schema["required"] == ["robot"]
     assert schema["anyOf"] == [{"required": ["tasks", "duration"]}, {"required": ["phases"]}]
 
@@ -112,13 +106,13 @@ def test_help_imports_nothing_heavy() -> None:
 def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: Path) -> None:
     out, saved = tmp_path / "out", tmp_path / "tick.json"
     assert (
-        coopqp("compare", "joint_limit_stress", "--controllers", "qp", "--out", out).exit_code == 0
+        typed("compare", "joint_limit_stress", "--controllers", "qp", "--out", out).exit_code == 0
     )
-    explained = coopqp("explain", out, "--tick", "200", "--save", saved)
+    explained = typed("explain", out, "--tick", "200", "--save", saved)
     assert explained.exit_code == 0
     assert "limit.position[RElbowRoll].upper" in explained.output
     assert "task[reach].x" in explained.output
-    answers = json.loads(coopqp("replay", saved, "--json").stdout)
+    answers = json.loads(typed("replay", saved, "--json").stdout)
     assert {"daqp", "osqp", "proxqp"} <= set(answers)
     assert all(answer["difference"] < 1e-5 for answer in answers.values())
 
@@ -138,14 +132,14 @@ def test_explain_replay_and_stress_refuse_in_words(
     short: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
     out = tmp_path / "out"
-    coopqp("compare", short, "--out", out)
-    result = coopqp(*[word.replace("OUT", str(out)) for word in words])
+    typed("compare", short, "--out", out)
+    result = typed(*[word.replace("OUT", str(out)) for word in words])
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
 
 
 def test_a_small_stress_breaks_no_promise() -> None:
-    result = coopqp("stress", "--rollouts", "60", "--jobs", "1", "--json")
+    result = typed("stress", "--rollouts", "60", "--jobs", "1", "--json")
     assert result.exit_code == 0
     data = json.loads(result.stdout)
     assert data["broken"] == []

@@ -2,116 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
+from chains import Walk, planar_pair, short_pair, spherical_pair, three_arms
 
-from coopqp.checked import Pose, spec
+from coopqp.checked import Array, Pose
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.rank import matrix_rank
-from coopqp.robot import Arm, RobotModel
-from coopqp.robot_files import mdh
-from coopqp.robots.nao_t14 import HAND, arm_table
+from coopqp.robot import RobotModel
+from coopqp.row import names_of
 from coopqp.state import State
 
-Array = NDArray[np.float64]
-Walk = Callable[[ClosedChain, int], list[Array]]
-Row = mdh.MdhRow
-Parameters = mdh.MdhParameters
-
 H = 1e-5  # step of the central differences [rad]
-
-
-def robot_of(name: str, arms: dict[str, list[Row]], hand: tuple[float, float, float]) -> RobotModel:
-    """A robot whose arms end in tips at hand from their last joint."""
-    tips = {f"{arm}_tip": mdh.Tip(parent=rows[-1].name, offset=hand) for arm, rows in arms.items()}
-    rows = [row for arm in arms.values() for row in arm]
-    ends = tuple(Arm(name=arm, tip=f"{arm}_tip") for arm in arms)
-    return RobotModel(name=name, model=mdh.build_model(name, rows, tips), arms=ends)
-
-
-def serial(arm: str, parameters: list[Parameters]) -> list[Row]:
-    rows: list[Row] = []
-    for i, p in enumerate(parameters):
-        before = rows[-1].name if rows else None
-        rows.append(
-            Row(
-                name=f"{arm}{i + 1}", antecedent=before, parameters=p, lower=-3, upper=3, velocity=5
-            )
-        )
-    return rows
-
-
-def planar_pair() -> ClosedChain:
-    """Two arms of three parallel joints in the plane z = 0, bases 0.4 m apart."""
-    arms = {
-        "right": serial("r", [Parameters(), Parameters(d=0.3), Parameters(d=0.25)]),
-        "left": serial("l", [Parameters(d=0.4), Parameters(d=0.3), Parameters(d=0.25)]),
-    }
-    robot = robot_of("planar", arms, (0.1, 0.0, 0.0))
-    return ClosedChain.take_hold(
-        robot, np.array([2.0, -0.9, -0.4, 1.1, 0.9, 0.4]), Rigid(), HeldObject()
-    )
-
-
-def spherical_pair() -> ClosedChain:
-    """Two arms of three joints whose axes all meet in one point: the object turns about it."""
-    turn = [Parameters(alpha=math.pi / 2), Parameters(alpha=-math.pi / 2)]
-    arms = {
-        "right": serial("r", [Parameters(alpha=0.9), *turn]),
-        "left": serial("l", [Parameters(gamma=2.0, alpha=0.9), *turn]),
-    }
-    robot = robot_of("spherical", arms, (0.1, 0.0, 0.2))
-    return ClosedChain.take_hold(
-        robot, np.array([0.3, -0.5, 0.7, -0.2, 0.6, 0.4]), Rigid(), HeldObject()
-    )
-
-
-def short_pair() -> ClosedChain:
-    """Two arms of two joints in space: four of six loop rows count, other ones in every pose."""
-    arms = {
-        "right": serial("r", [Parameters(), Parameters(alpha=1.0, d=0.2, r=0.1)]),
-        "left": serial("l", [Parameters(d=0.3, alpha=0.3), Parameters(alpha=-1.2, d=0.3)]),
-    }
-    robot = robot_of("short", arms, (0.1, 0.05, 0.0))
-    return ClosedChain.take_hold(robot, np.array([0.3, -0.5, 0.7, -0.2]), Rigid(), HeldObject())
-
-
-def three_arms() -> ClosedChain:
-    """NAO with a third arm on its chest."""
-    third = [replace(row, name=row.name.replace("R", "M", 1)) for row in arm_table("R")]
-    names = [row.name for row in third]
-    third = [replace(r, antecedent=a) for r, a in zip(third, [None, *names[:-1]], strict=True)]
-    third[0] = replace(third[0], parameters=Parameters(b=-0.1, alpha=-math.pi / 2, r=0.0))
-    arms = {"right": arm_table("R"), "left": arm_table("L"), "middle": third}
-    right = np.array([0.7, -0.2, 1.2, 0.9, 0.1])
-    q = np.concatenate([right, right * [1, -1, -1, -1, -1], [-0.3, -0.1, 0.4, 0.6, 0.2]])
-    return ClosedChain.take_hold(robot_of("three", arms, HAND), q, Rigid(), HeldObject())
-
-
-@spec
-class Hinge(Grasp):
-    """A passive revolute joint about the wrist's axis, as in the paper's Table 2."""
-
-    def passive_joints(self, *_: object) -> tuple[PassiveJoint, ...]:
-        return (PassiveJoint(name="hinge", joint=pin.JointModelRX(), placement=pin.SE3.Identity()),)
-
-
-@pytest.fixture(scope="module")
-def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    """NAO holds the box between two hinges."""
-    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
-
-
 CHAINS: dict[str, Callable[[], ClosedChain]] = {
     "planar": planar_pair,
     "spherical": spherical_pair,
@@ -160,7 +68,7 @@ def test_passive_joints_come_after_their_arm(hinged: ClosedChain, nao: RobotMode
 def test_loop_rows_are_named_by_arm_and_axis(chain: ClosedChain) -> None:
     axes = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
     assert chain.loops.names == tuple(f"loop[left].{axis}" for axis in axes)
-    assert chain.loops.kept_names == chain.loops.names
+    assert chain.loops.kept_rows == chain.loops.rows
     assert chain.loops.dropped == ()
     assert not chain.loops.varying
 
@@ -253,7 +161,7 @@ def test_object_point_moves_with_its_jacobian(chain: ClosedChain, closed_loop_wa
 def test_planar_arms_have_three_loop_rows_and_name_the_rest() -> None:
     pair = planar_pair()
     assert pair.loops.rank == 3
-    assert pair.loops.kept_names == ("loop[left].x", "loop[left].y", "loop[left].rot_z")
+    assert names_of(pair.loops.kept_rows) == ("loop[left].x", "loop[left].y", "loop[left].rot_z")
     assert pair.loops.dropped == ("loop[left].z", "loop[left].rot_x", "loop[left].rot_y")
     assert not pair.loops.varying
 

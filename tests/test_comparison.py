@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shipped_here import LOADABLE
+from scenario_files import LOADABLE
 
 import coopqp
 from coopqp.comparison import Comparison

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
+import example_controllers
+import example_grasps
+import example_limits
+import example_metrics
+import example_plants
+import example_robots
+import example_solvers
+import example_tasks
 import numpy as np
 import pytest
-from shipped_here import LOADABLE
+from scenario_files import LOADABLE, cut
 
 import coopqp
 from coopqp.controller import Controller
@@ -24,6 +34,15 @@ ENTRIES = [
     for kind in COLLECTIONS
     for name, entry in CATALOG.entries(kind).items()
 ]
+EXAMPLES: dict[str, Iterable[object]] = {
+    "grasps": example_grasps.EXAMPLES.values(),
+    "tasks": example_tasks.EXAMPLES.values(),
+    "limits": example_limits.EXAMPLES,
+    "controllers": example_controllers.EXAMPLES.values(),
+    "solvers": example_solvers.EXAMPLES.values(),
+    "plants": example_plants.EXAMPLES.values(),
+    "metrics": example_metrics.EXAMPLES.values(),
+}
 CONTROLLERS = list(CATALOG.entries("controllers"))
 SOLVERS = sorted({*CATALOG.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"})
 
@@ -33,13 +52,6 @@ def scenario_for(controller: str) -> Scenario:
     plugin = CATALOG.entries("controllers")[controller].cls()
     assert isinstance(plugin, Controller)
     return load("passive_grasp_pose" if plugin.commands_torques else "point_on_point")
-
-
-def ten_ticks(scenario: Scenario) -> Scenario:
-    """The same scenario, every phase cut to ten ticks."""
-    short = 10 * scenario.dt
-    phases = tuple(replace(phase, duration=short) for phase in scenario.phases)
-    return replace(scenario, duration=short, phases=phases)
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
@@ -65,9 +77,20 @@ def test_every_field_of_a_plug_in_is_explained(entry: Entry) -> None:
             assert '"""' in after
 
 
+@pytest.mark.parametrize("kind", COLLECTIONS)
+def test_every_plug_in_has_settings_of_an_example(kind: str, tmp_path: Path) -> None:
+    robots = (make(tmp_path) for make in example_robots.EXAMPLES.values())
+    seen = {type(example) for example in (robots if kind == "robots" else EXAMPLES[kind])}
+    missing = [name for name, entry in CATALOG.entries(kind).items() if entry.cls not in seen]
+    assert not missing, (
+        f"nothing tests {', '.join(missing)} of {kind}: "
+        f"tests/example_{kind}.py needs a line with settings for each"
+    )
+
+
 @pytest.mark.parametrize("name", LOADABLE)
 def test_every_scenario_runs_ten_ticks_with_all_its_controllers(name: str) -> None:
-    scenario = ten_ticks(load(name))
+    scenario = cut(load(name), 10)
     for controller in scenario.controllers:
         trace = run(scenario, controller=controller)
         assert trace.ticks == 10 * len(scenario.schedule)
@@ -101,7 +124,7 @@ def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_equal_seeds_give_equal_runs(controller: str) -> None:
-    scenario = ten_ticks(scenario_for(controller))
+    scenario = cut(scenario_for(controller), 10)
     first, second = (run(scenario, controller=controller) for _ in range(2))
     assert np.array_equal(first.q, second.q)
     assert np.array_equal(first.v, second.v)

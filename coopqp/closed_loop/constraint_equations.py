@@ -115,7 +115,21 @@ def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
         UnknownNameError: an unknown joint.
         InvalidValueError: a joint given twice, or more or fewer than the degrees of freedom.
     """
-    freedom = chain.n - chain.loops.rank
+    motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
+    if len(motors) != freedom:
+        raise InvalidValueError(
+            f"actuated: found {len(motors)} joints, needs {freedom}, the degrees of freedom"
+        )
+    return motors
+
+
+def motor_indices(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
+    """Indices of joints that are driven by motors.
+
+    Raises:
+        UnknownNameError: an unknown joint.
+        InvalidValueError: a passive joint, or a joint given twice.
+    """
     joints = chain.joint_names
     for name in actuated:
         if name not in joints:
@@ -125,10 +139,6 @@ def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
     repeated = sorted({name for name in actuated if list(actuated).count(name) > 1})
     if repeated:
         raise InvalidValueError(f"actuated: {', '.join(repeated)} given more than once")
-    if len(actuated) != freedom:
-        raise InvalidValueError(
-            f"actuated: found {len(actuated)} joints, needs {freedom}, the degrees of freedom"
-        )
     return tuple(joints.index(name) for name in actuated)
 
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.constraint_equations import motor_indices
 from coopqp.closed_loop.saddle import Saddle
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.rank import independent_rows, null_space
@@ -337,25 +338,15 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
         UnknownNameError: an unknown joint.
         InvalidValueError: a passive or repeated joint, or fewer than the degrees of freedom.
     """
-    joints = chain.joint_names
-    passive = {joints[i] for i in chain.passive}
     if names is None:
-        return np.array([i for i, name in enumerate(joints) if name not in passive], np.intp)
-    for name in names:
-        if name not in joints:
-            raise UnknownNameError("joint", name, joints, "actuated: ")
-        if name in passive:
-            raise InvalidValueError(f"actuated: '{name}' is a passive joint and has no motor")
-    repeated = sorted({name for name in names if list(names).count(name) > 1})
-    if repeated:
-        raise InvalidValueError(f"actuated: {', '.join(repeated)} given more than once")
-    freedom = chain.n - chain.loops.rank
-    if len(names) < freedom:
+        return np.setdiff1d(np.arange(chain.n), chain.passive)
+    motors, freedom = motor_indices(chain, names), chain.n - chain.loops.rank
+    if len(motors) < freedom:
         raise InvalidValueError(
-            f"actuated: {len(names)} joints cannot drive {freedom} degrees of freedom; "
+            f"actuated: {len(motors)} joints cannot drive {freedom} degrees of freedom; "
             f"name at least {freedom}"
         )
-    return np.array([joints.index(name) for name in names], np.intp)
+    return np.array(motors, np.intp)
 
 
 def _check_released(chain: ClosedChain) -> None:

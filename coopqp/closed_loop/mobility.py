@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.checked import Array, seeded
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
+from coopqp.errors import InvalidValueError
 from coopqp.rank import matrix_rank, null_space
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
@@ -157,8 +158,16 @@ def mobility(
 
     Raises:
         UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain.
+        InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.
     """
-    rng = np.random.default_rng(seed)
+    for name, J in task_rows:
+        if np.shape(J)[1:] != (chain.n,):
+            raise InvalidValueError(
+                f"task '{name}': found rows of shape {np.shape(J)}, needs (k, {chain.n})"
+            )
+    if samples < 1:
+        raise InvalidValueError(f"samples: found {samples}, needs at least 1")
+    rng = seeded(seed)
     poses = [_pose(chain, q) for q in chain.sample(rng, samples)]
     start = _pose(chain, chain.q_start)
     active = [i for i in range(chain.n) if i not in chain.passive]

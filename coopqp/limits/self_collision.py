@@ -21,7 +21,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
@@ -68,11 +68,8 @@ class SelfCollision(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
-        if self.gain * dt > 1.0 + 1e-9:
-            raise InvalidValueError(
-                f"self_collision: gain {self.gain} 1/s needs at most 1/dt = {1 / dt:g} 1/s; "
-                "more would overshoot"
-            )
+        if wrong := overshoot(self.gain, dt):
+            raise InvalidValueError(f"self_collision: {wrong}")
         bodies = _Bodies(chain, self._pairs(chain))
         gain, distance = np.full(len(bodies.d), self.gain), np.array(self.distance)
         room, deep = np.zeros_like(bodies.d), np.zeros(len(bodies.d), bool)

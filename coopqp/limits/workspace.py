@@ -17,10 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Positive, Vector3, spec, unit
+from coopqp.checked import Array, Direction, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
+from coopqp.mark import Mark, PlaneMark
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -65,11 +66,8 @@ class Workspace(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a point; the points' world positions are kept for the distances."""
-        if self.gain * dt > 1.0 + 1e-9:
-            raise InvalidValueError(
-                f"{self.name}: gain {self.gain} 1/s needs at most 1/dt = {1 / dt:g} 1/s; "
-                "more would overshoot"
-            )
+        if wrong := overshoot(self.gain, dt):
+            raise InvalidValueError(f"{self.name}: {wrong}")
         points = _Points(chain, self._points(chain), self.frames)
         n, distances, offset = self._plane()
         gain, k = np.full(len(points.p), self.gain), points.of_object
@@ -102,6 +100,10 @@ class Workspace(Limit):
             points.update(state)
             distances(points.p, row)
         return {replace(row, unit="m"): d[:, i] - offset for i, row in enumerate(rows)}
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The plane."""
+        return (PlaneMark(normal=np.array(self.normal), through=np.array(self.through)),)
 
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
         n = unit(self.normal)

@@ -15,7 +15,7 @@ from coopqp.trace import Trace
 class LimitMarginMin(Metric):
     """Least distance of a joint to its position limit; negative beyond it."""
 
-    unit: ClassVar[str] = "rad"
+    unit: ClassVar[str] = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         """Over the whole run."""

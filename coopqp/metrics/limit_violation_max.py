@@ -15,7 +15,7 @@ from coopqp.trace import Trace
 class LimitViolationMax(Metric):
     """How far the worst joint went beyond its position limit."""
 
-    unit: ClassVar[str] = "rad"
+    unit: ClassVar[str] = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         """0 when no limit was left."""

@@ -15,7 +15,7 @@ from coopqp.trace import Trace
 class VelocityViolationMax(Metric):
     """How far the worst joint's speed went beyond its limit."""
 
-    unit: ClassVar[str] = "rad/s"
+    unit: ClassVar[str] = "rad/s or m/s"
 
     def measure(self, trace: Trace) -> float:
         """0 when no limit was broken."""

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, seeded
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
@@ -50,7 +50,7 @@ class DynamicModel(PlantModel):
         self.disturbance = disturbance
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
-        self._rng = np.random.default_rng(seed)
+        self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
         self.signals: dict[str, Array] = {

@@ -12,6 +12,7 @@ from coopqp.metrics.limits_audit import AT_BOUND
 from coopqp.report import curves
 from coopqp.report.curves import Figure
 from coopqp.report.style import Style
+from coopqp.row import Row
 from coopqp.trace import Trace
 
 SHOWN = 10  # limits of each controller in the table
@@ -22,12 +23,13 @@ def rows(traces: Mapping[str, Trace]) -> str:
     """Rows of the table: the limits that had least left, the most used first."""
     lines = []
     for name, trace in audited(traces).items():
-        for limit, margin in _tightest(trace):
+        for row, margin in _tightest(trace):
             active = margin <= AT_BOUND
-            cells = (f"{margin.min():.3g}", str(int(active.sum())), f"{100 * active.mean():.0f} %")
+            least = f"{margin.min():.3g} {row.unit}"
+            cells = (least, str(int(active.sum())), f"{100 * active.mean():.0f} %")
             lines.append(
                 f"<tr><td class='name'>{html.escape(name)}</td><td class='name'>"
-                f"{html.escape(limit)}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+                f"{html.escape(row.name)}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
             )
     return "".join(lines)
 
@@ -68,7 +70,7 @@ def audited(traces: Mapping[str, Trace]) -> dict[str, Trace]:
     return {name: trace for name, trace in traces.items() if trace.keeps_limits and trace.margins}
 
 
-def _tightest(trace: Trace) -> list[tuple[str, Array]]:
-    finite = [(row.name, m) for row, m in trace.margins.items() if np.isfinite(m).any() and m.size]
+def _tightest(trace: Trace) -> list[tuple[Row, Array]]:
+    finite = [(row, m) for row, m in trace.margins.items() if np.isfinite(m).any() and m.size]
     order = sorted(finite, key=lambda pair: (-int((pair[1] <= AT_BOUND).sum()), pair[1].min()))
     return order[:SHOWN]

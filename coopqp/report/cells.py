@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.scenario.scenario import Scenario
@@ -33,9 +36,9 @@ class Column:
 COLUMNS = {
     "reached": Column("Goal reached", "", "Every task's error ends within its tolerance."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
-    "limit": Column("Limit overrun", "rad", "How far the worst joint went beyond its limit."),
-    "speed": Column("Speed overrun", "rad/s", "How far the worst speed went beyond its limit."),
-    "margin": Column("Least margin", "rad", "Least distance of a joint to its limit; < 0 beyond."),
+    "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit."),
+    "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
+    "margin": Column("Least margin", "", "Least distance of a joint to its limit; < 0 beyond."),
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
@@ -66,13 +69,16 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
     reached, loop = bool(metrics["reached"]), metrics["loop_error_max"]
     limit, speed = metrics["limit_violation_max"], metrics["velocity_violation_max"]
     opened = loop["position"] > CLOSED_POSITION or loop["orientation"] > CLOSED_ORIENTATION
+    beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+    place = trace.units[_worst(beyond)]
+    fastest = _worst(np.abs(trace.v) - trace.velocity)
     gap = (f"{number(1e3 * loop['position'])} mm", f"{number(1e3 * loop['orientation'])} mrad")
     return {
         "reached": Cell(("yes" if reached else "no",), not reached),
         "task_error": _task_error(trace),
-        "limit": Cell((number(limit),), limit > ROUNDING),
-        "speed": Cell((number(speed),), speed > ROUNDING),
-        "margin": Cell((number(metrics["limit_margin_min"]),)),
+        "limit": Cell((_quantity(limit, place),), limit > ROUNDING),
+        "speed": Cell((_quantity(speed, f"{trace.units[fastest]}/s"),), speed > ROUNDING),
+        "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
         "loop": Cell(gap, opened),
         "failed": _failed(metrics),
         "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
@@ -90,7 +96,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
         ("control period", f"{1e3 * scenario.dt:g} ms"),
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
         *([("phases", _phases(scenario))] if scenario.phases else []),
-        ("drift correction κ", f"{scenario.kappa:g} 1/s ({_worst_gap(comparison)})"),
+        ("drift correction κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", scenario.solver_name),
         ("limits of the QP", limits),
         ("plant", plugin_name(scenario.plant)),
@@ -122,6 +128,17 @@ def number(value: float) -> str:
     if 0.0 < abs(value) <= ROUNDING:
         return "< 1e-9"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def _worst(excess: Array) -> int:
+    """The joint with the largest of the values, shape (T, n)."""
+    return int(excess.max(axis=0, initial=-np.inf).argmax())
+
+
+def _quantity(value: float, unit: str) -> str:
+    """With its unit; nothing and infinity need none."""
+    bare = value == 0.0 or math.isinf(value)
+    return number(value) if bare else f"{number(value)} {unit}"
 
 
 def _task_error(trace: Trace) -> Cell:

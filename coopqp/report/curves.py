@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.report import strict_json
 from coopqp.report.style import Style
 
 Json = dict[str, Any]
@@ -65,7 +66,10 @@ def thinned(t: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
 
 def listed(values: Array, digits: int = 7) -> list[float | None]:
     """Numbers for JSON, short; what is not finite becomes null."""
-    return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values.tolist()]
+    short: list[float | None] = strict_json.finite(
+        [float(f"{v:.{digits}g}") for v in values.tolist()]
+    )
+    return short
 
 
 def curve(name: str, style: Style, t: Array, y: Array, *, steps: bool = False) -> Json:

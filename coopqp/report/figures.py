@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import chain as joined
 
 import numpy as np
@@ -20,7 +20,7 @@ from coopqp.trace import Trace
 from coopqp.verdict import ROUNDING
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
-FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad]
+FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad or m]
 MOST_SPEED = 3.0  # times the limit, beyond which speeds need a log scale
 ONE_TWO_FIVE = [m * 10.0**e for e in range(-1, 7) for m in (1, 2, 5)]  # ticks of log scales
 ALWAYS = slice(None)  # rows of a trace
@@ -79,21 +79,23 @@ class Figures:
 
     def _torque(self, i: int, told: Mapping[str, Trace]) -> Figure:
         joint, limit = self._any.joints[i], float(self._any.effort[i])
+        what, unit = ("Force", "N") if self._any.units[i] == "m" else ("Torque", "N m")
+        title = f"{what} of {joint}"
         lines = {
             name: told[name].signals["tau"][:, told[name].joints.index(joint)]
             for name in self._names
             if name in told and joint in told[name].joints
         }
         if not np.isfinite(limit):
-            return self._plain(f"Torque of {joint}", "N m, no limit", lines)
+            return self._plain(title, f"{unit}, no limit", lines)
         shown = Window(-1.15 * limit, 1.15 * limit)
         levels = [
             curves.level(-limit, f"-{limit:.3g}", above=False),
             curves.level(limit, f"{limit:.3g}"),
         ]
         return Figure(
-            title=f"Torque of {joint}",
-            unit="N m",
+            title=title,
+            unit=unit,
             data=self._beyond_limits(shown, -limit, limit) + self._curves(lines),
             layout=self._layout(curves.linear(shown), *levels),
         )
@@ -113,7 +115,8 @@ class Figures:
         """Errors, margin, speed and time."""
         figures = [self._task_error(i) for i in range(len(self._any.tasks))]
         figures += [self._loop_position(), self._loop_orientation()]
-        return [*figures, self._margin(), self._speed(), self._ticks()]
+        figures += [self._margin(unit) for unit in joint_units(self._traces.values())]
+        return [*figures, self._speed(), self._ticks()]
 
     def _lines(self, of: Callable[[Trace], Array]) -> dict[str, Array]:
         return {name: of(self._traces[name]) for name in self._names}
@@ -239,17 +242,22 @@ class Figures:
             layout=self._layout(curves.logarithmic(shown), *levels),
         )
 
-    def _margin(self) -> Figure:
-        lines = self._lines(margin)
+    def _margin(self, unit: str) -> Figure:
+        lines = {
+            name: margin(self._traces[name], unit)
+            for name in self._names
+            if unit in self._traces[name].units
+        }
+        nearest = "sliding joint" if unit == "m" else "joint"
         best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
         shown = curves.window(0.0, best, list(lines.values()), best)
         shown = Window(min(shown.bottom, -0.15 * best), shown.top)
         return Figure(
-            title="Margin of the joint nearest to its limit",
-            unit="rad, negative beyond the limit",
+            title=f"Margin of the {nearest} nearest to its limit",
+            unit=f"{unit}, negative beyond the limit",
             data=self._beyond_limits(shown, 0.0, np.inf) + self._curves(lines),
             layout=self._layout(curves.linear(shown), curves.level(0.0, "limit", above=False)),
-            notes=curves.off_chart(shown, lines, "rad"),
+            notes=curves.off_chart(shown, lines, unit),
         )
 
     def _speed(self) -> Figure:
@@ -306,9 +314,21 @@ class Figures:
         return [box, slowest | {"y": [label]}]
 
 
-def margin(trace: Trace) -> Array:
-    """Distance of the joint nearest to its limit, at each instant, shape (T + 1,) [rad]."""
-    least: Array = np.minimum(trace.q - trace.lower, trace.upper - trace.q).min(axis=1)
+def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
+    """The units that the joints of some trace have, "rad" before "m"."""
+    return tuple(sorted({unit for trace in traces for unit in trace.units}, reverse=True))
+
+
+def margin(trace: Trace, unit: str) -> Array:
+    """Distance of the joint nearest to its limit, at each instant, shape (T + 1,) [unit].
+
+    Args:
+        trace: with one joint at least that has this unit.
+        unit: "rad" or "m"; joints with another one do not count.
+    """
+    counts = np.array(trace.units) == unit
+    room = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
+    least: Array = room[:, counts].min(axis=1)
     return least
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -17,6 +15,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.errors import CoopqpError
+from coopqp.report import strict_json
 from coopqp.report.page import render
 from coopqp.trace import Trace
 
@@ -78,7 +77,7 @@ def check_folder(folder: Path) -> None:
 
 def metrics_json(comparison: Comparison) -> str:
     """``metrics.json``: what is not finite is null, because JSON has no word for it."""
-    return json.dumps(_finite(comparison.as_json()), allow_nan=False, indent=2) + "\n"
+    return strict_json.text(comparison.as_json()) + "\n"
 
 
 def trace_csv(comparison: Comparison) -> str:
@@ -105,17 +104,6 @@ def _replace_all(contents: dict[str, str], folder: Path) -> list[Path]:
         for name in contents:
             os.replace(Path(aside) / name, folder / name)
     return [folder / name for name in contents]
-
-
-def _finite(value: Any) -> Any:
-    """The same, with null for NaN and infinities."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _header(joints: list[str], trace: Trace) -> list[str]:

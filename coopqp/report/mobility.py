@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import html
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -23,6 +22,7 @@ from coopqp.checked import Array
 from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
 from coopqp.controller_run import run
 from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.report.strict_json import finite
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -124,10 +124,8 @@ def as_json(result: Study) -> dict[str, Any]:
         "lost_at_start": [list(s.joints) for s in m.lost_at_start],
         "manipulability": {"t": result.t.tolist(), "value": result.manipulability.tolist()},
     }
-    finite: dict[str, Any] = json.loads(
-        json.dumps(data), parse_constant=lambda _: None
-    )  # Infinity and NaN are not JSON
-    return finite
+    written: dict[str, Any] = finite(data)
+    return written
 
 
 def _screw_json(screw: Any) -> dict[str, Any]:
@@ -200,7 +198,7 @@ def page(result: Study) -> str:
     """One HTML page that works offline."""
     line = {
         "x": result.t.tolist(),
-        "y": [y if math.isfinite(y) else None for y in result.manipulability.tolist()],
+        "y": finite(result.manipulability.tolist()),
         "mode": "lines",
         "line": {"color": "#0072B2", "width": 2.5},
     }

@@ -22,7 +22,7 @@ from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
-WRAPPING = ("task_error", "solver")  # columns with names that users give
+WRAPPING = ("task_error", "limit", "speed", "margin", "solver")  # columns that may get narrow
 
 
 def render(comparison: Comparison) -> str:

@@ -16,7 +16,7 @@ from coopqp.study.stress import Summary
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
 SHOWN = {
     "reached": "goal\nreached",
-    "limit": "beyond\nlimit [rad]",
+    "limit": "beyond\nlimit",
     "loop": "loop\nerror",
     "failed": "failed\nticks",
     "tick": "tick\n[µs]",

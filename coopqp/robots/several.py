@@ -11,6 +11,7 @@ from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
 from coopqp.checked import Pose, spec
 from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.grasp import pose_matrix
 from coopqp.robot import Arm, Capsule, Robot, RobotModel, copy_per_velocity
 
 
@@ -38,7 +39,7 @@ class Placed(Pose):
     @property
     def X_WB(self) -> pin.SE3:
         """Pose of the base in the world."""
-        return pin.SE3(pin.rpy.rpyToMatrix(*self.angles), np.array(self.position))
+        return pose_matrix(self)
 
 
 @spec

@@ -15,9 +15,10 @@ from coopqp.robot import RobotModel
 from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
-from coopqp.scenario.yaml import Location, YamlFile
-from coopqp.state import State
+from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.yaml import YamlFile
 from coopqp.task import Task
+from coopqp.wording import Location
 
 T = TypeVar("T")
 
@@ -60,7 +61,9 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         raise ScenarioError([Fault(file.place(location), str(error))]) from None
     if not allowed:
         _check_passive(file, chain, passive, key)
-    faults = [*_unbound_tasks(file, scenario), *_unbound_limits(file, scenario)]
+    places = _places(scenario)
+    first = places[scenario.schedule[0].name]
+    faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
     if faults:
         raise ScenarioError(faults)
 
@@ -77,32 +80,37 @@ def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
     return faults
 
 
-def _unbound_tasks(file: YamlFile, scenario: Scenario) -> list[Fault]:
-    """Tasks that name what is not there, or have a wrong size; each is bound in its phase.
+def _places(scenario: Scenario) -> dict[str, Places]:
+    """Where plug-ins are tried, by phase.
 
     The later phases are tried where the first begins: nobody knows yet where the motion leads.
     """
     problems = scenario.problems(lambda _: scenario.chain.q_start)
     phases = zip(scenario.schedule, problems, strict=True)
-    starts, faults = {phase.name: State(problem.chain) for phase, problem in phases}, []
+    return {phase.name: Places(problem.chain) for phase, problem in phases}
+
+
+def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Places]) -> list[Fault]:
+    """Tasks that name what is not there or break a promise; each is tried in its phase."""
+    faults = []
     for place, task, phase in placed_tasks(scenario):
         try:
-            task.bind(starts[phase.name])
+            try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             faults.append(Fault(file.place(place), str(error)))
     return faults
 
 
-def _unbound_limits(file: YamlFile, scenario: Scenario) -> list[Fault]:
-    """Limits that name what is not there, and rows of two limits with one name."""
-    chain, taken, faults = scenario.chain, set[str](), []
+def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:
+    """Limits that name what is not there or break a promise, and two rows with one name."""
+    taken, faults = set[str](), []
     for i, limit in enumerate(scenario.limits):
         try:
-            rows = set(names_of(limit.rows(chain)))
-            limit.bind(chain, scenario.dt)
+            try_limit(limit, places, scenario.dt)
         except CoopqpError as error:
             faults.append(Fault(file.place(["limits", i]), str(error)))
             continue
+        rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
             words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
             faults.append(Fault(file.place(["limits", i]), words))
@@ -132,7 +140,7 @@ def _check_passive(
         i = chain.joint_names.index(name)
         value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
         if not low <= value <= high:
-            words = _outside(name, value, low, high, in_degrees=key.endswith("deg"))
+            words = _outside(name, value, (low, high), _unit(chain.joint_units[i], key))
             faults.append(Fault(file.place([key, name]), words))
     if faults:
         raise ScenarioError(faults)
@@ -145,19 +153,26 @@ def outside_limits(
     faults: list[tuple[Location, str]] = []
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    for joint, value, low, high in zip(robot.joint_names, q, lower, upper, strict=True):
+    joints_of_robot = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
+    for joint, unit, value, low, high in joints_of_robot:
         if low <= value <= high:
             continue
         location: list[str | int] = [key, joint]
         for arm, joints in arms.items():
             if arm in start and joint in joints and joint not in start:
                 location = [key, arm, joints.index(joint)]
-        faults.append((location, _outside(joint, value, low, high, in_degrees=key.endswith("deg"))))
+        faults.append((location, _outside(joint, value, (low, high), _unit(unit, key))))
     return faults
 
 
-def _outside(joint: str, value: float, low: float, high: float, *, in_degrees: bool) -> str:
-    scale, unit = (math.degrees(1.0), "degrees") if in_degrees else (1.0, "rad")
+def _unit(unit: str, key: str) -> str:
+    """The unit in which the file gives a joint's start."""
+    return "degrees" if unit == "rad" and key == "start_deg" else unit
+
+
+def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -> str:
+    scale = math.degrees(1.0) if unit == "degrees" else 1.0
+    low, high = limits
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
         f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"

@@ -10,7 +10,6 @@ import json
 import types
 import typing
 from collections.abc import Iterable
-from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
 from pydantic import (
@@ -22,12 +21,12 @@ from pydantic import (
     ValidationError,
     create_model,
 )
-from pydantic_core import ErrorDetails
 
+from coopqp import wording
 from coopqp.checked import NonNegative, Positive
 from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
-from coopqp.errors import Fault, ScenarioError, unknown_name
+from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
@@ -148,7 +147,10 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
         ),
         "start_deg": (
             dict[str, float | list[float]] | None,
-            Field(default=None, description="The same in degrees; instead of start."),
+            Field(
+                default=None,
+                description="The same with degrees for radians; joints that slide keep metres.",
+            ),
         ),
         "tasks": (
             Annotated[_list_of(catalog, "tasks"), Field(min_length=1)] | None,
@@ -279,87 +281,17 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        details = error.errors(include_url=False)
-        faults += [
-            _fault(file, model, detail) for detail in details if not _follows(detail, details)
-        ]
+        found = wording.faults(error, file.data, model, {Robot: _slot(model, "robot")})
+        faults += [Fault(file.place(location), message) for location, message in found]
+    except CoopqpError:
+        raise
+    except Exception as error:  # from the __post_init__ of a plug-in
+        raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
     if faults:
-        raise ScenarioError(list(dict.fromkeys(faults)))
+        raise ScenarioError(faults)
     return read
 
 
 def _slot(model: type[BaseModel], key: str) -> Any:
     """Type of a key of the file."""
     return typing.get_type_hints(model, include_extras=True)[key]
-
-
-def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:
-    """Whether a list counts as too short only because one of its values is wrong."""
-    place = detail["loc"]
-    return detail["type"] == "too_short" and any(
-        other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in others
-    )
-
-
-def _fault(file: YamlFile, model: type[BaseModel], detail: ErrorDetails) -> Fault:
-    location = _in_file(file.data, detail["loc"])
-    kind, found = detail["type"], detail["input"]
-    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        key = str(location[-1])
-        known = _keys(model, location[:-1])
-        return Fault(file.place(location), unknown_name("key", key, known))
-    if kind.startswith("missing"):
-        needed = detail["loc"][-1]
-        there = location and location[-1] == needed
-        return Fault(file.place(location), "is missing" if there else f"needs the key '{needed}'")
-    needs = detail["msg"].removeprefix("Value error, ")
-    for wordy in ("Input should be ", "Input should "):
-        needs = needs.replace(wordy, "needs ")
-    if needs.startswith("unknown "):
-        return Fault(file.place(location), needs)
-    shown = json.dumps(found, default=str)
-    shown = shown if len(shown) <= 60 else shown[:57] + "..."
-    return Fault(file.place(location), f"found {shown}; {needs[0].lower()}{needs[1:]}")
-
-
-def _in_file(data: Any, location: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """The location without pydantic's own steps, such as which branch of a union failed."""
-    kept: list[str | int] = []
-    for i, part in enumerate(location):
-        last = i == len(location) - 1
-        inside = (isinstance(data, dict) and part in data) or (
-            isinstance(data, list) and isinstance(part, int) and part < len(data)
-        )
-        if inside:
-            data = data[part]
-        elif not (last and isinstance(data, dict)):
-            continue
-        kept.append(part)
-    return tuple(kept)
-
-
-def _keys(model: Any, location: tuple[str | int, ...]) -> list[str]:
-    """Keys allowed at a location of the file."""
-    robot = _bare(_slot(model, "robot"))
-    for part in location:
-        hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
-        model = _bare(hints.get(str(part), model))
-        model = robot if model is Robot else model
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        return list(model.model_fields)
-    return [field.name for field in fields(model)] if is_dataclass(model) else []
-
-
-def _has_keys(model: Any) -> bool:
-    return isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
-
-
-def _bare(hint: Any) -> Any:
-    """The class inside Optional, Annotated, list and dict."""
-    origin = typing.get_origin(hint)
-    if origin is Annotated:
-        return _bare(typing.get_args(hint)[0])
-    if origin in (typing.Union, types.UnionType, list, dict, tuple):
-        inside = [_bare(a) for a in typing.get_args(hint) if a not in (type(None), str)]
-        return inside[0] if inside else hint
-    return hint

@@ -8,22 +8,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel
 
-from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.checked import taken_names
+from coopqp.controller import TELL_APART, Controller, problem_faults
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen, file_model
 from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario, Start
+from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
-from coopqp.scenario.yaml import Location, YamlFile, read_yaml
+from coopqp.scenario.trial import blamed
+from coopqp.scenario.yaml import YamlFile, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
 from coopqp.task import Task
+from coopqp.wording import Location
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -40,6 +43,10 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     scenario = _Reader(file, catalog or Catalog()).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
+    elif file.data.get("start_deg") is not None:
+        robot = built(file, ["robot"], lambda: scenario.robot_model)
+        start = from_degrees(robot, scenario.grasps, scenario.start)
+        scenario = replace(scenario, start=start)
     check_start(file, scenario)
     return scenario
 
@@ -143,11 +150,11 @@ class _Reader:
             held=read.object,
             weights=read.weights,
             start=self._start(),
-            tasks=self._named("tasks", read.tasks or ()),
+            tasks=_plugins(read.tasks or ()),
             phases=self._phases(),
-            secondary=self._named("secondary", read.secondary),
-            limits=tuple(chosen(slot)[1] for slot in read.limits),
-            controllers={c.name: c for c in self._named("controllers", read.controllers)},
+            secondary=_plugins(read.secondary),
+            limits=_plugins(read.limits),
+            controllers=self._controllers(),
             plant=chosen(read.plant)[1],
             disturbance=read.disturbance,
             solver=solver,
@@ -161,7 +168,7 @@ class _Reader:
             source=self._file.path.read_text(encoding="utf-8"),
             catalog=self._catalog,
         )
-        self._check_times(scenario)
+        self._check_problems(scenario)
         for name in scenario.grasp_of:
             if name not in scenario.controllers:
                 self._fault(
@@ -170,7 +177,7 @@ class _Reader:
         if not scenario.disturbance.none and not scenario.plant.takes_torques:
             self._fault(["disturbance"], "has no effect on this plant; use one with masses")
         if self._faults:
-            raise ScenarioError(self._faults)
+            raise ScenarioError(list(dict.fromkeys(self._faults)))
         return scenario
 
     def _fault(self, location: Location, message: str) -> None:
@@ -190,62 +197,59 @@ class _Reader:
         if both or (self._needs_start and read.start is None and read.start_deg is None):
             place = [] if read.start is None else ["start_deg"]
             self._fault(place, "give one of start (radians) and start_deg (degrees)")
-        if read.start_deg is None:
-            return read.start or {}
-        return {key: np.radians(value).tolist() for key, value in read.start_deg.items()}
-
-    def _named(self, key: str, slots: Sequence[BaseModel], *inside: str | int) -> tuple[Any, ...]:
-        """The plug-ins of a list, each with a name of its own."""
-        named: list[Any] = []
-        for i, slot in enumerate(slots):
-            name, plugin = chosen(slot)
-            plugin = plugin if plugin.name else replace(plugin, name=name)
-            if plugin.name in (other.name for other in named):
-                self._fault(
-                    [*inside, key, i],
-                    f"the name '{plugin.name}' is taken; add 'name:' to tell them apart",
-                )
-            named.append(plugin)
-        return tuple(named)
+        return read.start or read.start_deg or {}
 
     def _phases(self) -> tuple[Phase, ...]:
         read: Any = self._read
-        phases: list[Phase] = []
-        for i, found in enumerate(read.phases or ()):
-            if found.name in (other.name for other in phases):
-                self._fault(["phases", i, "name"], f"the name '{found.name}' is taken")
-            tasks = self._named("tasks", found.tasks, "phases", i)
-            phases.append(
-                Phase(
-                    name=found.name,
-                    tasks=tasks,
-                    duration=found.duration,
-                    released=tuple(found.released),
-                )
+        phases = tuple(
+            Phase(
+                name=phase.name,
+                tasks=_plugins(phase.tasks),
+                duration=phase.duration,
+                released=tuple(phase.released),
             )
-        return tuple(phases)
+            for phase in read.phases or ()
+        )
+        for i, taken in taken_names([phase.name for phase in phases]):
+            self._fault(["phases", i, "name"], taken)
+        return phases
 
-    def _check_times(self, scenario: Scenario) -> None:
+    def _controllers(self) -> dict[str, Controller]:
+        read: Any = self._read
+        controllers = _plugins(read.controllers)
+        for i, taken in taken_names([controller.name for controller in controllers]):
+            self._fault(["controllers", i], f"{taken}; {TELL_APART}")
+        return {controller.name: controller for controller in controllers}
+
+    def _check_problems(self, scenario: Scenario) -> None:
+        """Say of each phase what a controller could not be built for, and what it cannot end."""
         shortest = min(phase.duration for phase in scenario.schedule)
         if scenario.dt > shortest:
             self._fault(["dt"], f"found {scenario.dt} s; needs at most the duration")
-        top = 1.0 / scenario.dt * (1.0 + 1e-9)
-        if scenario.kappa > top:
-            self._fault(["kappa"], f"found {scenario.kappa}; needs at most 1/dt = {top:g} 1/s")
+        for i, phase in enumerate(scenario.schedule):
+            inside: Location = ["phases", i] if scenario.phases else []
+            found = problem_faults(
+                scenario.dt, scenario.drift_gain, phase.tasks, scenario.secondary
+            )
+            for place, message in found:
+                self._fault([*inside, *place] if place[0] == "tasks" else place, message)
         for place, task, phase in placed_tasks(scenario):
-            self._check_task(place, task, phase.duration, top)
+            self._check_end(place, task, phase.duration)
 
-    def _check_task(self, place: Location, task: Task, duration: float, top: float) -> None:
-        if task.gain > top:
-            self._fault(place, f"gain {task.gain} 1/s overshoots; needs at most 1/dt = {top:g} 1/s")
-        if task.end > duration + 1e-9:
+    def _check_end(self, place: Location, task: Task, duration: float) -> None:
+        try:
+            with blamed(task):
+                end = task.end
+        except CoopqpError as error:
+            self._fault(place, str(error))
+            return
+        if not end <= duration + 1e-9:
             self._fault(
                 place,
-                f"the reference of '{task.name}' arrives at {task.end:g} s, after the end at "
+                f"the reference of '{task.name}' arrives at {end:g} s, after the end at "
                 f"{duration:g} s; make it shorter or the duration longer",
             )
-        if place[0] == "secondary" and task.mode != "soft":
-            self._fault(
-                place,
-                f"'{task.name}' is {task.mode}, secondary objectives are soft; put it under tasks",
-            )
+
+
+def _plugins(slots: Sequence[BaseModel]) -> tuple[Any, ...]:
+    return tuple(chosen(slot)[1] for slot in slots)

@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, array, finite
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Controller, ControlProblem, OnInfeasible
+from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import Grasp
@@ -22,7 +22,7 @@ from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic
-from coopqp.robot import Robot, RobotModel
+from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.phase import Phase
 from coopqp.solver import Budget, Solver
@@ -53,6 +53,9 @@ class Scenario:
         on_infeasible: see :class:`coopqp.controller.ControlProblem`.
         source: text of the file it was read from.
         catalog: what it can name; its metrics are measured.
+
+    Raises:
+        InvalidValueError: dt or a duration is no time.
     """
 
     name: str
@@ -82,8 +85,20 @@ class Scenario:
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.kappa == math.inf:
-            object.__setattr__(self, "kappa", 1.0 / self.dt)
+        wrong = period_fault(self.dt)
+        found = [f"dt: {wrong}"] if wrong else []
+        found += [
+            f"duration: found {phase.duration} s; needs a finite time, at least 0"
+            for phase in self.schedule
+            if not 0.0 <= phase.duration < np.inf
+        ]
+        if found:
+            raise InvalidValueError("\n".join(found))
+
+    @property
+    def drift_gain(self) -> float:
+        """kappa, or 1/dt where it was omitted [1/s]."""
+        return 1.0 / self.dt if self.kappa == math.inf else self.kappa
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
@@ -171,11 +186,37 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     for key, value in start.items():
         arm, dot, _ = key.rpartition(".")
         if dot and arm in arms and key not in robot.joint_names:
-            numbers = np.atleast_1d(np.asarray(own.pop(key), float))
-            if numbers.shape != (1,) or not np.isfinite(numbers).all():
-                raise InvalidValueError(f"{key}: found {value}, needs one finite number")
+            numbers = np.atleast_1d(finite(key, array(key, own.pop(key))))
+            if numbers.shape != (1,):
+                raise InvalidValueError(f"{key}: found {value}, needs one number")
             passive[key] = float(numbers[0])
     return own, passive
+
+
+def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
+    """A start in radians and metres from one in degrees and metres.
+
+    Args:
+        robot: whose start it is.
+        grasps: one for all arms, or one for each by the arm's name.
+        start: by arm, joint or passive joint; degrees, metres where a joint slides.
+    """
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
+    for arm in robot.arms:
+        grasp = grasps.get(arm.name) if isinstance(grasps, Mapping) else grasps
+        for passive in grasp.passive_joints(np.eye(3)) if grasp else ():
+            units[f"{arm.name}.{passive.name}"] = unit_of(passive.joint)
+    joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    converted: dict[str, float | list[float]] = {}
+    for key, value in start.items():
+        # Names and counts that are wrong are refused where the start is used.
+        slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
+        if np.size(value) == len(slides):
+            kept = np.reshape(slides, np.shape(value))
+            converted[key] = np.where(kept, value, np.radians(value)).tolist()
+        else:
+            converted[key] = np.radians(value).tolist()
+    return converted
 
 
 def arm_names(robot: RobotModel) -> set[str]:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, seeded
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
@@ -117,7 +117,7 @@ def solve_start(
     _check_known(by_arm, held)
     problem = _Problem(robot, by_arm, held)
     groups = _groups(problem.columns)
-    q, rng = problem.middle.copy(), np.random.default_rng(seed)
+    q, rng = problem.middle.copy(), seeded(seed)
     tries, total = 0, TRIES * len(groups)
     found: list[int] = []
     failed: list[str] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,7 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from coopqp.errors import Fault, ScenarioError
-
-Location = Sequence[str | int]
+from coopqp.wording import Location, dotted
 
 
 @dataclass(frozen=True)
@@ -43,14 +41,6 @@ class YamlFile:
             line = position[0] + 1
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
-
-
-def dotted(location: Location) -> str:
-    """``tasks[0].point_on_plane.normal`` from its parts."""
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return text.removeprefix(".")
 
 
 def read_yaml(path: Path) -> YamlFile:

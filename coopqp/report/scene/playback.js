@@ -7,12 +7,14 @@
     ["play", "frame", "clock", "looks", "reset"].map((id) => document.getElementById(id));
   const HOME = { azimuth: 0.65, elevation: 0.42 };
   const camera = { ...HOME };
+  const LINE = "#3a86b0", WALL_EDGE = "#9c4f7c", AXES = ["#c0392b", "#1e8449", "#1f5fa8"];
   const INSIDE = 0, AT = 1;
   const TRAIL = 30; // frames; of a law that loses its way more would hide the arms
   const MARK = { at: "#E69F00", beyond: "#C1121F", floor: "#dfe3e7" };
   const ARMS = ["#3d4852", "#76688c", "#4a6b57", "#8a5a5e"];
   const SURFACES = [[158, 182, 210], [204, 190, 222], [166, 204, 182], [220, 184, 186]]; // of arms
-  const STILL = [228, 230, 232], OBJECT = [242, 218, 146], PLANE = [86, 180, 233];
+  const STILL = [228, 230, 232], OBJECT = [242, 218, 146];
+  const PLANE = [86, 180, 233], WALL = [204, 121, 167]; // of tasks, of limits
   const OPACITY = 0.9, OPACITY_OF_PLANES = 0.3;
   const STEP = 0.012; // of the view's diagonal: a jump in distance that has an outline
   const middle = scene.view.low.map((low, i) => (low + scene.view.high[i]) / 2);
@@ -22,9 +24,13 @@
 
   const add = (a, b) => a.map((x, i) => x + b[i]);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const cross = (a, b) => [
+    a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const unit = (a) => a.map((x) => x / Math.hypot(...a));
   const distance = (a, b) => Math.hypot(...a.map((x, i) => x - b[i]));
   const diagonal = distance(scene.view.low, scene.view.high);
   const counts = ({ first, last }) => first <= frame && frame <= last; // its phase
+  const now = (mark, key) => mark[key][frame - mark.first]; // what moves has a value a frame
   const mean = (points) => points.reduce(add).map((x) => x / points.length);
 
   function axes() {
@@ -113,8 +119,8 @@
     const box = pixelsOf(corners([0, 0, 0], LEVEL).flat(), run.position[frame], run.rotation[frame], brush);
     for (const face of FACES) drawFace(box, face, OBJECT, owner++);
     for (const plane of scene.planes.filter(counts)) {
-      const p = pixelsOf(plane.corners[frame - plane.first].flat(), [0, 0, 0], LEVEL, brush);
-      drawFace(p, [0, 1, 2, 3], PLANE, owner++, OPACITY_OF_PLANES);
+      const p = pixelsOf(now(plane, "corners").flat(), [0, 0, 0], LEVEL, brush);
+      drawFace(p, [0, 1, 2, 3], plane.limit ? WALL : PLANE, owner++, OPACITY_OF_PLANES);
     }
     layer.outline(STEP * diagonal * brush.scale * brush.ratio);
     layer.paint(brush.pen, brush.width, brush.height, OPACITY);
@@ -169,13 +175,78 @@
   }
 
   function target({ pen, at }, goal) {
-    const [x, y] = at(goal.at);
+    const [x, y] = at(now(goal, "at"));
     for (const [color, width] of [["white", 5], ["#111", 2]]) {
       pen.strokeStyle = color; pen.lineWidth = width;
       pen.beginPath(); pen.arc(x, y, 7, 0, 7);
       pen.moveTo(x - 12, y); pen.lineTo(x + 12, y); pen.moveTo(x, y - 12); pen.lineTo(x, y + 12);
       pen.stroke();
     }
+  }
+
+  // On white, so that it is seen on whatever it crosses.
+  function stroke(pen, color) {
+    for (const [shade, width] of [["white", 4.5], [color, 2]]) {
+      pen.strokeStyle = shade; pen.lineWidth = width; pen.stroke();
+    }
+  }
+
+  function line({ pen, path }, points, color = LINE, closed = false) {
+    path(points, closed);
+    stroke(pen, color);
+  }
+
+  function arrow(brush, start, way) {
+    const end = add(start, way);
+    line(brush, [start, end]);
+    const [[a, b], [x, y]] = [brush.at(start), brush.at(end)], size = Math.hypot(x - a, y - b) || 1;
+    const [c, s] = [(9 * (x - a)) / size, (9 * (y - b)) / size];
+    brush.pen.beginPath();
+    brush.pen.moveTo(x - c - s / 2, y - s + c / 2); brush.pen.lineTo(x, y);
+    brush.pen.lineTo(x - c + s / 2, y - s - c / 2);
+    stroke(brush.pen, LINE);
+  }
+
+  function circle(brush, mark) {
+    const [n, r] = [now(mark, "normal"), now(mark, "radius")];
+    const a = unit(cross(n, Math.abs(n[0]) < 0.6 ? [1, 0, 0] : [0, 1, 0])), b = cross(n, a);
+    line(brush, [...Array(60).keys()].map((i) => {
+      const [c, s] = [r * Math.cos((Math.PI * i) / 30), r * Math.sin((Math.PI * i) / 30)];
+      return add(now(mark, "center"), a.map((x, k) => c * x + s * b[k]));
+    }), LINE, true);
+  }
+
+  // Its outline, and a dot in its middle.
+  function sphere({ pen, at, scale }, mark) {
+    const [x, y] = at(now(mark, "center"));
+    pen.beginPath(); pen.arc(x, y, scale * now(mark, "radius"), 0, 7);
+    stroke(pen, LINE);
+    pen.beginPath(); pen.arc(x, y, 1.5, 0, 7);
+    stroke(pen, LINE);
+  }
+
+  function frameAxes(brush, origin, axes) {
+    const { pen, at } = brush;
+    pen.font = "bold 11px system-ui, sans-serif"; pen.textAlign = "center";
+    axes.forEach((axis, i) => {
+      line(brush, [origin, add(origin, axis)], AXES[i]);
+      const [x, y] = at(add(origin, axis.map((part) => 1.2 * part)));
+      pen.strokeStyle = "white"; pen.lineWidth = 3; pen.strokeText("xyz"[i], x, y + 4);
+      pen.fillStyle = AXES[i]; pen.fillText("xyz"[i], x, y + 4);
+    });
+  }
+
+  // Marks of tasks and limits; those without a place are at the object.
+  function drawMarks(brush, run) {
+    const each = (marks, paint) => marks.filter(counts).forEach(paint);
+    const here = run.position[frame];
+    each(scene.lines, (mark) => line(brush, now(mark, "ends")));
+    each(scene.directions, (mark) => arrow(brush, here, now(mark, "way")));
+    each(scene.circles, (mark) => circle(brush, mark));
+    each(scene.spheres, (mark) => sphere(brush, mark));
+    each(scene.poses, (mark) => frameAxes(brush, now(mark, "at"), now(mark, "axes")));
+    each(scene.orientations, (mark) => frameAxes(brush, here, now(mark, "axes")));
+    each(scene.goals, (mark) => target(brush, mark));
   }
 
   function trail({ pen, path }, { first, points }, color) {
@@ -215,7 +286,7 @@
     run.arms.forEach((arm) => label(brush, arm.name, arm.points[frame]));
     drawJoints(brush, run);
     run.tracked.forEach((way) => trail(brush, way, run.color));
-    scene.goals.filter(counts).forEach((goal) => target(brush, goal));
+    drawMarks(brush, run);
     triad(brush);
   }
 
@@ -224,7 +295,8 @@
     const parts = [];
     if (!bodies) {
       for (const plane of scene.planes.filter(counts))
-        polygon(brush, plane.corners[frame - plane.first], "rgba(86,180,233,0.25)", "#3a86b0", 1);
+        polygon(brush, now(plane, "corners"), ...(plane.limit
+          ? ["rgba(204,121,167,0.25)", WALL_EDGE, 1] : ["rgba(86,180,233,0.25)", LINE, 1]));
       drawBox(brush, run, parts);
     }
     run.arms.forEach((arm, number) => {
@@ -288,8 +360,17 @@
     });
   }
 
-  document.getElementById("goal-key").hidden = !scene.goals.length;
-  document.getElementById("plane-key").hidden = !scene.planes.length;
+  const shown = {
+    goal: scene.goals,
+    plane: scene.planes.filter((plane) => !plane.limit),
+    wall: scene.planes.filter((plane) => plane.limit),
+    line: [...scene.lines, ...scene.circles, ...scene.spheres],
+    way: scene.directions,
+    axes: [...scene.poses, ...scene.orientations],
+    trail: scene.controllers.flatMap((run) => run.tracked),
+  };
+  for (const [name, marks] of Object.entries(shown))
+    document.getElementById(`${name}-key`).hidden = !marks.length;
   document.getElementById("notes").textContent = scene.notes.join(" · ");
   slider.max = last;
   slider.addEventListener("input", () => { play(false); show(Number(slider.value)); });

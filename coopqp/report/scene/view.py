@@ -22,9 +22,7 @@ SLICES = 8  # of what is shown, to find the largest scale at which it fits
 DECIMALS = 4  # tenths of a millimetre
 
 
-def view(
-    comparison: Comparison, bodies: Sequence[Body], goals: Sequence[Sequence[float]]
-) -> dict[str, Any]:
+def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[str, Any]:
     """Lowest and highest corner of what is shown, and its rims.
 
     Shown is all there is, but nothing that flies away or stands far from what moves.
@@ -32,7 +30,7 @@ def view(
     Args:
         comparison: with the traces.
         bodies: of the robot.
-        goals: points [m].
+        goals: points, shape (m, 3) [m].
     """
     traces, half = comparison.traces.values(), 0.5 * max(comparison.scenario.held.size)
     moving = [points for trace in traces for points in trace.points.values()]
@@ -44,7 +42,7 @@ def view(
     everything = np.concatenate([*(points.reshape(-1, 3) for points in moving), *surfaces])
     everything = everything[np.isfinite(everything).all(axis=1)]
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
-    shown = np.concatenate([near, np.reshape(goals, (-1, 3))])
+    shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
     found = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
     return {name: values.round(DECIMALS).tolist() for name, values in found.items()}

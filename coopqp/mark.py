@@ -1,0 +1,126 @@
+"""What a task or a limit shows of itself in pictures: marks in the world, at one instant.
+
+A mark without a place of its own, such as a direction to point along, is drawn at the object.
+Arrays, lists and tuples may be given; they are kept as arrays.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import PlainValidator
+
+from coopqp.checked import Array, Positive, Vector3, spec
+
+#: How far R R' may be from the identity.
+ORTHONORMAL = 1e-6
+
+
+def _finite(value: Any, shape: tuple[int, ...]) -> Array:
+    """A copy, since references reuse their arrays."""
+    try:
+        array = np.array(value, float)
+    except TypeError:
+        array = np.zeros(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"needs {' x '.join(map(str, shape))} finite numbers")
+    return array
+
+
+def _point(value: Any) -> Array:
+    return _finite(value, (3,))
+
+
+def _direction(value: Any) -> Array:
+    vector = _finite(value, (3,))
+    length = np.linalg.norm(vector)
+    if not length > 0.0:
+        raise ValueError("needs a direction, but all three numbers are zero")
+    return np.asarray(vector / length, float)
+
+
+def _rotation(value: Any) -> Array:
+    R = _finite(value, (3, 3))
+    if np.abs(R @ R.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(R) < 0.0:
+        raise ValueError("needs a rotation matrix")
+    return R
+
+
+Point = Annotated[Array, PlainValidator(_point)]
+"""Shape (3,) [m]."""
+UnitVector = Annotated[Array, PlainValidator(_direction)]
+"""Shape (3,); given with any length."""
+Rotation = Annotated[Array, PlainValidator(_rotation)]
+"""Shape (3, 3)."""
+
+
+@spec
+class PointMark:
+    """A point."""
+
+    at: Point
+    """Where it is."""
+
+
+@spec
+class LineMark:
+    """A line without ends."""
+
+    direction: UnitVector
+    """Along it."""
+    through: Point | None = None
+    """A point of it; None where only the direction counts."""
+
+
+@spec
+class PlaneMark:
+    """A plane without ends."""
+
+    normal: UnitVector
+    """Normal to it."""
+    through: Point
+    """A point of it."""
+
+
+@spec
+class CircleMark:
+    """A circle, the line and not the disc."""
+
+    center: Point
+    """Its middle."""
+    normal: UnitVector
+    """Normal to its plane."""
+    radius: Positive
+    """[m]"""
+
+
+@spec
+class SphereMark:
+    """The surface of a ball."""
+
+    center: Point
+    """Its middle."""
+    radius: Positive
+    """[m]"""
+
+
+@spec
+class PoseMark:
+    """Axes of a frame."""
+
+    rotation: Rotation
+    """The axes as columns."""
+    position: Point | None = None
+    """Its origin; None where only the orientation counts."""
+
+
+@spec
+class TrackedMark:
+    """The point of the object that a task steers; its way is drawn."""
+
+    point: Vector3 = (0.0, 0.0, 0.0)
+    """In the object frame, with which it moves [m]; not in the world as the others."""
+
+
+Mark = PointMark | LineMark | PlaneMark | CircleMark | SphereMark | PoseMark | TrackedMark

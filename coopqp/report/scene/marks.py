@@ -1,0 +1,196 @@
+"""What the playback draws of tasks and limits: their marks, frame by frame.
+
+Letters: f frames in which a mark is seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.checked import Array
+from coopqp.errors import InvalidValueError
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    SphereMark,
+    TrackedMark,
+)
+from coopqp.report.cells import plugin_name
+from coopqp.scenario.scenario import Scenario
+
+Json = dict[str, Any]
+
+#: Half edge of the patch drawn for a plane, half length of the piece of a line, and length of the
+#: axes of a pose, in longest edges of the object.
+PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
+
+KINDS = (
+    "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
+)  # fmt: skip
+TRACKED = "tracked"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A mark in all frames in which it is seen, one after the other.
+
+    Attributes:
+        kind: one of KINDS, or TRACKED.
+        name: of the task or limit.
+        limit: whether it is a limit.
+        first: frame.
+        values: what is drawn, in each frame.
+    """
+
+    kind: str
+    name: str
+    limit: bool
+    first: int
+    values: list[Json] = field(default_factory=list)
+
+    @property
+    def last(self) -> int:
+        """Frame."""
+        return self.first + len(self.values) - 1
+
+    def stacked(self, key: str) -> Array:
+        """One of the values in all frames, shape (f, ...)."""
+        return np.array([values[key] for values in self.values], float)
+
+    @property
+    def frames(self) -> Json:
+        """For ``playback.js``."""
+        return {"first": self.first, "last": self.last}
+
+    def as_json(self) -> Json:
+        """For ``playback.js``."""
+        values = {key: short(self.stacked(key)) for key in self.values[0]}
+        return {"name": self.name, "limit": self.limit, **self.frames, **values}
+
+
+def shown_marks(scenario: Scenario, frames: NDArray[np.int64], t: Array) -> list[Shown]:
+    """The marks of the tasks of all phases, and those of the limits.
+
+    Args:
+        scenario: whose they are.
+        frames: the tick of each frame.
+        t: its time, shape (f,) [s].
+
+    Raises:
+        InvalidValueError: a task or a limit shows what is no mark.
+    """
+    place, found = _Place(scenario), []
+    phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
+    for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
+        own = np.flatnonzero(phases == i).tolist()
+        times = {k: float(t[k]) - tick * scenario.dt for k in own}
+        for task in phase.tasks:
+            marks = {k: task.marks(t) for k, t in times.items()}
+            found += _through_time(marks, task.name, place, limit=False)
+        for limit in scenario.limits:
+            marks = {k: limit.marks(t) for k, t in times.items()}
+            found += _through_time(marks, plugin_name(limit), place, limit=True)
+    return found
+
+
+def _through_time(
+    marks: dict[int, tuple[Mark, ...]], name: str, place: _Place, *, limit: bool
+) -> list[Shown]:
+    """Marks by frame, which may come and go; one that stays is one."""
+    found: list[Shown] = []
+    seen: dict[tuple[int, str], Shown] = {}
+    for k, marks_then in marks.items():
+        for i, mark in enumerate(marks_then):
+            kind, values = place.drawn(mark, name)
+            shown = seen.get((i, kind))
+            if shown is None or shown.last < k - 1:
+                shown = seen[i, kind] = Shown(kind, name, limit, k)
+                found.append(shown)
+            shown.values.append(values)
+    return found
+
+
+class _Place:
+    """Where what has no end is cut off: near the object's start.
+
+    Args:
+        scenario: with the object.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
+
+    def drawn(self, mark: Mark, name: str) -> tuple[str, Json]:
+        """The kind and what is drawn."""
+        match mark:
+            case PointMark():
+                return "goals", {"at": mark.at}
+            case LineMark():
+                return self._line(mark)
+            case PlaneMark():
+                return "planes", {"corners": self._patch(mark)}
+            case CircleMark():
+                values = {"center": mark.center, "normal": mark.normal, "radius": mark.radius}
+                return "circles", values
+            case SphereMark():
+                return "spheres", {"center": mark.center, "radius": mark.radius}
+            case PoseMark():
+                return self._axes(mark)
+            case TrackedMark():
+                return TRACKED, {"point": mark.point}
+        known = "PointMark, LineMark, PlaneMark, CircleMark, SphereMark, PoseMark or TrackedMark"
+        raise InvalidValueError(f"{name}.marks: found {mark!r}, needs {known}")
+
+    def _line(self, line: LineMark) -> tuple[str, Json]:
+        """Ends of a piece of it, or the way from the object."""
+        d = line.direction
+        way = LINE_SHARE * self._size * d
+        if line.through is None:
+            return "directions", {"way": way}
+        middle = line.through + d * (d @ (self._start - line.through))
+        return "lines", {"ends": [middle - way, middle + way]}
+
+    def _axes(self, pose: PoseMark) -> tuple[str, Json]:
+        """The axes as rows, and the origin where there is one."""
+        axes = AXES_SHARE * self._size * pose.rotation.T
+        if pose.position is None:
+            return "orientations", {"axes": axes}
+        return "poses", {"at": pose.position, "axes": axes}
+
+    def _patch(self, plane: PlaneMark) -> Array:
+        """Corners of a patch of a plane, shape (4, 3) [m]."""
+        n = plane.normal
+        middle = self._start - n * (n @ (self._start - plane.through))
+        side = np.cross(n, np.eye(3)[np.abs(n).argmin()])
+        side /= np.linalg.norm(side)
+        other = np.cross(n, side)
+        signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        half = PLANE_SHARE * self._size
+        corners: Array = middle + half * np.array([a * side + b * other for a, b in signs])
+        return corners
+
+
+def as_json(marks: Sequence[Shown]) -> dict[str, list[Json]]:
+    """By kind, for ``playback.js``."""
+    return {kind: [mark.as_json() for mark in marks if mark.kind == kind] for kind in KINDS}
+
+
+def in_view(marks: Sequence[Shown]) -> Array:
+    """Points that a picture must not leave out, shape (p, 3) [m]."""
+    keys = {"goals": "at", "poses": "at", "circles": "center", "spheres": "center"}
+    points = [mark.stacked(keys[mark.kind]) for mark in marks if mark.kind in keys]
+    return np.concatenate([*points, np.zeros((0, 3))])
+
+
+def short(values: Array) -> Any:
+    """Tenths of a millimetre are enough to look at."""
+    return np.nan_to_num(values, posinf=0.0, neginf=0.0).round(4).tolist()

@@ -1,0 +1,297 @@
+"""A trial of tasks and limits before the first tick: what they write, against what they promise.
+
+A task promises e_dot = J v - rate. It is tried at its start and at two seeded configurations
+nearby, with the loops closed, along a random v that keeps them closed: central differences of e
+along v at one time must be J v, and over time at one configuration -rate.
+
+Three kinds of tasks have no such derivative, so that only what they declare is tried:
+
+- ``joint_space``: e may be a wish for a joint velocity, such as a gradient, and J is the identity.
+- ``asks_velocity``: e is zero, and the velocity asked for, rate, is the derivative of nothing.
+- tasks that ask for rest, with e and rate always zero: J v itself is their error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.limit import Limit, LimitRows
+from coopqp.rank import null_space
+from coopqp.row import names_of
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.wording import raised
+
+#: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
+NEARBY = 0.03
+#: The same for those that are asked where a task disagrees nearby: it may start where it is
+#: singular, as where an axis points against its goal, and rows hold other promises there.
+FARTHER = 0.3
+#: Newton steps that close the loops there; they converge quadratically.
+CLOSING = 5
+#: Loop error that they may leave [m, rad].
+CLOSED = 1e-6
+WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minimum(rows.ub, ...)"
+
+#: When the reference is looked at, as shares of its time; away from where motion laws have kinks.
+SHARES = (0.21, 0.43)
+#: Step of the differences, in v's length [rad or m] and in time [s].
+STEP = 1e-6
+#: What derivatives may differ by: a share of their size, and of one unit per second.
+RELATIVE, ABSOLUTE = 1e-3, 1e-5
+
+
+@dataclass(frozen=True)
+class _Nearby:
+    """A configuration with the loops closed, and a motion through it.
+
+    Attributes:
+        here: the state there.
+        ahead, behind: states half a difference ahead of and behind it.
+        v: velocity along the loops, of length 1, shape (n,); zero where nothing can move.
+    """
+
+    here: State
+    ahead: State
+    behind: State
+    v: Array
+
+
+class Places:
+    """Where tasks and limits are tried: the start of a chain and configurations near it.
+
+    Args:
+        chain: the closed chain.
+    """
+
+    def __init__(self, chain: ClosedChain) -> None:
+        self.start = State(chain)
+        self.nearby = self._around(NEARBY)
+
+    @cached_property
+    def farther(self) -> tuple[_Nearby, ...]:
+        """As many that are farther away."""
+        return self._around(FARTHER)
+
+    def _around(self, spread: float) -> tuple[_Nearby, ...]:
+        rng = np.random.default_rng(0)
+        return tuple(_place(self.start, rng, spread) for _ in SHARES)
+
+
+def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
+    chain, n = start.chain, start.chain.n
+    way = rng.standard_normal(n)
+    for nearer in (1.0, 0.5, 0.25, 0.0):  # where the loops cannot be closed, go less far
+        here = State(chain, start.q + nearer * spread * way)
+        here.close_loops(CLOSING)
+        if np.abs(here.closed_error).max(initial=0.0) < CLOSED:
+            break
+    free = null_space(here.J_loop)
+    v = free @ rng.standard_normal(free.shape[1])
+    v /= max(float(np.linalg.norm(v)), STEP)
+    ahead, behind = (State(chain, here.q + side * STEP * v) for side in (1.0, -1.0))
+    return _Nearby(here, ahead, behind, v)
+
+
+def try_task(task: Task, places: Places, duration: float) -> None:
+    """Evaluate a task.
+
+    Args:
+        task: any.
+        places: where its phase begins.
+        duration: of its phase [s].
+
+    Raises:
+        CoopqpError: it cannot be bound, raises, or does not write what a task must.
+    """
+    with blamed(task):
+        start = places.start
+        names = task.rows(start.chain)
+        counts = [part.rows for part in task.parts(start.chain)]
+        if sum(counts) != len(names) or not names:
+            raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
+        look = _Look(task, names, task.bind(start), start.chain.n)
+        look.at(start, start.t)
+        end = min(task.end, duration) or duration
+        seen = [
+            _Seen(look, place, start.t + share * end)
+            for place, share in zip(places.nearby, SHARES, strict=True)
+        ]
+        if task.joint_space:
+            _check_joint_space(look, seen)
+        elif task.asks_velocity:
+            _check_zero_error(look, seen)
+        elif any(s.rows.e.any() or s.rows.rate.any() for s in seen):
+            for i, s in enumerate(seen):
+                if s.disagreement():
+                    s = _Seen(look, places.farther[i], s.t)
+                if wrong := s.disagreement():
+                    raise _PromiseError(wrong)
+
+
+class _Look:
+    """A task's rows at a state and a time; refuses what is not finite."""
+
+    def __init__(self, task: Task, names: Sequence[str], evaluate: Evaluate, n: int) -> None:
+        self.names, self._evaluate = names, evaluate
+        self._J = np.eye(n) if task.joint_space else np.zeros((len(names), n))
+
+    def at(self, state: State, t: float) -> TaskRows:
+        """Rows of their own."""
+        k = len(self.names)
+        rows = TaskRows(np.zeros(k), self._J.copy(), np.zeros(k))
+        before, state.t = state.t, t
+        self._evaluate(state, rows)
+        state.t = before
+        for key in ("e", "J", "rate"):
+            _check_finite(key, self.names, getattr(rows, key), state.chain)
+        return rows
+
+
+class _Seen:
+    """What a task writes at a place and a time, and how it changes from there."""
+
+    def __init__(self, look: _Look, place: _Nearby, t: float) -> None:
+        self._look, self._place, self.t = look, place, t
+        self.rows = look.at(place.here, t)
+
+    def disagreement(self) -> str:
+        """The row in which e_dot is farthest from J v - rate; empty where they agree."""
+        look, place, t = self._look, self._place, self.t
+        moved = look.at(place.ahead, t).e - look.at(place.behind, t).e
+        passed = look.at(place.here, t + STEP).e - look.at(place.here, t - STEP).e
+        return self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
+            "rate", self.rows.rate, -passed / (2.0 * STEP)
+        )
+
+    def _compare(self, what: str, said: Array, found: Array) -> str:
+        allowed = RELATIVE * (np.abs(said) + np.abs(found)) + ABSOLUTE
+        excess = np.abs(said - found) - allowed
+        row = int(np.argmax(excess))
+        if excess[row] <= 0.0:
+            return ""
+        return (
+            f"row {self._look.names[row]}: {what} is {said[row]:.4g}, finite differences of e say "
+            f"{found[row]:.4g}"
+        )
+
+
+def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
+    for s in seen:
+        J, n = s.rows.J, s.rows.J.shape[1]
+        if len(J) != n:
+            raise _PromiseError(f"joint_space needs a row a joint, {n}; found {len(J)}")
+        asked = np.diag(np.diag(J).astype(bool)).astype(float)
+        wrong = (asked != J).any(axis=1)
+        if wrong.any():
+            name = look.names[int(np.argmax(wrong))]
+            raise _PromiseError(
+                f"row {name}: joint_space needs J to be the identity, or zero where nothing is "
+                "asked"
+            )
+
+
+def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
+    for s in seen:
+        if s.rows.e.any():
+            row = int(np.argmax(s.rows.e != 0.0))
+            raise _PromiseError(
+                f"row {look.names[row]}: e is {s.rows.e[row]:.4g}, but a task that asks_velocity "
+                "has e = 0"
+            )
+
+
+def try_limit(limit: Limit, places: Places, dt: float) -> None:
+    """Evaluate a limit.
+
+    Args:
+        limit: any.
+        places: where the run begins.
+        dt: control period [s].
+
+    Raises:
+        CoopqpError: it cannot be bound, raises, or does not write what a limit must.
+    """
+    with blamed(limit):
+        start, chain = places.start, places.start.chain
+        names = names_of(limit.rows(chain))
+        tighten = limit.bind(chain, dt)
+        for state in (start, *(place.here for place in places.nearby)):
+            open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
+            tighten(state, open_)
+            tighten(state, shut)
+            _check_inequalities(chain, names, open_)
+            _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
+
+
+def _limit_rows(chain: ClosedChain, names: Sequence[str], width: float) -> LimitRows:
+    n, p = chain.n, len(names)
+    # Rows that a limit leaves as they were show as NaN in h; zeros of G need not be written.
+    return LimitRows(
+        np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan)
+    )  # fmt: skip
+
+
+def _check_inequalities(chain: ClosedChain, names: Sequence[str], rows: LimitRows) -> None:
+    _check_finite("G", names, rows.G, chain)
+    for name, h in zip(names, rows.h, strict=True):
+        if not h > -np.inf:
+            raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
+
+
+def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
+    """Refuse a column, or a matrix with a column a joint, that is not finite."""
+    wrong = np.argwhere(~np.isfinite(values))
+    if not len(wrong):
+        return
+    row, *column = wrong[0].tolist()
+    what = f"{key} of {chain.joint_names[column[0]]}" if column else key
+    found = values[tuple(wrong[0])]
+    raise _PromiseError(f"row {names[row]}: {what} is {found}, needs a finite number")
+
+
+def _check_bounds(chain: ClosedChain, open_: LimitRows, shut: LimitRows, *, inside: bool) -> None:
+    lb, ub = open_.lb, open_.ub
+    checks = {
+        "needs a number or -inf below, a number or inf above": (lb < np.inf) & (ub > -np.inf),
+        WIDENED: (shut.lb >= 0.0) & (shut.ub <= 0.0),
+        "leaves no velocity at a start inside the limits": (lb <= ub) | (not inside),
+    }
+    for wrong, holds in checks.items():
+        if not holds.all():
+            i = int(np.argmin(holds))
+            raise _PromiseError(
+                f"joint {chain.joint_names[i]}: {lb[i]:.4g} <= v <= {ub[i]:.4g}: {wrong}"
+            )
+
+
+class _PromiseError(Exception):
+    """A promise that a plug-in does not keep."""
+
+
+@contextmanager
+def blamed(plugin: Task | Limit) -> Iterator[None]:
+    """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
+
+    Raises:
+        CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that
+            speaks of the user's values.
+    """
+    file = str(type(plugin).bind.__code__.co_filename)
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is told of anyway
+            yield
+    except CoopqpError:
+        raise
+    except _PromiseError as error:
+        raise InvalidValueError(f"{file}: {error}") from None
+    except Exception as error:
+        raise InvalidValueError(raised(error, file)) from error

@@ -1,0 +1,158 @@
+"""The words for what pydantic finds wrong with values: the same in a file and in Python."""
+
+from __future__ import annotations
+
+import json
+import traceback
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ArgsKwargs, ErrorDetails
+
+from coopqp.errors import unknown_name
+
+Location = Sequence[str | int]
+"""Keys and indices from the outermost mapping to a value."""
+
+LONGEST = 60  # characters of what was found
+
+
+def dotted(location: Location) -> str:
+    """``tasks[0].point_on_plane.normal`` from its parts."""
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
+
+
+def faults(
+    error: ValidationError, data: Any, model: type, instead: Mapping[type, Any] | None = None
+) -> list[tuple[Location, str]]:
+    """All that is wrong, as places in the data and what to do about them.
+
+    Args:
+        error: what pydantic found.
+        data: what it was given: mappings, lists and values.
+        model: what the data was checked against, a model or a dataclass.
+        instead: of a class met on the way, the type whose keys count.
+    """
+    details = error.errors(include_url=False, include_context=False)
+    found: list[tuple[Location, str]] = [
+        _fault(detail, data, model, instead or {})
+        for detail in details
+        if not _follows(detail, details)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def raised(error: Exception, file: str | None = None) -> str:
+    """``FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught.
+        file: whose line counts; that which raised the error if omitted.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if file in (None, frame.filename)]
+    place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
+    return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:
+    """Whether a list counts as too short only because one of its values is wrong."""
+    place = detail["loc"]
+    return detail["type"] == "too_short" and any(
+        other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in others
+    )
+
+
+def _fault(
+    detail: ErrorDetails, data: Any, model: type, instead: Mapping[type, Any]
+) -> tuple[tuple[str | int, ...], str]:
+    kind, found = detail["type"], _shown(detail["input"])
+    location = _inside(data, detail["loc"], missing=kind.startswith("missing"))
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        known = _keys(model, location[:-1], instead)
+        return location, unknown_name("key", str(location[-1]), known)
+    if kind == "unexpected_positional_argument":
+        return (), f"found {found} without a key; needs every value as KEY=VALUE"
+    if kind.startswith("missing"):
+        needed = detail["loc"][-1]
+        there = location and location[-1] == needed
+        return location, "is missing" if there else f"needs the key '{needed}'"
+    needs = detail["msg"].removeprefix("Value error, ")
+    for wordy in ("Input should be ", "Input should "):
+        needs = needs.replace(wordy, "needs ")
+    if needs.startswith("unknown "):
+        return location, needs
+    return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
+
+
+def _shown(found: Any) -> str:
+    """What was found, short, as a file would say it where it can."""
+    if isinstance(found, ArgsKwargs):
+        found = found.kwargs or {}
+    try:
+        text = json.dumps(found, default=_plain)
+    except (TypeError, ValueError):
+        text = repr(found)
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError  # no JSON
+
+
+def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tuple[str | int, ...]:
+    """The location without pydantic's own steps, such as which branch of a union failed.
+
+    Args:
+        data: what was given.
+        location: pydantic's.
+        missing: whether the last step is a key that is not there.
+    """
+    kept: list[str | int] = []
+    for i, part in enumerate(location):
+        last = i == len(location) - 1
+        inside = (isinstance(data, dict) and part in data) or (
+            isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)
+        )
+        if inside:
+            data = data[part]
+        elif not (missing and last and isinstance(data, dict)):
+            continue
+        kept.append(part)
+    return tuple(kept)
+
+
+def _keys(model: Any, location: Location, instead: Mapping[type, Any]) -> list[str]:
+    """Keys allowed at a location."""
+    for part in location:
+        hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
+        model = _bare(hints.get(str(part), model))
+        model = _bare(instead.get(model, model))
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(model.model_fields)
+    return [field.name for field in fields(model)] if is_dataclass(model) else []
+
+
+def _has_keys(model: Any) -> bool:
+    return isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
+
+
+def _bare(hint: Any) -> Any:
+    """The class inside Optional, Annotated, list and dict."""
+    origin = typing.get_origin(hint)
+    if origin is Annotated:
+        return _bare(typing.get_args(hint)[0])
+    if origin in (typing.Union, types.UnionType, list, dict, tuple):
+        inside = [_bare(a) for a in typing.get_args(hint) if a not in (type(None), str)]
+        return inside[0] if inside else hint
+    return hint

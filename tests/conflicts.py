@@ -1,0 +1,47 @@
+"""Situations in which not everything can hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from laws import NEAR, STEP
+
+from coopqp.checked import Array
+from coopqp.checked import Pose as PoseValue
+from coopqp.closed_chain import ClosedChain
+from coopqp.grasp import Grasp
+from coopqp.grasps import Revolute, Rigid
+from coopqp.qp_law.law import QPLaw
+from coopqp.state import State
+from coopqp.tasks import PointOnPoint, Pose
+
+#: Six rows, of which firm hands leave four.
+TURN = Pose(
+    name="turn",
+    goal=PoseValue(position=(0.175, 0.008, 0.020), rpy_deg=(-9, 12, 0)),
+    gain=10.0,
+    profile=STEP,
+    mode="hard",
+)
+GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
+each_grasp = pytest.mark.parametrize("grasp", list(GRASPS))
+REACH = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
+
+
+def slightly_open(chain: ClosedChain, gap: float) -> Array:
+    """The start with the left hand moved by this much along all axes [m, rad]."""
+    q = chain.q_start + np.linalg.pinv(State(chain).J_rel) @ np.full(6, gap)
+    assert np.abs(State(chain, q).loop_error).max() > 0.5 * gap
+    return q
+
+
+def jerked(law: QPLaw, speed: float) -> State:
+    """One joint moves as the loop cannot, so that no speed within reach closes it."""
+    state = law.start()
+    state.v[3] = speed
+    return state
+
+
+def beyond(chain: ClosedChain, q: Array) -> Array:
+    """How far each joint is outside its range [rad]."""
+    return np.maximum(np.maximum(chain.lower - q, q - chain.upper), 0.0)

@@ -1,0 +1,157 @@
+"""When things go wrong: solvers, states and tasks that give no motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from example_controllers import each_controller
+from laws import DT, LIMITS, NEAR, STEP, problem
+
+from coopqp.checked import Array, spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Controller
+from coopqp.controllers import QPController
+from coopqp.qp import QP
+from coopqp.solver import Solution, Solve, Solver, Status
+from coopqp.solvers import Daqp, Osqp, Proxqp
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.tasks import JointCentering, PointOnPoint
+
+
+@spec
+class GivesUp(Solver):
+    """Answers with a status, and with a motion that must not be used."""
+
+    status: Status
+
+    def open(self, qp: QP, solution: Solution) -> Solve:
+        def solve() -> None:
+            solution.v[:], solution.status = 1.0, self.status
+
+        return solve
+
+
+@spec
+class Lies(Solver):
+    """Calls one and the same motion optimal, whatever is asked."""
+
+    speed: float | None
+    """NaN when omitted."""
+
+    def open(self, qp: QP, solution: Solution) -> Solve:
+        def solve() -> None:
+            solution.v[:] = np.nan if self.speed is None else self.speed
+            solution.status = Status.OPTIMAL
+
+        return solve
+
+
+@spec
+class NotANumber(Task):
+    """A task whose measurement is broken."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("height",)
+
+    def bind(self, start: State) -> Evaluate:
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[0], rows.J[0] = np.nan, state.J_task[2]
+
+        return evaluate
+
+
+@pytest.mark.parametrize("status", [status for status in Status if not status.usable])
+def test_robot_holds_still_when_the_solver_gives_up(status: Status, chain: ClosedChain) -> None:
+    law = QPController().build(
+        problem(chain, PointOnPoint(goal=NEAR), solver=GivesUp(status=status))
+    )
+    answer = law.tick(law.start())
+    assert answer.status is status
+    np.testing.assert_array_equal(answer.v, np.zeros(chain.n))
+
+
+@pytest.mark.parametrize(
+    ("speed", "status"),
+    [
+        (None, Status.NOT_FINITE),
+        (1.0, Status.EQUALITY_RESIDUAL),
+        (100.0, Status.BOUND_RESIDUAL),
+    ],
+)
+def test_robot_holds_still_when_the_solver_lies(
+    speed: float | None, status: Status, chain: ClosedChain
+) -> None:
+    given = problem(chain, PointOnPoint(goal=NEAR), solver=Lies(speed=speed), limits=LIMITS)
+    law = QPController().build(given)
+    answer = law.tick(law.start())
+    assert answer.status is status
+    np.testing.assert_array_equal(answer.v, np.zeros(chain.n))
+
+
+def test_standing_still_while_the_goal_is_away_is_no_optimum(chain: ClosedChain) -> None:
+    given = problem(chain, PointOnPoint(goal=NEAR, profile=STEP), solver=Lies(speed=0.0))
+    law = QPController().build(given)
+    assert law.tick(law.start()).status is Status.INACCURATE
+
+
+def test_law_stops_for_a_tick_that_fails_and_then_goes_on_as_before(chain: ClosedChain) -> None:
+    law = QPController().build(problem(chain, PointOnPoint(goal=NEAR, profile=STEP), limits=LIMITS))
+    good, bad = law.start(), law.start(np.full(chain.n, np.nan))
+    before = law.tick(good).v.copy()
+    assert not law.tick(bad).status.usable
+    np.testing.assert_array_equal(law.command.v, np.zeros(chain.n))
+    assert law.tick(good).status is Status.OPTIMAL
+    np.testing.assert_array_equal(law.command.v, before)
+
+
+WEIRD: dict[str, Callable[[ClosedChain], Array]] = {
+    "not a number": lambda chain: np.full(chain.n, np.nan),
+    "infinite": lambda chain: np.full(chain.n, np.inf),
+    "stretched out": lambda chain: np.zeros(chain.n),
+    "outside the limits": lambda chain: chain.upper + 2.0,
+    "far outside": lambda chain: np.full(chain.n, 1e9),
+}
+
+
+@each_controller
+@pytest.mark.parametrize("where", WEIRD.values(), ids=WEIRD.keys())
+def test_tick_raises_nothing_and_commands_only_numbers(
+    controller: Controller, where: Callable[[ClosedChain], Array], chain: ClosedChain
+) -> None:
+    """Warnings count as errors here, so numpy is quiet too."""
+    given = problem(
+        chain,
+        PointOnPoint(goal=NEAR),
+        secondary=[JointCentering()],
+        limits=LIMITS,
+        kappa=1 / DT,
+    )
+    law = controller.build(given)
+    answer = law.tick(law.start(where(chain)))
+    assert np.isfinite(answer.v).all()
+    assert answer.status.usable or not answer.v.any()
+
+
+@pytest.mark.parametrize("solver", [Daqp(), Osqp(max_iter=1000), Proxqp(max_iter=10)], ids=str)
+def test_robot_holds_still_when_a_task_is_not_a_number(solver: Solver, chain: ClosedChain) -> None:
+    law = QPController().build(problem(chain, NotANumber(), solver=solver))
+    answer = law.tick(law.start())
+    assert not answer.status.usable
+    np.testing.assert_array_equal(answer.v, np.zeros(chain.n))
+
+
+@each_controller
+def test_tick_leaves_the_state_alone_and_answers_alike_twice(
+    controller: Controller, chain: ClosedChain
+) -> None:
+    law = controller.build(problem(chain, PointOnPoint(goal=NEAR, profile=STEP), limits=LIMITS))
+    state = law.start()
+    arrays = (state.q, state.v, state.J_ext, state.loop_error, state.p_WO, state.R_WO)
+    before = [a.copy() for a in arrays]
+    first = law.tick(state).v.copy()
+    np.testing.assert_array_equal(law.tick(state).v, first)
+    for a, b in zip(arrays, before, strict=True):
+        np.testing.assert_array_equal(a, b)

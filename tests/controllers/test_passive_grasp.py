@@ -1,0 +1,188 @@
+"""Section 5.3: all six degrees of freedom under the PID and the torque QP, on two plants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import typed
+from scenario_files import write
+
+import coopqp
+from coopqp.controller_run import run
+from coopqp.controllers import PassiveGraspPid, TorqueQp
+from coopqp.disturbance import Disturbance, Push
+from coopqp.errors import InvalidValueError
+from coopqp.plants import Kinematic, Mujoco, RigidBody
+from coopqp.scenario.loader import load, shipped
+from coopqp.trace import Trace
+
+PLANTS = {"rigid_body": RigidBody(), "mujoco": Mujoco()}
+DISTURBANCES = {
+    "undisturbed": Disturbance(),
+    "twice as heavy": Disturbance(object_mass=2.0),
+    "pushed": Disturbance(push=Push(force=(0.0, 1.0, 0.0), start=1.0, duration=0.2)),
+}
+TORQUE = ("passive_grasp_pid", "torque_qp")
+
+
+@cache
+def carried(plant: str, disturbance: str, controller: str) -> Trace:
+    scenario = replace(
+        load("passive_grasp_pose"), plant=PLANTS[plant], disturbance=DISTURBANCES[disturbance]
+    )
+    return run(scenario, controller=controller)
+
+
+@pytest.mark.parametrize("controller", TORQUE)
+@pytest.mark.parametrize("disturbance", DISTURBANCES)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_box_arrives_and_torques_and_loops_hold(
+    plant: str, disturbance: str, controller: str
+) -> None:
+    trace = carried(plant, disturbance, controller)
+    position, orientation = trace.task_error[-1]
+    assert position <= 1e-3
+    assert orientation <= np.radians(0.5)
+    assert trace.loop_position.max() <= 5e-4
+    assert trace.signals.get("gap", np.zeros(1)).max() <= 5e-4
+    motors = trace.effort > 0.0
+    assert np.all(np.abs(trace.signals["tau"][:, motors]) <= trace.effort[motors])
+    assert trace.usable.all()
+    assert np.all((trace.lower <= trace.q) & (trace.q <= trace.upper))
+
+
+def test_the_trajectory_is_three_centimetres_and_fifteen_degrees() -> None:
+    trace = carried("rigid_body", "undisturbed", "torque_qp")
+    way = np.linalg.norm(trace.position[-1] - trace.position[0])
+    turn = trace.rotation[-1] @ trace.rotation[0].T
+    assert way == pytest.approx(0.03, abs=5e-4)
+    assert np.degrees(np.arccos((np.trace(turn) - 1.0) / 2.0)) == pytest.approx(15.0, abs=0.1)
+
+
+@pytest.mark.parametrize("disturbance", DISTURBANCES)
+@pytest.mark.parametrize("controller", TORQUE)
+def test_both_plants_agree_on_the_path_of_the_box(controller: str, disturbance: str) -> None:
+    ours, theirs = (carried(plant, disturbance, controller) for plant in PLANTS)
+    assert np.linalg.norm(ours.position - theirs.position, axis=1).max() <= 1e-3
+
+
+def test_the_push_is_felt_and_the_weight_sags_before_they_are_taken_up() -> None:
+    calm, pushed, heavy = (
+        carried("mujoco", name, "passive_grasp_pid").task_error[:, 0].max() for name in DISTURBANCES
+    )  # undisturbed, twice as heavy, pushed
+    assert pushed > 10.0 * calm
+    assert heavy > 10.0 * calm
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_noisy_run_is_the_same_to_the_bit_with_the_same_seed(plant: str) -> None:
+    scenario = replace(
+        load("passive_grasp_pose"),
+        plant=PLANTS[plant],
+        duration=0.1,
+        disturbance=Disturbance(noise_position=1e-4, noise_velocity=1e-3, delay=1),
+    )
+    runs = [run(replace(scenario, seed=seed), controller="passive_grasp_pid") for seed in (7, 7, 8)]
+    assert np.array_equal(runs[0].q, runs[1].q)
+    assert np.array_equal(runs[0].signals["tau"], runs[1].signals["tau"])
+    assert not np.array_equal(runs[0].q, runs[2].q)
+
+
+def test_a_weak_motor_saturates_and_is_recorded() -> None:
+    scenario = load("passive_grasp_pose")
+    strong = PassiveGraspPid(name="strong", kp=(20_000.0,), kd=(300.0,))
+    pushed = replace(
+        scenario,
+        controllers={"strong": strong},
+        duration=0.5,
+        disturbance=Disturbance(push=Push(force=(0, 0, -15.0), start=0.1, duration=0.3)),
+    )
+    trace = run(pushed, controller="strong")
+    assert trace.signals["saturated"].max() > 0.0
+    motors = trace.effort > 0.0
+    assert np.all(np.abs(trace.signals["tau"][:, motors]) <= trace.effort[motors])
+
+
+def test_the_internal_force_is_what_the_hands_do_against_each_other() -> None:
+    trace = carried("rigid_body", "undisturbed", "torque_qp")
+    internal = trace.signals["internal_wrench"].reshape(trace.ticks, 2, 6)
+    assert np.abs(internal.sum(axis=1)).max() < 1e-9
+    assert np.abs(internal).max() > 1e-6
+
+
+@pytest.mark.parametrize("feed_forward", ["gravity", "inverse_dynamics"])
+def test_feed_forward_of_the_reference_helps_tracking(feed_forward: str) -> None:
+    pid = PassiveGraspPid(name="pid", feed_forward=feed_forward)  # type: ignore[arg-type]
+    scenario = replace(load("passive_grasp_pose"), controllers={"pid": pid}, duration=2.5)
+    worst = run(scenario, controller="pid").task_error[:, 0].max()
+    assert worst < (5e-3 if feed_forward == "gravity" else 1e-5)
+
+
+def test_a_kinematic_pid_reaches_the_pose_by_velocities() -> None:
+    trace = run(load("rigid_vs_passive"), controller="passive_grasp_pid")
+    assert trace.task_error[-1, 0] < 1e-3
+    assert trace.loop_position.max() < 1e-4
+
+
+def test_firm_hands_cannot_reach_the_pose_and_hinged_ones_can() -> None:
+    metrics = coopqp.compare(load("rigid_vs_passive")).metrics
+    assert metrics["qp_hinged"]["reached"]
+    assert not metrics["qp_firm"]["reached"]
+    assert metrics["qp_firm"]["limit_violation_max"] == 0.0
+
+
+def test_wrong_numbers_of_gains_are_refused() -> None:
+    scenario = load("passive_grasp_pose")
+    with pytest.raises(InvalidValueError, match=r"kp: found 4 gains, needs 1 or 6"):
+        PassiveGraspPid(kp=(1.0, 2.0, 3.0, 4.0)).build(scenario.problem())
+    with pytest.raises(ValueError, match="greater than or equal to 0"):
+        PassiveGraspPid(ki=(-1.0,))
+
+
+def test_torques_are_refused_by_ideal_joints() -> None:
+    scenario = replace(load("passive_grasp_pose"), plant=Kinematic())
+    with pytest.raises(InvalidValueError, match="commands torques"):
+        run(scenario, controller="torque_qp")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[passive_grasp_pid, ", "[passive_grasp_pid: {kp: [-1]}, ", "needs greater than or equal"),
+        ("plant: rigid_body", "disturbance: {delay: 2}", "disturbance: has no effect"),
+        ("plant: rigid_body", "grasp_of: {qq: rigid}", "unknown controller 'qq'"),
+        ("plant: rigid_body", "plant: rigid_body\ngrasps: {right: rigid}", "not both"),
+        ("    point:", "    pont:", "unknown key 'pont'; did you mean 'point'"),
+        ("dt: 0.002", "dt: 0.0025", "needs a whole part of dt"),
+    ],
+)
+def test_bad_input_gets_one_message_and_exit_code_2(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    text = shipped()["passive_grasp_pose"].read_text(encoding="utf-8")
+    assert old in text
+    result = typed("compare", write(tmp_path, text.replace(old, new, 1)))
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_mujoco_is_asked_for_in_words_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    scenario = replace(load("passive_grasp_pose"), plant=Mujoco())
+    with pytest.raises(coopqp.CoopqpError, match=r"pip install 'coopqp\[mujoco\]'"):
+        run(scenario, controller="torque_qp")
+
+
+def test_the_torque_qp_answers_within_its_budget() -> None:
+    scenario = load("passive_grasp_pose")
+    law = TorqueQp().build(scenario.problem())
+    state = law.start()
+    state.update()
+    command = law.tick(state)
+    assert command.status.usable
+    assert law.solution.primal_residual < 1e-6  # type: ignore[attr-defined]

@@ -1,0 +1,167 @@
+"""What every limit keeps: its bound after a step, names, no memory, room to stand still."""
+
+from __future__ import annotations
+
+import tracemalloc
+from functools import partial
+
+import laws
+import numpy as np
+import pytest
+from example_limits import EXAMPLES, TABLE, TOLERANCE, by_name, empty_rows
+from laws import DT, run
+
+from coopqp.checked import Pose as PoseSpec
+from coopqp.closed_chain import ClosedChain
+from coopqp.controllers import QPController
+from coopqp.grasps import Spherical
+from coopqp.held_object import HeldObject
+from coopqp.limit import SHALLOW, Limit, LimitRows, damp
+from coopqp.limits import (
+    JointAcceleration,
+    JointPosition,
+    JointVelocity,
+    ObjectSpeed,
+    SelfCollision,
+)
+from coopqp.profile import Profile
+from coopqp.robot import RobotModel
+from coopqp.row import names_of
+from coopqp.state import State
+from coopqp.tasks import JointCentering, Pose
+
+problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_limit_holds_in_random_runs(held_box: ClosedChain, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    place = State(held_box).p_WO + rng.uniform(-0.15, 0.15, 3)
+    profile = Profile(duration=float(rng.uniform(0.3, 1.0)))
+    goal = PoseSpec(position=tuple(place), rpy=tuple(rng.uniform(-0.8, 0.8, 3)))
+    done = run(
+        QPController(), problem(held_box, Pose(goal=goal, profile=profile), limits=EXAMPLES), 150
+    )
+    given_up = "ACCELERATION_GIVEN_UP" in done.status
+    for limit in EXAMPLES:
+        if given_up and isinstance(limit, JointAcceleration):
+            continue
+        for name, margin in by_name(limit.margins(held_box, done.q, done.v, DT)).items():
+            kind = name.removeprefix("limit.").split(".")[0].split("[")[0]
+            assert margin.shape == (150,)
+            assert margin.min() >= -TOLERANCE.get(kind, 1e-9), name
+
+
+def test_rows_and_margins_have_names_of_their_own(held_box: ClosedChain) -> None:
+    rows = [name for limit in EXAMPLES for name in names_of(limit.rows(held_box))]
+    assert len(set(rows)) == len(rows)
+    assert {"limit.object_speed.x.upper", "limit.object_speed.rot_z.lower"} <= set(rows)
+    assert {"limit.table.object[0]", "limit.table.object[7]", "limit.table.RHand"} <= set(rows)
+    assert "limit.self_collision[RForearm|torso]" in rows
+    q = np.vstack([held_box.q_start] * 2)
+    margins = [
+        name
+        for limit in EXAMPLES
+        for name in by_name(limit.margins(held_box, q, np.zeros((1, held_box.n)), DT))
+    ]
+    assert len(set(margins)) == len(margins)
+    assert set(rows) <= set(margins)
+    assert {
+        "limit.position[RElbowRoll].upper",
+        "limit.velocity[RElbowRoll].lower",
+        "limit.acceleration[RElbowRoll].upper",
+        "limit.braking[RElbowRoll].lower",
+    } <= set(margins)
+
+
+def test_margins_are_negative_where_a_limit_is_broken(held_box: ClosedChain) -> None:
+    q = np.vstack([held_box.q_start] * 3)
+    i = held_box.joint_names.index("RElbowRoll")
+    q[2, i] = held_box.upper[i] + 0.1
+    v = np.zeros((2, held_box.n))
+    v[1, i] = held_box.velocity[i] + 1.0
+    position = by_name(JointPosition().margins(held_box, q, v, DT))[
+        "limit.position[RElbowRoll].upper"
+    ]
+    velocity = by_name(JointVelocity().margins(held_box, q, v, DT))[
+        "limit.velocity[RElbowRoll].upper"
+    ]
+    assert position[0] > 0.0
+    assert position[1] == pytest.approx(-0.1)
+    assert velocity.tolist() == pytest.approx([held_box.velocity[i], -1.0])
+    limit = JointAcceleration(max=20.0)
+    change = by_name(limit.margins(held_box, q, v, DT))["limit.acceleration[RElbowRoll].upper"]
+    assert change.tolist() == pytest.approx([20.0, 20.0 - (held_box.velocity[i] + 1.0) / DT])
+    assert by_name(limit.margins(held_box, q, v, DT))["limit.braking[RElbowRoll].upper"][1] < 0.0
+
+
+def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) -> None:
+    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
+    q, v = np.vstack([loose.q_start] * 2), np.zeros((1, loose.n))
+    passive = loose.joint_names[loose.passive[0]]
+    assert f"limit.velocity[{passive}].upper" not in by_name(
+        JointVelocity().margins(loose, q, v, DT)
+    )
+    for limit in (JointPosition(), JointAcceleration(max=10.0), JointVelocity()):
+        assert all(np.isfinite(m).all() for m in by_name(limit.margins(loose, q, v, DT)).values())
+
+
+@pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
+def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
+    state, rows = State(held_box), empty_rows(held_box, limit)
+    tighten = limit.bind(held_box, DT)
+    for _ in range(5):
+        tighten(state, rows)
+    tracemalloc.start()
+    try:
+        tighten(state, rows)
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        for _ in range(50):
+            tighten(state, rows)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 512  # bytes
+    assert peak - before < 16_000  # views and the numbers read from coal
+    assert np.isfinite(rows.G).all()
+    assert np.isfinite(rows.h).all()
+
+
+@pytest.mark.parametrize("limit", EXAMPLES, ids=lambda limit: type(limit).__name__)
+def test_rows_may_be_part_of_a_larger_matrix(held_box: ClosedChain, limit: Limit) -> None:
+    plain, p = empty_rows(held_box, limit), len(names_of(limit.rows(held_box)))
+    wide = np.zeros((p, held_box.n + 2))
+    part = LimitRows(plain.lb.copy(), plain.ub.copy(), wide[:, : held_box.n], np.zeros(p))
+    limit.bind(held_box, DT)(State(held_box), plain)
+    limit.bind(held_box, DT)(State(held_box), part)
+    assert np.array_equal(part.G, plain.G)
+    assert not wide[:, held_box.n :].any()
+
+
+@pytest.mark.parametrize(
+    "limit", [TABLE, SelfCollision(), ObjectSpeed(linear=0.1, angular=0.1)], ids=repr
+)
+def test_standing_still_is_allowed_but_just_below_a_limit(
+    held_box: ClosedChain, rng: np.random.Generator, limit: Limit
+) -> None:
+    state, rows = State(held_box), empty_rows(held_box, limit)
+    tighten, names = limit.bind(held_box, DT), names_of(limit.rows(held_box))
+    deep = 0
+    for q in held_box.sample(rng, 200):  # many with bodies in each other or under the table
+        state.q[:] = q
+        state.update()
+        tighten(state, rows)
+        assert np.isfinite(rows.G).all()
+        margins = by_name(limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT))
+        room = np.array([margins[name][0] for name in names])
+        assert (rows.h[(room >= 0.0) | (room < -SHALLOW)] >= 0.0).all()
+        assert rows.h.min() >= -10.0 * SHALLOW  # what is asked back, at the default gain
+        deep += int((room < -SHALLOW).sum())
+    assert deep > 30 or isinstance(limit, ObjectSpeed)
+
+
+def test_what_sank_in_a_little_is_asked_back_and_what_started_deep_is_not() -> None:
+    room, h = np.array([0.02, 0.0, -0.5 * SHALLOW, -2.0 * SHALLOW]), np.zeros(4)
+    damp(room, np.full(4, 10.0), np.zeros(4, bool), h)
+    assert h.tolist() == pytest.approx([0.2, 0.0, -5.0 * SHALLOW, 0.0])

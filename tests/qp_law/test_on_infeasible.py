@@ -1,0 +1,79 @@
+"""Scale, hold or stop: what a tick does that cannot do its tasks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+import laws
+import numpy as np
+import pytest
+from conflicts import REACH, TURN, jerked
+from laws import LIMITS, PLAIN, run
+
+from coopqp.checked import spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.limits import JointAcceleration
+from coopqp.qp import QP
+from coopqp.solver import Solution, Solve, Solver, Status
+
+problem = partial(laws.problem, limits=LIMITS)
+
+
+def test_hold_stands_still_for_the_tick_and_goes_on(chain: ClosedChain) -> None:
+    """One impossible tick between two possible ones."""
+    limits = (*LIMITS, JointAcceleration(max=20.0))
+    law = PLAIN.build(problem(chain, REACH, limits=limits, on_infeasible="hold"))
+    calm = law.start()
+    before = law.tick(calm).v.copy()
+    assert np.abs(before).max() > 1e-2
+    command = law.tick(jerked(law, 5.0))
+    assert not command.status.usable
+    np.testing.assert_array_equal(command.v, np.zeros(chain.n))
+    np.testing.assert_array_equal(law.tick(calm).v, before)
+
+
+def test_stop_stands_still_from_then_on(chain: ClosedChain) -> None:
+    limits = (*LIMITS, JointAcceleration(max=20.0))
+    law = PLAIN.build(problem(chain, REACH, limits=limits, on_infeasible="stop"))
+    state = law.start()
+    assert law.tick(state).v.any()
+    state.v[3] = 5.0
+    for _ in range(3):
+        command = law.tick(state)
+        assert not command.status.usable
+        np.testing.assert_array_equal(command.v, np.zeros(chain.n))
+        state.v[:] = 0.0
+    # The stop is in the state, so that another run starts afresh.
+    assert law.tick(law.start()).v.any()
+
+
+@pytest.mark.parametrize("on_infeasible", ["scale", "hold", "stop"])
+def test_run_with_an_impossible_task_ends_as_asked(
+    on_infeasible: Literal["scale", "hold", "stop"], chain: ClosedChain
+) -> None:
+    trace = run(PLAIN, problem(chain, TURN, on_infeasible=on_infeasible), 20)
+    moved = bool(np.abs(trace.q[-1] - trace.q[0]).max() > 1e-3)
+    assert moved == trace.usable.all() == (on_infeasible == "scale")
+    assert len(trace.failures) == (0 if on_infeasible == "scale" else 20)
+
+
+@spec
+class Rubbish(Solver):
+    """Fails, and leaves rubbish in its answer, as DAQP does when it finds nothing."""
+
+    def open(self, qp: QP, solution: Solution) -> Solve:
+        def solve() -> None:
+            solution.v[:], solution.status = -1000.0, Status.INFEASIBLE
+
+        return solve
+
+
+@pytest.mark.parametrize("on_infeasible", ["hold", "stop"])
+def test_share_of_a_tick_that_stands_still_is_a_share(
+    on_infeasible: Literal["hold", "stop"], chain: ClosedChain
+) -> None:
+    scaled = replace(REACH, mode="scaled")
+    trace = run(PLAIN, problem(chain, scaled, solver=Rubbish(), on_infeasible=on_infeasible), 5)
+    assert ((trace.scale >= 0.0) & (trace.scale <= 1.0)).all()

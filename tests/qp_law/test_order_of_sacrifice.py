@@ -1,0 +1,142 @@
+"""What is given up when not everything can hold, in which order, and what never is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import laws
+import numpy as np
+import pytest
+from conflicts import REACH, TURN, jerked, slightly_open
+from laws import DT, LIMITS, NEAR, PLAIN, run
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.grasps import Rigid
+from coopqp.held_object import HeldObject
+from coopqp.limit import Limit
+from coopqp.limits import JointAcceleration, JointPosition, JointVelocity
+from coopqp.profile import Profile
+from coopqp.solver import Budget, Status
+from coopqp.state import State
+from coopqp.tasks import JointCentering, PointOnPoint
+
+problem = partial(laws.problem, limits=LIMITS)
+
+
+def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
+    """The same chain, with position limits this far around q [rad]."""
+    model = chain.robot.model.copy()
+    model.lowerPositionLimit, model.upperPositionLimit = q - room, q + room
+    narrow = replace(chain.robot, model=model)
+    return ClosedChain.take_hold(narrow, chain.q_start, Rigid(), HeldObject())
+
+
+def keeps_position_and_velocity_limits(chain: ClosedChain, q: Array, v: Array) -> bool:
+    """At the end of the step, to a nano-radian."""
+    after = q + DT * v
+    return bool(
+        (after >= chain.lower - 1e-9).all()
+        and (after <= chain.upper + 1e-9).all()
+        and (np.abs(v) <= chain.velocity + 1e-9).all()
+    )
+
+
+def test_hard_task_that_the_grasp_rules_out_becomes_soft(chain: ClosedChain) -> None:
+    """Firm hands leave the box four motions, the pose asks for six: it comes nearer and says so."""
+    trace = run(PLAIN, problem(chain, TURN), 300)
+    assert set(trace.status) <= {"TASKS_GIVEN_UP", "STEP_SHORTENED"}
+    assert trace.usable.all()
+    assert np.hypot(*trace.task_error[-1]) < 0.2 * np.hypot(*trace.task_error[0])
+    assert trace.loop_position.max() <= 1e-3
+    assert trace.loop_orientation.max() <= 1e-2
+    assert np.maximum(chain.lower - trace.q, trace.q - chain.upper).max() <= 1e-9
+
+
+def test_hard_task_given_up_is_the_soft_one(chain: ClosedChain) -> None:
+    """In such a tick the command is that of the same task with mode soft."""
+    given = {"budget": Budget(loop_position=1.0, loop_orientation=1.0)}
+    hard, soft = (
+        PLAIN.build(problem(chain, replace(TURN, mode=m), **given)) for m in ("hard", "soft")
+    )  # type: ignore[arg-type]
+    state = hard.start()
+    command = hard.tick(state)
+    assert command.status is Status.TASKS_GIVEN_UP
+    np.testing.assert_allclose(command.v, soft.tick(state).v, atol=1e-9)
+
+
+def test_objectives_give_way_before_anything_is_given_up(chain: ClosedChain) -> None:
+    """A soft goal out of reach is no emergency: the ticks stay optimal."""
+    far = PointOnPoint(name="far", goal=(0.19, 0.1, 0.25), profile=Profile(duration=2.0))
+    trace = run(PLAIN, problem(chain, far, secondary=[JointCentering(name="centre")]), 300)
+    assert set(trace.status) == {"OPTIMAL"}
+    assert trace.task_error[-1] > 0.01
+
+
+def test_acceleration_limits_give_way_to_the_loops(chain: ClosedChain) -> None:
+    """Braking from a speed that the loops forbid takes more than the limit."""
+    limits = (*LIMITS, JointAcceleration(max=20.0))
+    law = PLAIN.build(problem(chain, REACH, limits=limits))
+    state = jerked(law, 5.0)
+    command = law.tick(state)
+    assert command.status is Status.ACCELERATION_GIVEN_UP
+    np.testing.assert_allclose(state.J_rel @ command.v, -state.loop_error / DT, atol=1e-8)
+    assert np.abs(command.v - state.v).max() > 20.0 * DT
+    assert keeps_position_and_velocity_limits(chain, state.q, command.v)
+    # Without the limit it is what the law would have done.
+    free = PLAIN.build(problem(chain, REACH))
+    np.testing.assert_allclose(command.v, free.tick(state).v, atol=1e-7)
+    # From rest there is no conflict.
+    assert law.tick(law.start()).status is Status.OPTIMAL
+
+
+@pytest.mark.parametrize("acceleration", [(), (JointAcceleration(max=20.0),)], ids=["", "a"])
+def test_drift_correction_gives_way_to_position_limits(
+    acceleration: tuple[Limit, ...], chain: ClosedChain
+) -> None:
+    """The joints may move 10 micro-radians and the gap is 0.1 mm: it stays, and grows no more."""
+    q = slightly_open(chain, 1e-4)
+    narrow = tightened(chain, q, 1e-5)
+    state = State(narrow, q)
+    law = PLAIN.build(problem(narrow, REACH, limits=(*LIMITS, *acceleration)))
+    command = law.tick(state)
+    assert command.status is Status.DRIFT_GIVEN_UP
+    np.testing.assert_allclose(state.J_rel @ command.v, np.zeros(6), atol=1e-8)
+    assert keeps_position_and_velocity_limits(narrow, q, command.v)
+    after = State(narrow, q + DT * command.v)
+    np.testing.assert_allclose(after.loop_error, state.loop_error, atol=1e-7)
+
+
+def test_drift_correction_gives_way_to_velocity_limits(chain: ClosedChain) -> None:
+    """A gap of 0.5 mm in one tick would take more than the speed that is allowed."""
+    q = slightly_open(chain, 5e-4)
+    slow = JointVelocity(scale=1e-3)
+    law = PLAIN.build(problem(chain, REACH, limits=(JointPosition(), slow)))
+    state = law.start(q)
+    command = law.tick(state)
+    assert command.status is Status.DRIFT_GIVEN_UP
+    assert (np.abs(command.v) <= 1e-3 * chain.velocity + 1e-9).all()
+    np.testing.assert_allclose(state.J_rel @ command.v, np.zeros(6), atol=1e-8)
+
+
+def test_least_is_given_up_first(chain: ClosedChain) -> None:
+    """Tasks alone, then tasks and acceleration, then the drift correction as well."""
+    limits = (*LIMITS, JointAcceleration(max=20.0))
+    law = PLAIN.build(problem(chain, TURN, limits=(*LIMITS, JointAcceleration(max=1e4))))
+    assert law.tick(law.start()).status is Status.TASKS_GIVEN_UP
+    law = PLAIN.build(problem(chain, TURN, limits=limits))
+    assert law.tick(jerked(law, 5.0)).status is Status.ACCELERATION_GIVEN_UP
+    q = slightly_open(chain, 1e-4)
+    narrow = tightened(chain, q, 1e-5)
+    law = PLAIN.build(problem(narrow, TURN, limits=limits))
+    assert law.tick(State(narrow, q)).status is Status.DRIFT_GIVEN_UP
+
+
+def test_hard_task_within_its_means_survives_an_open_loop(chain: ClosedChain) -> None:
+    """Nothing is given up that need not be: a gap alone costs no hard task."""
+    law = PLAIN.build(problem(chain, replace(REACH, mode="hard", gain=1.0)))
+    state = law.start(slightly_open(chain, 1e-4))
+    command = law.tick(state)
+    assert command.status is Status.OPTIMAL
+    np.testing.assert_allclose(state.J_task[:3] @ command.v, np.array(NEAR) - state.p_WO, atol=1e-8)

@@ -1,0 +1,85 @@
+"""Steps that are too long for their linearisation are shortened."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import laws
+import numpy as np
+import pytest
+from conflicts import TURN, slightly_open
+from laws import DT, LIMITS, PLAIN, STEP, run, ticks
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
+from coopqp.metrics.fallback_ticks import FallbackTicks
+from coopqp.solver import Budget, Status
+from coopqp.state import State
+from coopqp.tasks import PointOnPoint
+
+problem = partial(laws.problem, limits=LIMITS)
+
+
+def long_steps(chain: ClosedChain, **settings: Any) -> ControlProblem:
+    """Five ticks a second and a goal that is asked for at once."""
+    behind = PointOnPoint(name="behind", goal=(0.1, 0.05, -0.05), profile=STEP)
+    return problem(chain, behind, dt=0.2, **settings)
+
+
+def test_step_that_would_open_the_loop_is_shortened(chain: ClosedChain) -> None:
+    """At 0.2 s a tick the loops stay within 1 mm and 10 mrad after every step."""
+    trace = run(PLAIN, long_steps(chain), 60)
+    assert Counter(trace.status)["STEP_SHORTENED"] >= 3
+    assert trace.usable.all()
+    assert trace.loop_position.max() <= 1e-3
+    assert trace.loop_orientation.max() <= 1e-2
+    assert trace.task_error[-1] < 0.2 * trace.task_error[0]
+    # Without the check the same steps tear the loop open.
+    wide = Budget(loop_position=1.0, loop_orientation=3.0)
+    assert run(PLAIN, long_steps(chain, budget=wide), 60).loop_position.max() > 5e-3
+
+
+def test_step_is_halved_until_it_fits_and_no_further(chain: ClosedChain) -> None:
+    """The direction stays; twice the step would not have fitted."""
+    law = PLAIN.build(long_steps(chain))
+    whole = PLAIN.build(long_steps(chain, budget=Budget(loop_position=1.0, loop_orientation=3.0)))
+    state = law.start()
+    command = law.tick(state)
+    assert command.status is Status.STEP_SHORTENED
+    halvings = np.log2(np.linalg.norm(whole.tick(state).v) / np.linalg.norm(command.v))
+    assert halvings == pytest.approx(round(halvings), abs=1e-9)
+    assert halvings >= 1
+    np.testing.assert_allclose(command.v * 2**halvings, whole.command.v, rtol=1e-9)
+
+    def opening(share: float) -> float:
+        after = State(chain, state.q + 0.2 * share * command.v)
+        return max(after.loop_position_error / 1e-3, after.loop_orientation_error / 1e-2)
+
+    assert opening(1.0) <= 1.0 < opening(2.0)
+
+
+@pytest.mark.parametrize("kappa", [100.0, 20.0, 2.0])
+@pytest.mark.parametrize("gap", [2e-3, 8e-3])
+def test_loop_beyond_its_budget_is_closed_again(
+    gap: float, kappa: float, chain: ClosedChain
+) -> None:
+    """Steps that leave it open, but less so, are made."""
+    here = tuple(State(chain).p_WO.tolist())
+    law = PLAIN.build(
+        problem(chain, PointOnPoint(name="hold", goal=here, profile=STEP), kappa=kappa)
+    )
+    state = law.start(slightly_open(chain, gap))
+    before = state.loop_position_error
+    for _ in ticks(law, state, round(4.0 / (kappa * DT)) + 1):
+        pass
+    assert state.loop_position_error < 0.05 * before
+
+
+def test_fallbacks_are_counted_by_what_was_given_up(chain: ClosedChain) -> None:
+    trace = run(PLAIN, replace(long_steps(chain), tasks=(replace(TURN, gain=5.0),)), 20)
+    expected = Counter(s for s in trace.status if s not in ("OPTIMAL", "INACCURATE"))
+    assert FallbackTicks().measure(trace) == dict(expected)
+    assert set(expected) == {"TASKS_GIVEN_UP", "STEP_SHORTENED"}

@@ -1,0 +1,473 @@
+"""What tasks and limits show of themselves agrees with their errors, and the playback draws it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import coopqp
+import coopqp.tasks
+from coopqp.checked import Pose as PoseValue
+from coopqp.checked import spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
+from coopqp.geometry import Turn
+from coopqp.limits import Workspace
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    SphereMark,
+    TrackedMark,
+)
+from coopqp.profile import Profile
+from coopqp.report.page import render
+from coopqp.report.scene.playback import scene
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import load
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows, TaskStack
+from coopqp.tasks import (
+    Distance,
+    LineOnLine,
+    LineOnPlane,
+    Orientation,
+    PlaneOnPlane,
+    Pointing,
+    PointOnCircle,
+    PointOnLine,
+    PointOnPlane,
+    PointOnPoint,
+    Pose,
+    Prismatic,
+    Revolute,
+    Twist,
+)
+
+Array = NDArray[np.float64]
+Walk = Callable[[ClosedChain, int], list[Array]]
+
+POINT, AXIS = (0.03, -0.02, 0.05), (2, -1, 0.5)  # of the object
+AT, ALONG = (0.2, 0.01, 0.06), (1, -1, 3)  # in space
+AT_ONCE = Profile(kind="step")
+TURN = Turn(axis=(1, 2, -1), angle=0.8, profile=Profile(duration=1.5, delay=0.1))
+VELOCITY = (0.02, -0.03, 0.01)  # m/s
+MOVES: dict[str, Any] = {
+    "point": POINT, "velocity": VELOCITY, "turn": TURN, "profile": AT_ONCE
+}  # fmt: skip
+TIMES = (0.0, 0.4, 0.9, 3.0)  # before, during and after the turn [s]
+RPY = (0.3, -0.2, 0.5)
+
+
+@singledispatch
+def off(mark: Any, p: Array) -> float:
+    """How far a point is from what is shown, from the definition of each."""
+    raise AssertionError(mark)
+
+
+@off.register
+def _(mark: PointMark, p: Array) -> float:
+    return math.dist(p, mark.at)
+
+
+@off.register
+def _(mark: LineMark, p: Array) -> float:
+    return float(np.linalg.norm(np.cross(p - mark.through, mark.direction)))
+
+
+@off.register
+def _(mark: PlaneMark, p: Array) -> float:
+    return abs(float((p - mark.through) @ mark.normal))
+
+
+@off.register
+def _(mark: CircleMark, p: Array) -> float:
+    height = float((p - mark.center) @ mark.normal)
+    beside = np.linalg.norm(p - mark.center - height * mark.normal)
+    return math.hypot(float(beside) - mark.radius, height)
+
+
+@off.register
+def _(mark: SphereMark, p: Array) -> float:
+    return abs(math.dist(p, mark.center) - mark.radius)
+
+
+@off.register
+def _(mark: PoseMark, p: Array) -> float:
+    return math.dist(p, mark.position)
+
+
+def angle(a: Array, b: Array) -> float:
+    """Between two unit vectors."""
+    return 2.0 * math.atan2(float(np.linalg.norm(a - b)), float(np.linalg.norm(a + b)))
+
+
+def turned_off(mark: Mark, state: State) -> float:
+    """Angle of the rotation from the orientation shown to the object's, by its trace."""
+    assert isinstance(mark, PoseMark)
+    return math.acos(0.5 * (float(np.trace(state.R_WO @ mark.rotation.T)) - 1.0))
+
+
+def tracked(marks: tuple[Mark, ...], state: State) -> Array:
+    (mark,) = (mark for mark in marks if isinstance(mark, TrackedMark))
+    return state.p_WO + state.R_WO @ np.array(mark.point)
+
+
+def axis_in_world(state: State) -> Array:
+    a = np.array(AXIS) / np.linalg.norm(AXIS)
+    return state.R_WO @ a
+
+
+#: By name: the task, and for each mark in turn the norm of which rows says how far the tracked
+#: point is from it.
+PLACED: dict[str, tuple[Task, tuple[slice | None, ...]]] = {
+    "point_on_point": (PointOnPoint(goal=AT, point=POINT, profile=AT_ONCE), (slice(3), None)),
+    "point_on_plane": (PointOnPlane(normal=ALONG, through=AT, **MOVES), (slice(1), None)),
+    "point_on_line": (PointOnLine(direction=ALONG, through=AT, **MOVES), (slice(2), None)),
+    "point_on_circle": (
+        PointOnCircle(center=AT, normal=ALONG, radius=0.03, **MOVES),
+        (slice(2), None),
+    ),
+    "distance": (
+        Distance(to=AT, length=0.1, point=POINT, velocity=VELOCITY, profile=AT_ONCE),
+        (slice(1), None),
+    ),
+    "line_on_plane": (
+        LineOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
+        (slice(1), None),
+    ),
+    "plane_on_plane": (
+        PlaneOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
+        (slice(1), None),
+    ),
+    "line_on_line": (
+        LineOnLine(direction=ALONG, through=AT, axis=AXIS, **MOVES),
+        (slice(2), None),
+    ),
+    "revolute": (
+        Revolute(direction=ALONG, through=AT, axis=AXIS, **MOVES),
+        (slice(2), slice(3), None),
+    ),
+    "prismatic": (
+        Prismatic(direction=ALONG, through=AT, rpy=RPY, **MOVES),
+        (slice(2), None, None),
+    ),
+    "pose": (
+        Pose(goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE),
+        (slice(3), None),
+    ),
+}
+
+#: By name: the task, its rows that are an angle, and that angle from the first mark or the last.
+TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]] = {
+    "line_on_plane": (
+        PLACED["line_on_plane"][0],
+        slice(1, 2),
+        lambda marks, state: abs(0.5 * math.pi - angle(axis_in_world(state), marks[0].normal)),  # type: ignore[union-attr]
+    ),
+    "plane_on_plane": (
+        PLACED["plane_on_plane"][0],
+        slice(1, 3),
+        lambda marks, state: angle(axis_in_world(state), marks[0].normal),  # type: ignore[union-attr]
+    ),
+    "line_on_line": (
+        PLACED["line_on_line"][0],
+        slice(2, 4),
+        lambda marks, state: angle(axis_in_world(state), marks[0].direction),  # type: ignore[union-attr]
+    ),
+    "revolute": (
+        PLACED["revolute"][0],
+        slice(3, 5),
+        lambda marks, state: angle(axis_in_world(state), marks[0].direction),  # type: ignore[union-attr]
+    ),
+    "pointing": (
+        Pointing(direction=ALONG, axis=AXIS, turn=TURN, profile=AT_ONCE),
+        slice(0, 2),
+        lambda marks, state: angle(axis_in_world(state), marks[0].direction),  # type: ignore[union-attr]
+    ),
+    "prismatic": (
+        PLACED["prismatic"][0],
+        slice(2, 5),
+        lambda marks, state: turned_off(marks[-1], state),
+    ),
+    "orientation": (
+        Orientation(rpy=RPY, profile=AT_ONCE),
+        slice(0, 3),
+        lambda marks, state: turned_off(marks[0], state),
+    ),
+    "pose": (
+        PLACED["pose"][0],
+        slice(3, 6),
+        lambda marks, state: turned_off(marks[0], state),
+    ),
+}
+
+#: These have nothing in space to go to.
+BARE = {
+    "joint_centering", "manipulability", "minimum_kinetic_energy", "minimum_velocity", "posture",
+    "relative_motion",
+}  # fmt: skip
+SMALLEST: dict[str, dict[str, Any]] = {"posture": {"goal": {"right": [0.0] * 5}}}
+
+
+def states(chain: ClosedChain, walk: Walk, t: float) -> list[State]:
+    return [State(chain, q, t) for q in walk(chain, 3)]
+
+
+def error(task: Task, state: State) -> Array:
+    stack = TaskStack([task], State(state.chain))
+    stack.update(state)
+    return stack.e
+
+
+def test_every_task_is_held_against_its_marks_here() -> None:
+    shipped = set(Catalog().entries("tasks"))
+    assert shipped == {*PLACED, *TURNED, *BARE, "twist"}
+
+
+@pytest.mark.parametrize("name", PLACED)
+@pytest.mark.parametrize("t", TIMES)
+def test_the_tracked_point_is_as_far_from_each_mark_as_the_error_says(
+    name: str, t: float, chain: ClosedChain, closed_loop_walk: Walk
+) -> None:
+    task, rows = PLACED[name]
+    marks = task.marks(t)
+    assert len(marks) == len(rows)
+    for state in states(chain, closed_loop_walk, t):
+        p, e = tracked(marks, state), error(task, state)
+        for mark, part in zip(marks, rows, strict=True):
+            if part is not None:
+                assert off(mark, p) == pytest.approx(np.linalg.norm(e[part]), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", TURNED)
+@pytest.mark.parametrize("t", TIMES)
+def test_the_object_is_turned_from_its_mark_as_the_error_says(
+    name: str, t: float, chain: ClosedChain, closed_loop_walk: Walk
+) -> None:
+    task, rows, turned = TURNED[name]
+    for state in states(chain, closed_loop_walk, t):
+        expected = float(np.linalg.norm(error(task, state)[rows]))
+        assert turned(task.marks(t), state) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", [n for n, (task, _) in PLACED.items() if "velocity" in dir(task)])
+def test_marks_are_where_the_reference_is_then(name: str) -> None:
+    """The place moves at the velocity, also while the way there is not over."""
+    task = replace(PLACED[name][0], profile=Profile(duration=2.0))
+    for t in TIMES:
+        mark: Any = task.marks(t)[0]
+        place = mark.center if isinstance(mark, CircleMark | SphereMark) else mark.through
+        np.testing.assert_allclose(place, np.array(AT) + t * np.array(VELOCITY), atol=1e-15)
+
+
+def test_a_turning_plane_is_drawn_turned() -> None:
+    quarter = Turn(axis=(3, 0, 0), angle_deg=90.0, profile=Profile(duration=3.0))
+    task = PointOnPlane(normal=(0, 0, 2), through=AT, turn=quarter)
+    begin, middle, end = (task.marks(t)[0] for t in (0.0, 1.5, 3.0))
+    assert isinstance(begin, PlaneMark)
+    assert isinstance(middle, PlaneMark)
+    assert isinstance(end, PlaneMark)
+    np.testing.assert_allclose(begin.normal, (0, 0, 1), atol=1e-15)
+    np.testing.assert_allclose(middle.normal, np.array((0, -1, 1)) / math.sqrt(2), atol=1e-15)
+    np.testing.assert_allclose(end.normal, (0, -1, 0), atol=1e-15)
+
+
+def test_a_slide_without_an_orientation_shows_its_line_alone() -> None:
+    marks = Prismatic(direction=ALONG, through=AT, point=POINT).marks(0.5)
+    assert [type(mark) for mark in marks] == [LineMark, TrackedMark]
+
+
+def test_twist_shows_the_point_whose_velocity_it_asks_for(
+    chain: ClosedChain, closed_loop_walk: Walk, rng: np.random.Generator
+) -> None:
+    task, h = Twist(velocity={"x": 0.1, "y": 0.0, "z": 0.2}, point=POINT), 1e-5
+    stack = TaskStack([task], State(chain))
+    for state in states(chain, closed_loop_walk, 0.5):
+        v = rng.normal(size=chain.n)
+        before, after = (
+            tracked(task.marks(0.5), State(chain, state.q + s * h * v)) for s in (-1.0, 1.0)
+        )
+        stack.update(state)
+        np.testing.assert_allclose((after - before) / (2 * h), stack.J @ v, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", sorted(BARE))
+def test_what_has_no_place_in_space_shows_nothing(name: str) -> None:
+    task = Catalog().entries("tasks")[name].cls(**SMALLEST.get(name, {}))
+    assert isinstance(task, Task)
+    assert task.marks(0.3) == ()
+
+
+# ---- limits ----------------------------------------------------------------------------------
+
+
+def test_the_plane_of_a_workspace_is_as_near_as_its_margin_says(
+    chain: ClosedChain, closed_loop_walk: Walk
+) -> None:
+    wall = Workspace(normal=ALONG, through=(0.1, 0.0, -0.1), points=(POINT,))
+    (mark,) = wall.marks(0.7)
+    assert isinstance(mark, PlaneMark)
+    q = np.array([chain.q_start, *closed_loop_walk(chain, 3)])
+    (margin,) = wall.margins(chain, q, np.zeros((3, chain.n)), 0.01).values()
+    for row, left in zip(q[1:], margin, strict=True):
+        p = State(chain, row).point(np.array(POINT))
+        assert (p - mark.through) @ mark.normal == pytest.approx(left, abs=1e-14)
+
+
+def test_limits_without_a_place_show_nothing() -> None:
+    settings: dict[str, dict[str, Any]] = {
+        "joint_acceleration": {"max": 10.0},
+        "object_speed": {"linear": 0.1},
+        "workspace": {"normal": (0, 0, 1), "through": (0, 0, 0)},
+    }
+    for name, entry in Catalog().entries("limits").items():
+        limit = entry.cls(**settings.get(name, {}))
+        assert isinstance(limit, coopqp.Limit)
+        assert bool(limit.marks(0.0)) == (name == "workspace")
+
+
+# ---- marks -----------------------------------------------------------------------------------
+
+
+def test_marks_take_any_length_and_keep_a_copy() -> None:
+    through = np.array([1.0, 2.0, 3.0])
+    mark = PlaneMark(normal=np.array([0.0, 3.0, 4.0]), through=through)
+    through[:] = 0.0
+    np.testing.assert_allclose(mark.normal, (0.0, 0.6, 0.8))
+    np.testing.assert_allclose(mark.through, (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: PointMark(at=np.zeros(2)), "at"),
+        (lambda: PointMark(at=np.array([0.0, math.nan, 0.0])), "3 finite numbers"),
+        (lambda: PointMark(at=None), "3 finite numbers"),  # type: ignore[arg-type]
+        (lambda: LineMark(direction=np.zeros(3)), "needs a direction"),
+        (lambda: PoseMark(rotation=np.diag([1.0, 1.0, -1.0])), "needs a rotation matrix"),
+        (lambda: PoseMark(rotation=2.0 * np.eye(3)), "needs a rotation matrix"),
+        (lambda: SphereMark(center=np.zeros(3), radius=-1.0), "radius"),
+    ],
+)
+def test_marks_that_cannot_be_drawn_are_refused(build: Callable[[], Mark], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        build()
+
+
+# ---- playback --------------------------------------------------------------------------------
+
+
+@spec
+class Own(Task):
+    """A user's task: shows a line, for a while a pose, and has fields that look like goals."""
+
+    goal: tuple[float, float, float] = (9.0, 9.0, 9.0)
+    """Not a place."""
+    normal: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Not of a plane."""
+    through: tuple[float, float, float] = (9.0, 9.0, 9.0)
+    """Not a place."""
+    wrong: bool = False
+    """Whether it shows what is no mark."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("z",)
+
+    def bind(self, start: State) -> Evaluate:
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.J[0] = state.J_task[2]
+
+        return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        if self.wrong:
+            return (np.zeros(3),)  # type: ignore[return-value]
+        line = LineMark(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + t, 0, 0]))
+        axes = PoseMark(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
+        return (line, TrackedMark(point=POINT), *([axes] if 0.095 < t < 0.205 else []))
+
+
+def drawn(*tasks: Task, limits: tuple[coopqp.Limit, ...] = ()) -> Any:
+    scenario = load("point_on_point")
+    short = replace(
+        scenario, tasks=tasks, duration=0.3, limits=(*scenario.limits, *limits), secondary=()
+    )
+    return scene(coopqp.compare(short, controllers=["qp"]))
+
+
+def test_a_users_own_task_is_drawn_by_its_marks_and_by_nothing_else() -> None:
+    found = drawn(Own(name="own"))
+    assert not found["goals"]
+    assert not found["planes"]
+    (line,), (pose,) = found["lines"], found["poses"]
+    ends = np.array(line["ends"])
+    x = 0.2 + np.array(found["t"])
+    np.testing.assert_allclose(ends[:, :, 0], np.stack([x, x], axis=1))
+    assert (line["name"], line["first"], line["last"]) == ("own", 0, 30)
+    assert (pose["first"], pose["last"], len(pose["at"])) == (10, 20, 11)
+    (way,) = found["controllers"][0]["tracked"]
+    R = np.reshape(found["controllers"][0]["rotation"], (-1, 3, 3))
+    expected = np.array(found["controllers"][0]["position"]) + R @ np.array(POINT)
+    np.testing.assert_allclose(way["points"], expected, atol=2e-4)
+
+
+def test_what_is_no_mark_is_refused_with_the_tasks_name() -> None:
+    with pytest.raises(InvalidValueError, match=r"^own\.marks: found array.*needs PointMark"):
+        drawn(Own(name="own", wrong=True))
+
+
+def test_the_plane_of_a_limit_is_drawn_near_the_object() -> None:
+    wall = Workspace(normal=(0, 0, 1), through=(5.0, 5.0, -0.02))
+    found = drawn(Own(name="own"), limits=(wall,))
+    (plane,) = found["planes"]
+    assert plane["limit"]
+    assert (plane["name"], plane["first"], plane["last"]) == ("workspace", 0, 30)
+    corners = np.array(plane["corners"])
+    np.testing.assert_allclose(corners[:, :, 2], -0.02, atol=1e-4)
+    middle, start = corners[0].mean(axis=0), found["controllers"][0]["position"][0]
+    np.testing.assert_allclose(middle[:2], start[:2], atol=2e-4)
+
+
+def test_the_goal_of_a_pose_is_drawn_as_axes() -> None:
+    found = drawn(Pose(name="carry", goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE))
+    (pose,) = found["poses"]
+    np.testing.assert_allclose(pose["at"], 31 * [AT], atol=1e-4)
+    axes = np.array(pose["axes"][0])
+    size = np.linalg.norm(axes[0])
+    roll, pitch, yaw = RPY
+    turn = {
+        axis: [[math.cos(s), -math.sin(s)], [math.sin(s), math.cos(s)]]
+        for axis, s in (("x", roll), ("y", -pitch), ("z", yaw))
+    }
+    R_x, R_y, R_z = np.eye(3), np.eye(3), np.eye(3)
+    R_x[1:, 1:], R_y[::2, ::2], R_z[:2, :2] = turn["x"], turn["y"], turn["z"]
+    np.testing.assert_allclose(axes.T / size, R_z @ R_y @ R_x, atol=1e-3)
+
+
+def test_what_has_no_place_is_drawn_at_the_object() -> None:
+    found = drawn(
+        Pointing(name="up", direction=ALONG, axis=AXIS, profile=AT_ONCE),
+        Orientation(name="level", rpy=RPY, profile=AT_ONCE),
+    )
+    (way,), (axes,) = found["directions"], found["orientations"]
+    assert np.cross(way["way"][0], ALONG) == pytest.approx(0.0, abs=1e-3)
+    assert "at" not in axes
+    assert not found["controllers"][0]["tracked"]
+
+
+def test_every_kind_of_mark_has_its_key_on_the_page() -> None:
+    scenario = replace(load("point_on_point"), duration=0.3, secondary=())
+    page = render(coopqp.compare(replace(scenario, tasks=(Own(name="own"),)), controllers=["qp"]))
+    for key in ("goal", "plane", "line", "way", "axes", "wall", "trail"):
+        assert page.count(f'id="{key}-key"') == 1

@@ -1,0 +1,37 @@
+"""The scenario whose joints run into their limits, compared and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from coopqp.comparison import Comparison, compare
+from coopqp.qp_law.law import QPLaw
+from coopqp.report import files
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    return load("joint_limit_stress")
+
+
+@pytest.fixture(scope="session")
+def compared(scenario: Scenario) -> Comparison:
+    return compare(scenario, controllers=["qp", "pseudoinverse"])
+
+
+@pytest.fixture(scope="session")
+def trace_csv(compared: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    files.write(compared, folder)
+    return folder / "trace.csv"
+
+
+@pytest.fixture(scope="session")
+def law(scenario: Scenario) -> QPLaw:
+    built = scenario.controllers["qp"].build(scenario.problem())
+    assert isinstance(built, QPLaw)
+    return built

@@ -1,0 +1,308 @@
+"""Why a tick could not do what its tasks asked, and whether what it says is so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_limits import by_name
+from kept_ticks import POSE, WIDE, at, first_tick, record
+from laws import DT, LIMITS, NEAR, STEP, ticks
+from scipy.optimize import linprog
+
+import coopqp
+from coopqp.closed_chain import ClosedChain
+from coopqp.comparison import Comparison
+from coopqp.controllers import QPController
+from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
+from coopqp.qp_law.law import QPLaw
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.study.explanation import Explanation, Relaxation, explain
+from coopqp.tasks import PointOnPoint
+
+LATE = (150, 220, 299)
+GOAL, GAIN, DURATION = np.array([0.10, -0.05, 0.04]), 5.0, 2.0  # of joint_limit_stress
+
+
+# Blocked by limits.
+
+
+class Physics:
+    """What a tick of joint_limit_stress must do, written out from chain, state and goal."""
+
+    def __init__(self, state: State) -> None:
+        chain, n = state.chain, len(state.q)
+        x = min(state.t / DURATION, 1.0)
+        share = x**3 * (10 - 15 * x + 6 * x * x)
+        speed = 30 * x * x * (1 - x) ** 2 / DURATION
+        way = GOAL - chain.start_position
+        wanted = speed * way - GAIN * (state.p_WO - chain.start_position - share * way)
+        self.A = np.vstack([state.J_rel, state.J_task[:3]])
+        self.b = np.concatenate([-state.loop_error / DT, wanted])
+        self.names = chain.joint_names
+        self.lower, self.upper = (chain.lower - state.q) / DT, (chain.upper - state.q) / DT
+        self.speed = chain.velocity
+        self.n = n
+
+    def holds(self, slack: dict[str, float]) -> bool:
+        """Whether loops and task hold with these limits widened [rad] or [rad/s]."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        low, high = -self.speed.copy(), self.speed.copy()
+        for name, amount in slack.items():
+            i = self.names.index(name.split("[")[1].split("]")[0])
+            assert name.split("[")[0] in ("limit.position", "limit.velocity")
+            if name.startswith("limit.position"):
+                side, change = (lower, upper), amount / DT
+            else:
+                side, change = (low, high), amount
+            if name.endswith(".lower"):
+                side[0][i] -= change
+            else:
+                side[1][i] += change
+        bounds = np.column_stack([np.maximum(lower, low), np.minimum(upper, high)])
+        bounds += [-1e-8, 1e-8]
+        return bool(linprog(np.zeros(self.n), A_eq=self.A, b_eq=self.b, bounds=bounds).success)
+
+    def least_relaxation(self) -> float:
+        """Smallest sum by which bounds on v must give way [rad/s], from the dual program.
+
+        max b'y - ub'z+ + lb'z- with A'y = z+ - z-, 0 <= z <= 1: a certificate that no smaller
+        sum will do.
+        """
+        ub, lb = np.minimum(self.upper, self.speed), np.maximum(self.lower, -self.speed)
+        m = len(self.b)
+        eye = np.eye(self.n)
+        found = linprog(
+            -np.concatenate([self.b, -ub, lb]),
+            A_eq=np.hstack([self.A.T, -eye, eye]),
+            b_eq=np.zeros(self.n),
+            bounds=[(None, None)] * m + [(0.0, 1.0)] * (2 * self.n),
+        )
+        assert found.success
+        return float(-found.fun)
+
+
+@pytest.mark.parametrize("tick", LATE)
+def test_elbows_at_their_limits_are_named(compared: Comparison, law: QPLaw, tick: int) -> None:
+    found = explain(record(law, at(compared, law, tick), tick))
+    names = {relaxation.name for relaxation in found.relaxations}
+    assert names & {"limit.position[RElbowRoll].upper", "limit.position[LElbowRoll].lower"}
+    assert all(relaxation.unit == "rad" for relaxation in found.relaxations)
+    assert set(found.missed) <= {"task[reach].x", "task[reach].y", "task[reach].z"}
+    assert found.missed
+    assert found.impossible == ()
+    for name in (*names, *found.missed):
+        assert name in found.sentence
+    for relaxation in found.relaxations:
+        assert f"{relaxation.amount:.3g} rad more" in found.sentence
+
+
+@pytest.mark.parametrize("tick", LATE)
+def test_named_limits_are_at_their_ends_in_the_trace(
+    compared: Comparison, law: QPLaw, tick: int
+) -> None:
+    """The explanation blames joints that really rest at that limit."""
+    trace = compared.traces["qp"]
+    for relaxation in explain(record(law, at(compared, law, tick), tick)).relaxations:
+        assert by_name(trace.margins)[relaxation.name][tick] < 1e-6
+
+
+@pytest.mark.parametrize("tick", LATE)
+def test_the_named_relaxation_would_do(compared: Comparison, law: QPLaw, tick: int) -> None:
+    """The limits widened by exactly what is said let loops and task hold; 1 % less does not."""
+    state = at(compared, law, tick)
+    found, physics = explain(record(law, state, tick)), Physics(state)
+    slack = {relaxation.name: relaxation.amount for relaxation in found.relaxations}
+    assert not physics.holds({})
+    assert physics.holds(slack)
+    assert not physics.holds({name: 0.99 * amount for name, amount in slack.items()})
+    for name in slack:
+        assert not physics.holds({k: a for k, a in slack.items() if k != name})
+
+
+@pytest.mark.parametrize("tick", LATE)
+def test_nothing_smaller_would_do(compared: Comparison, law: QPLaw, tick: int) -> None:
+    """Against the dual program, whose value is a lower bound of every relaxation's sum."""
+    state = at(compared, law, tick)
+    found = explain(record(law, state, tick))
+    total = sum(relaxation.amount for relaxation in found.relaxations) / DT
+    assert total == pytest.approx(Physics(state).least_relaxation(), rel=1e-6)
+
+
+def test_law_with_the_relaxed_limits_meets_the_task(
+    scenario: Scenario, compared: Comparison, law: QPLaw
+) -> None:
+    """Rebuilt with the limits widened by what is said, one tick of the law moves as wanted."""
+    state = at(compared, law, 250)
+    found = explain(record(law, state, 250))
+    model = scenario.robot_model.model.copy()
+    lower, upper = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+    for relaxation in found.relaxations:
+        joint, side = relaxation.name.removeprefix("limit.position[").split("].")
+        change = relaxation.amount + 1e-9
+        if side == "lower":
+            lower[scenario.chain.joint_names.index(joint)] -= change
+        else:
+            upper[scenario.chain.joint_names.index(joint)] += change
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    chain = scenario.chain
+    wider = ClosedChain.take_hold(
+        replace(scenario.robot_model, model=model),
+        chain.q_start,
+        scenario.grasps,
+        scenario.held,  # type: ignore[arg-type]
+    )
+    given = replace(scenario.problem(), chain=wider, budget=WIDE, tasks=(
+        replace(scenario.tasks[0], mode="hard"),
+    ))  # fmt: skip
+    command = QPController().build(given).tick(state)
+    assert command.status is Status.OPTIMAL
+    physics = Physics(state)
+    np.testing.assert_allclose(physics.A @ command.v, physics.b, atol=1e-6)
+    assert (
+        QPController().build(replace(given, chain=chain)).tick(state).status
+        is Status.TASKS_GIVEN_UP
+    )
+
+
+# Blocked by other limits, by the loops, by nothing.
+
+
+def test_velocity_limits_are_named_with_what_they_lack(chain: ClosedChain) -> None:
+    """Asked for 0.9 m/s at one percent of the joints' speed."""
+    task = PointOnPoint(name="dash", goal=NEAR, profile=STEP, gain=50.0)
+    slow = JointVelocity(scale=0.01)
+    found = explain(first_tick(chain, task, limits=(JointPosition(), slow)))
+    assert found.relaxations
+    state = State(chain)
+    A = np.vstack([state.J_rel, state.J_task[:3]])
+    b = np.concatenate([-state.loop_error / DT, -50.0 * (state.p_WO - NEAR)])
+    lb, ub = -0.01 * chain.velocity, 0.01 * chain.velocity
+    for relaxation in found.relaxations:
+        assert relaxation.name.startswith("limit.velocity[")
+        assert relaxation.unit == "rad/s"
+        joint, side = relaxation.name.removeprefix("limit.velocity[").split("].")
+        i = chain.joint_names.index(joint)
+        if side == "lower":
+            lb[i] -= relaxation.amount
+        else:
+            ub[i] += relaxation.amount
+    bounds = np.column_stack([lb - 1e-8, ub + 1e-8])
+    assert linprog(np.zeros(chain.n), A_eq=A, b_eq=b, bounds=bounds).success
+
+
+def test_acceleration_limit_is_named_where_it_is_what_holds_back(chain: ClosedChain) -> None:
+    task = PointOnPoint(name="dash", goal=NEAR, profile=STEP, gain=50.0)
+    limits = (*LIMITS, JointAcceleration(max=1.0))
+    found = explain(first_tick(chain, task, limits=limits))
+    assert found.relaxations
+    assert {r.name.split("[")[0] for r in found.relaxations} == {"limit.acceleration"}
+
+
+def test_object_speed_is_named_by_its_row(chain: ClosedChain) -> None:
+    """Wanted along z is 5 times the way; the rest of 0.02 m/s is what must give."""
+    x, y, z = State(chain).p_WO.tolist()
+    task = PointOnPoint(name="lift", goal=(x, y, z + 0.05), profile=STEP)
+    found = explain(first_tick(chain, task, limits=(*LIMITS, ObjectSpeed(linear=0.02))))
+    assert [r.name.removeprefix("limit.") for r in found.relaxations] == ["object_speed.z.upper"]
+    assert found.relaxations[0].amount == pytest.approx(5 * 0.05 - 0.02, abs=1e-6)
+
+
+def test_object_speed_is_told_in_metres(chain: ClosedChain) -> None:
+    x, y, z = State(chain).p_WO.tolist()
+    task = PointOnPoint(name="lift", goal=(x, y, z + 0.05), profile=STEP)
+    found = explain(first_tick(chain, task, limits=(*LIMITS, ObjectSpeed(linear=0.02))))
+    assert found.relaxations[0].unit == "m/s"
+    assert "rad" not in found.sentence
+
+
+def test_rows_have_one_name_in_explanation_and_audit(chain: ClosedChain) -> None:
+    x, y, z = State(chain).p_WO.tolist()
+    task = PointOnPoint(name="lift", goal=(x, y, z + 0.05), profile=STEP)
+    limit = ObjectSpeed(linear=0.02)
+    found = explain(first_tick(chain, task, limits=(*LIMITS, limit)))
+    audited = by_name(
+        limit.margins(chain, np.tile(chain.q_start, (2, 1)), np.zeros((1, chain.n)), DT)
+    )
+    assert {relaxation.name for relaxation in found.relaxations} <= set(audited)
+
+
+@pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
+def test_rows_that_firm_hands_rule_out_are_said_to_be_impossible(
+    mode: str, chain: ClosedChain
+) -> None:
+    """Six rows, four motions: two are impossible, whatever the limits."""
+    task = replace(POSE, mode=mode)  # type: ignore[arg-type]
+    found = explain(first_tick(chain, task))
+    assert len(found.impossible) == 2
+    state = State(chain)
+    free = np.linalg.svd(state.J_rel)[2][np.linalg.matrix_rank(state.J_rel) :]
+    assert np.linalg.matrix_rank(state.J_task @ free.T, tol=1e-9) == 4
+    rows = [f"task[carry].{axis}" for axis in ("x", "y", "z", "rot_x", "rot_y", "rot_z")]
+    kept = [i for i, name in enumerate(rows) if name not in found.impossible]
+    assert np.linalg.matrix_rank(state.J_task[kept] @ free.T, tol=1e-9) == 4
+    assert found.sentence.startswith("the loops alone leave no motion along task[carry].")
+    for name in found.impossible:
+        assert name in found.sentence
+
+
+def test_pose_that_hinges_allow_is_not_impossible() -> None:
+    """The same pose with a hinge in each hand has all six motions."""
+    hinged = load("passive_grasp_pose").problem()
+    law = QPController().build(replace(hinged, tasks=(replace(POSE, gain=5.0),), budget=WIDE))
+    assert isinstance(law, QPLaw)
+    assert explain(record(law, law.start())).impossible == ()
+
+
+@pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
+def test_tick_that_misses_nothing_says_so(mode: str, chain: ClosedChain) -> None:
+    """The object is where it shall be; or a hard or scaled task has room."""
+    here = State(chain).p_WO.tolist()
+    goal = tuple(here) if mode == "soft" else NEAR
+    task = PointOnPoint(name="reach", goal=goal, profile=STEP, mode=mode)  # type: ignore[arg-type]
+    found = explain(first_tick(chain, task))
+    nothing = "nothing was in the way: every task row was met"
+    assert found == Explanation((), (), (), nothing)
+
+
+@pytest.mark.parametrize("name", ["point_on_plane", "tilting_plane", "yeo_4_5"])
+def test_ordinary_tick_meets_its_tasks(name: str) -> None:
+    """No joint of these comes near a limit; all that is missing is what the damping costs."""
+    given = coopqp.load(name).problem()
+    law = QPController().build(given)
+    assert isinstance(law, QPLaw)
+    state = law.start()
+    for tick, _ in enumerate(ticks(law, state, 200)):
+        kept = record(law, state, tick)
+        assert kept.status == "OPTIMAL"
+        assert explain(kept).missed == ()
+
+
+def test_task_that_damping_or_weights_keep_back_blames_no_limit(chain: ClosedChain) -> None:
+    """Two goals for one point: one of them must be missed, with all limits far away."""
+    tasks = [
+        PointOnPoint(name="here", goal=NEAR, profile=STEP, gain=0.5),
+        PointOnPoint(name="there", goal=(0.18, -0.01, 0.04), profile=STEP, gain=0.5),
+    ]
+    found = explain(first_tick(chain, *tasks))
+    assert len(found.missed) >= 3
+    assert found.relaxations == ()
+    assert "limit" not in found.sentence
+
+
+def test_a_tick_that_failed_is_explained_as_well(chain: ClosedChain) -> None:
+    """With hold, the impossible hard task leaves v = 0 and a record that says why."""
+    kept = first_tick(chain, replace(POSE, mode="hard"), on_infeasible="hold")
+    assert not Status[kept.status].usable
+    assert not np.any(kept.answer)
+    assert len(explain(kept).impossible) == 2
+
+
+def test_relaxations_are_listed_from_the_largest(compared: Comparison, law: QPLaw) -> None:
+    found = explain(record(law, at(compared, law, 250), 250)).relaxations
+    assert isinstance(found[0], Relaxation)
+    assert [r.amount for r in found] == sorted((r.amount for r in found), reverse=True)

@@ -1,0 +1,216 @@
+"""Ticks kept in files, and solved again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import qpsolvers
+from kept_ticks import POSE, at, first_tick, problem, record
+from laws import LIMITS, NEAR, STEP
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.comparison import Comparison
+from coopqp.controllers import QPController
+from coopqp.errors import CoopqpError
+from coopqp.limits import JointAcceleration, ObjectSpeed
+from coopqp.qp_law.law import QPLaw
+from coopqp.row import names_of
+from coopqp.solver import Budget, Solver, Status
+from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
+from coopqp.study.explanation import TickRecord, explain, replay
+from coopqp.tasks import PointOnPoint
+
+
+def records(compared: Comparison, law: QPLaw, chain: ClosedChain) -> dict[str, TickRecord]:
+    everything = (*LIMITS, ObjectSpeed(linear=0.05), JointAcceleration(max=30.0))
+    point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
+    return {
+        "late": record(law, at(compared, law, 250), 250),
+        "early": record(law, at(compared, law, 10), 10),
+        "every limit": first_tick(chain, point, limits=everything),
+        "no limit": first_tick(chain, point, limits=()),
+        "hard": first_tick(chain, replace(point, mode="hard")),
+        "scaled": first_tick(chain, replace(point, mode="scaled"), limits=everything),
+        "impossible": first_tick(chain, POSE),
+    }
+
+
+KINDS = ("late", "early", "every limit", "no limit", "hard", "scaled", "impossible")
+each_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+@each_kind
+def test_record_comes_back_from_its_file_bit_for_bit(
+    kind: str, compared: Comparison, law: QPLaw, chain: ClosedChain, tmp_path: Path
+) -> None:
+    kept = records(compared, law, chain)[kind]
+    path = tmp_path / "tick.json"
+    kept.save(path)
+    again = TickRecord.read(path)
+    assert again == kept
+    for name in ("P", "q", "C", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(again.qp(), name), getattr(kept.qp(), name))
+    assert explain(again) == explain(kept)
+    json.loads(path.read_text(encoding="utf-8"), parse_constant=pytest.fail)  # no NaN, no Infinity
+
+
+def test_record_is_the_program_that_the_law_solved(compared: Comparison, law: QPLaw) -> None:
+    state = at(compared, law, 250)
+    kept = record(law, state, 250)
+    law.assemble(state)
+    for name in ("P", "q", "C", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(kept.qp(), name), getattr(law.qp, name))
+    assert names_of(kept.variables) == state.chain.joint_names
+    assert names_of(kept.task_rows) == ("task[reach].x", "task[reach].y", "task[reach].z")
+    lower, upper = np.array(kept.lower[:10]), np.array(kept.upper[:10])
+    for i, (low, high) in enumerate(
+        zip(names_of(kept.lb_rows), names_of(kept.ub_rows), strict=True)
+    ):
+        joint = state.chain.joint_names[i]
+        slowest = -state.chain.velocity[i] == lower[i]
+        assert low == f"limit.{'velocity' if slowest else 'position'}[{joint}].lower"
+        fastest = state.chain.velocity[i] == upper[i]
+        assert high == f"limit.{'velocity' if fastest else 'position'}[{joint}].upper"
+
+
+SOLVERS: dict[str, Solver] = {
+    "daqp": Daqp(),
+    "osqp": Osqp(),
+    "proxqp": Proxqp(),
+    "quadprog": Qpsolvers(backend="quadprog"),
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS.values(), ids=SOLVERS.keys())
+@each_kind
+def test_replay_gives_the_same_motion_with_every_solver(
+    kind: str, solver: Solver, compared: Comparison, law: QPLaw, chain: ClosedChain
+) -> None:
+    """Against quadprog, asked directly; the status tells nothing but small differences apart."""
+    kept = records(compared, law, chain)[kind]
+    qp = kept.qp()
+    expected = qpsolvers.solve_qp(
+        qp.P, qp.q, qp.G if qp.p else None, qp.h if qp.p else None, qp.A, qp.b,
+        np.maximum(qp.lb, -1e6), np.minimum(qp.ub, 1e6), solver="quadprog",
+    )  # fmt: skip
+    found = replay(kept, solver)
+    assert found.status in (Status.OPTIMAL, Status.INACCURATE)
+    assert found.primal_residual < 1e-7
+    np.testing.assert_allclose(found.v, expected, atol=1e-5)
+    assert found.difference == pytest.approx(
+        np.abs(found.v - np.array(kept.first_answer)).max(), abs=1e-15
+    )
+
+
+def test_replay_repeats_a_tick_without_a_secondary_exactly(chain: ClosedChain) -> None:
+    """The saved answer is the answer: difference 0, status as saved."""
+    for mode in ("soft", "hard", "scaled"):
+        task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode=mode)
+        kept = first_tick(chain, task)
+        again = replay(kept, Daqp())
+        assert again.difference < 1e-12
+        assert again.status.name == kept.status
+
+
+def test_replay_repeats_a_tick_with_a_secondary(compared: Comparison, law: QPLaw) -> None:
+    """On the way, where joint centring moves the arms."""
+    assert replay(record(law, at(compared, law, 50), 50), Daqp()).difference < 1e-9
+
+
+def test_replay_of_an_impossible_tick_reports_the_failure(chain: ClosedChain) -> None:
+    kept = first_tick(chain, replace(POSE, mode="hard"))
+    assert kept.status == "TASKS_GIVEN_UP"
+    for solver in SOLVERS.values():
+        assert not replay(kept, solver).status.usable
+
+
+def test_replay_checks_against_the_budget_of_the_run(chain: ClosedChain) -> None:
+    """Rounding alone breaks a budget of 1e-30."""
+    point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
+    strict = first_tick(chain, point, budget=Budget(equality=1e-30))
+    assert replay(strict, Daqp()).status is Status.EQUALITY_RESIDUAL
+    assert replay(replace(strict, budget=Budget()), Daqp()).status is Status.OPTIMAL
+
+
+def test_recording_a_stop_keeps_the_memory_from_before_the_tick(chain: ClosedChain) -> None:
+    """The state that the tick began with had not stopped yet."""
+    law = QPController().build(problem(chain, replace(POSE, mode="hard"), on_infeasible="stop"))
+    kept = record(law, law.start())
+    assert kept.memory == [0.0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "[1, 2]", "null", "3", '"tick"', "{}", '{"tick": 3}', "\x00\x01"],
+    ids=repr,
+)
+def test_file_that_is_no_record_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "tick.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CoopqpError, match="is not a tick saved by"):
+        TickRecord.read(path)
+
+
+def test_binary_missing_and_unreadable_files_are_refused(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.json"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(CoopqpError, match="is not a tick saved by"):
+        TickRecord.read(binary)
+    with pytest.raises(CoopqpError, match="cannot be read: No such file"):
+        TickRecord.read(tmp_path / "none.json")
+    with pytest.raises(CoopqpError, match="cannot be read: Is a directory"):
+        TickRecord.read(tmp_path)
+
+
+@pytest.fixture
+def saved(chain: ClosedChain, tmp_path: Path) -> Path:
+    path = tmp_path / "tick.json"
+    first_tick(chain, PointOnPoint(name="reach", goal=NEAR, profile=STEP)).save(path)
+    return path
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(TickRecord)])
+def test_record_with_a_field_missing_is_refused(name: str, saved: Path) -> None:
+    data = json.loads(saved.read_text(encoding="utf-8"))
+    del data[name]
+    saved.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(CoopqpError, match="is not a tick saved by"):
+        TickRecord.read(saved)
+
+
+def test_truncated_or_extended_record_is_refused(saved: Path) -> None:
+    text = saved.read_text(encoding="utf-8")
+    for broken in (text[: len(text) // 2], text[:-3], text.rstrip()[:-1] + ', "more": 1}'):
+        saved.write_text(broken, encoding="utf-8")
+        with pytest.raises(CoopqpError, match="is not a tick saved by"):
+            TickRecord.read(saved)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("P", "large"),
+        ("P", [[1.0]]),
+        ("C", [[0.0, 1.0]]),
+        ("lower", [None]),
+        ("q_cost", [1.0]),
+        ("J", [[1.0, 2.0, 3.0]]),
+        ("wanted", "up"),
+        ("variables", 10),
+        ("damping", "little"),
+        ("answer", []),
+        ("lb_rows", []),
+    ],
+    ids=lambda value: repr(value)[:20],
+)
+def test_record_with_rubbish_in_a_field_is_refused(field: str, value: Any, saved: Path) -> None:
+    data = json.loads(saved.read_text(encoding="utf-8"))
+    data[field] = value
+    saved.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(CoopqpError):
+        TickRecord.read(saved)
