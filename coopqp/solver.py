@@ -149,11 +149,15 @@ class Verifier:
         qp: the problem.
         solution: the answer.
         budget: what it may be off by.
+        curvature: smallest eigenvalue that P can have, mu.
+
+    Attributes:
+        curvature: as given; whoever fills P may know more of it in each tick.
     """
 
-    def __init__(self, qp: QP, solution: Solution, budget: Budget) -> None:
+    def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
         self.qp, self.solution, self.budget = qp, solution, budget
-        self._curvature = 1.0
+        self.curvature = curvature
         n, p = qp.n, qp.p
         self._gradient, self._step = np.zeros((2, n))
         self._least, self._most = np.zeros((2, n + p + qp.m))
@@ -162,13 +166,8 @@ class Verifier:
         self._excess_v, self._excess_rows = padded[:n], padded[n : n + p]
         self._rows = solution.values[n:]
 
-    def check(self, curvature: float) -> Status:
-        """Clip v to the bounds and return what it is worth, from its own residuals.
-
-        Args:
-            curvature: smallest eigenvalue that P can have, mu.
-        """
-        self._curvature = curvature
+    def check(self) -> Status:
+        """Clip v to the bounds and return what it is worth, from its own residuals."""
         solution, budget = self.solution, self.budget
         if not solution.status.usable:
             return self._refuse(solution.status)
@@ -181,7 +180,7 @@ class Verifier:
         above, idle = self._inequalities() if self.qp.p else (0.0, 0.0)
         off = self._distance() + idle
         solution.primal_residual = max(overrun, gap, above)
-        solution.dual_residual = off * self._curvature
+        solution.dual_residual = off * self.curvature
         inside = overrun <= budget.bound and above <= budget.bound
         if inside and gap <= budget.equality and off <= budget.accuracy:
             return Status.OPTIMAL
@@ -218,17 +217,17 @@ class Verifier:
     def _inequalities(self) -> tuple[float, float]:
         """How far G v is above h, and how far z is from belonging to active rows only."""
         z, slack = self.solution.z, self.qp.h - self._rows[: self.qp.p]
-        idle = np.maximum(np.minimum(slack, z / self._curvature), -np.abs(z))
+        idle = np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z))
         return dnrm2(self._excess_rows), dnrm2(idle)
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
         qp, solution = self.qp, self.solution
         g = solution.numbers.dot(qp.stacked, self._gradient)
-        free: float = dnrm2(g) / self._curvature
+        free: float = dnrm2(g) / self.curvature
         if free <= self.budget.accuracy:  # no bound holds v back
             return free
-        step = np.divide(g, self._curvature, self._step)
+        step = np.divide(g, self.curvature, self._step)
         np.subtract(solution.v, step, step)
         np.minimum(np.maximum(step, qp.lb, out=step), qp.ub, out=step)
         off: float = dnrm2(np.subtract(solution.v, step, step))
@@ -238,4 +237,4 @@ class Verifier:
         """How much of the distance rounding can explain."""
         sizes = np.abs(self.solution.numbers).dot(np.abs(self.qp.stacked))
         size: float = dnrm2(sizes)
-        return min(EPSILON * size / self._curvature, ROUNDING)
+        return min(EPSILON * size / self.curvature, ROUNDING)

@@ -62,8 +62,8 @@ class TorqueQpLaw(Law):
         self.qp.lb[self._tau], self.qp.ub[self._tau] = -self._effort, self._effort
         # S' tau and J_c' lambda on the left of the dynamics row.
         self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
-        self._curvature = float(self._diagonal.min())
-        self._verifier = Verifier(self.qp, self.solution, problem.budget)
+        curvature = float(self._diagonal.min())
+        self._verifier = Verifier(self.qp, self.solution, problem.budget, curvature)
         self._solve = problem.solver.open(self.qp, self.solution)
 
     def decide(self, state: State) -> Command:
@@ -71,7 +71,7 @@ class TorqueQpLaw(Law):
         command = self.command
         self.assemble(state)
         self._solve()
-        self.solution.status = self._verifier.check(self._curvature)
+        self.solution.status = self._verifier.check()
         command.say(self.solution.status)
         assert command.tau is not None
         command.tau[:] = 0.0

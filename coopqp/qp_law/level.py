@@ -61,7 +61,7 @@ class Level:
             np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
             qp.q[n:] = -SCALE_WEIGHT
         self.curvature = damping
-        self._verifier = Verifier(qp, self.solution, problem.budget)
+        self._verifier = Verifier(qp, self.solution, problem.budget, damping)
         self._solve = problem.solver.open(qp, self.solution)
 
     def assemble(self, bounds: Bounds, extra_damping: float = 0.0) -> None:
@@ -82,7 +82,8 @@ class Level:
         """Solve and verify."""
         self.qp.seal()
         self._solve()
-        self.solution.status = status = self._verifier.check(min(self.curvature, SCALE_WEIGHT))
+        self._verifier.curvature = min(self.curvature, SCALE_WEIGHT)
+        self.solution.status = status = self._verifier.check()
         return status
 
     @property

@@ -298,7 +298,7 @@ def replay(record: TickRecord, solver: Solver) -> Replay:
     qp = record.qp()
     solution = Solution(qp)
     solver.open(qp, solution)()
-    status = Verifier(qp, solution, record.budget).check(record.damping)
+    status = Verifier(qp, solution, record.budget, record.damping).check()
     return Replay(
         status,
         solution.v.copy(),
