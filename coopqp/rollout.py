@@ -13,7 +13,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
 from coopqp.plant import PlantModel
 from coopqp.row import Row
-from coopqp.solver import Status
+from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
@@ -142,7 +142,7 @@ class _Recorder:
     def _note(self, k: int, command: Command) -> None:
         """Keep why tick k is not optimal."""
         status = command.status
-        self.status[k] = "+".join(cause.name for cause in command.causes)
+        self.status[k] = written(command.causes)
         if status is Status.INACCURATE:
             self.inaccurate[k] = True
         elif not status.usable:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg.blas import dnrm2
@@ -52,6 +52,16 @@ class Status(enum.Enum):
     STEP_SHORTENED = "the step was shortened: it would have opened a loop too far", True, True
     LOOP_BUDGET = "stands still: the loop budget is used up"
     RECOVERING = "a joint outside its limits is on its way back", True, True
+
+
+def written(causes: Sequence[Status]) -> str:
+    """All causes of a tick in one word, the gravest first, such as "TASKS_GIVEN_UP+RECOVERING"."""
+    return "+".join(cause.name for cause in causes)
+
+
+def causes_of(word: str) -> tuple[Status, ...]:
+    """The causes behind what :func:`written` wrote."""
+    return tuple(Status[name] for name in word.split("+"))
 
 
 class Solution:

@@ -178,7 +178,7 @@ class Trace:
         task_error: Euclidean norm of each task's error, shape (T + 1, K) [the task's unit].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
-        status: what became of each tick, names of :class:`coopqp.solver.Status`, shape (T,).
+        status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
         scale: least share of its speed at which a scaled task ran, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].

@@ -27,7 +27,7 @@ from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
-NOISE = 1e-5  # singular values of task rows up to this ask for nothing [m/rad, 1]
+NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
 
 def groups(problem: ControlProblem) -> list[list[Task]]:

@@ -27,7 +27,7 @@ LEAST_RECOVERY = 0.02
 #: Cost of |v|^2, which only chooses among ways back that are as fast.
 LEAST_MOTION = 1e-4
 #: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
-KEPT = 0.99
+KEPT = 0.995
 
 
 class Recovery:

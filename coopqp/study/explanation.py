@@ -34,9 +34,9 @@ from coopqp.task import TaskStack
 #: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7
 
-#: A task row is missed by more than this [rad/s, m/s]. Damping alone holds ordinary ticks back by
-#: half of it; by more where the task error is large or the pose nearly singular.
-MISSED = 1e-4
+#: A task row is missed by more than this [rad/s, m/s], and by more than a share of what is wanted:
+#: the damping holds ordinary ticks back by some percent of it.
+MISSED, MISSED_SHARE = 1e-4, 0.02
 
 #: Task rows that the loops leave less than this share of are impossible, not merely blocked.
 IMPOSSIBLE = 1e-7
@@ -250,7 +250,7 @@ def record_tick(
         task_rows=list(tasks.rows),
         answer=command.v.tolist() + [command.scale] * len(shares),
         first_answer=first_answer,
-        status=command.status.name,
+        status=written(command.causes),
     )
 
 
@@ -281,7 +281,8 @@ def explain(record: TickRecord) -> Explanation:
     qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))
     wanted, names = np.array(record.wanted), names_of(record.task_rows)
     gap = np.abs(J @ np.array(record.answer) - wanted)
-    missed = tuple(name for name, g in zip(names, gap, strict=True) if g > MISSED)
+    allowed = MISSED + MISSED_SHARE * np.abs(wanted)
+    missed = tuple(name for name, g, a in zip(names, gap, allowed, strict=True) if g > a)
     if not missed:
         return Explanation((), (), (), "nothing was in the way: every task row was met")
     possible = _possible_rows(_loops(record, qp), J)

@@ -42,9 +42,6 @@ def test_the_audit_of_accelerations_knows_that_a_phase_begins_in_motion(tmp_path
     assert min(left) > -1e-9
 
 
-@pytest.mark.xfail(
-    strict=True, reason="fallback levels have no error damping: a regrasp rattles for ever"
-)
 def test_an_acceleration_limit_given_up_at_a_regrasp_is_kept_again_soon(tmp_path: Path) -> None:
     phases = "phases:\n"
     for name, z, more in (("alone", 0.037, "    released: [left]\n"), ("both", 0.1, "")):
