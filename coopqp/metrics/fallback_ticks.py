@@ -15,7 +15,7 @@ class FallbackTicks(Metric):
     """Ticks in which something was given up to have an answer, by what."""
 
     def measure(self, trace: Trace) -> dict[str, int]:
-        """By cause, such as DRIFT_SLOWED; a tick counts for each of its own. Empty when nothing was."""
+        """By cause, such as DRIFT_SLOWED; a tick counts for each of its own."""
         given_up = (
             cause.name for status in trace.status for cause in causes_of(status) if cause.fallback
         )

@@ -27,7 +27,7 @@ from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
 from coopqp.row import Row, Side, names_of
-from coopqp.solver import Budget, Solution, Solver, Status, Verifier
+from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
 from coopqp.state import State
 from coopqp.task import TaskStack
 
