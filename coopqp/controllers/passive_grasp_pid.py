@@ -19,9 +19,9 @@ task's gain (``_reference_model``). While a motor is at its limit the integral s
 (anti-windup).
 
 Gains that ring in the start's pose with commands one tick late are refused (``_margins``). The
-highest stiffness that holds goes with 1/dt^2, so the torque level's default gains are those of
-500 Hz and grow weaker with longer periods: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which
-keeps the shape of the motion and the margin in ticks.
+highest stiffness that holds goes with 1/dt^2, so the torque level's default gains grow weaker from
+4 ms on, those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps
+the shape of the motion and the margin in ticks. A rate is not refused for being low.
 """
 
 from __future__ import annotations
@@ -82,7 +82,11 @@ class KinematicPid(Law):
 
 
 class TorquePid(Law):
-    """PID on the object's wrench; memory as in :func:`memory_of`."""
+    """PID on the object's wrench; memory as in :func:`memory_of`.
+
+    Attributes:
+        loop: what it does at the start, linear; from it the margins.
+    """
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem, torques=True)
@@ -95,8 +99,8 @@ class TorquePid(Law):
         require_damped_models(problem, settings.name or "passive_grasp_pid")
         level.update(State(problem.chain))
         W, forward = level.inverse_inertia(), float(self._inverse)
-        loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
-        settings.require_damping(problem, loop)
+        self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
+        settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit
 
     def decide(self, state: State) -> Command:
@@ -134,8 +138,9 @@ class TorquePid(Law):
 KINEMATIC_GAINS = (5.0, 2.0, 0.0)
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
 TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
-#: Control period up to which the torque level has these gains [s].
-FULL_GAINS_DT = 0.002
+#: Control period up to which the torque level has these gains, translation and rotation [s]; at
+#: the start of passive_grasp_pose, rotation about x is what rings first with longer ones.
+FULL_GAINS_DT = (0.004, 0.002)
 #: Powers of one time scale that slow a motion down without changing its shape: of kp, ki, kd.
 POWERS = (2, 3, 1)
 #: What may be lowered against ringing, as powers of one factor: ki; all; kp and ki.
@@ -144,10 +149,10 @@ REMEDIES = ((0, 1, 0), POWERS, (2, 3, 0))
 
 def torque_gains(dt: float) -> list[tuple[float, float]]:
     """Defaults of the torque level at a control period, for translation and rotation."""
-    slower = min(1.0, FULL_GAINS_DT / dt)
+    move, turn = (min(1.0, full / dt) for full in FULL_GAINS_DT)
     return [
-        (slower**power * move, slower**power * turn)
-        for power, (move, turn) in zip(POWERS, TORQUE_GAINS, strict=True)
+        (move**power * gains[0], turn**power * gains[1])
+        for power, gains in zip(POWERS, TORQUE_GAINS, strict=True)
     ]
 
 
@@ -160,9 +165,9 @@ class PassiveGraspPid(Controller):
     kp: Gains | None = None
     """Proportional gains, one for all task rows or one each [N/m, N m/rad; kinematic 1/s].
 
-    Gains that ring at the start, with commands one tick late, are refused. Omitted at the torque
-    level they hold at every dt: as at 2 ms, and weaker with a longer one (kp as 1/dt^2, ki as
-    1/dt^3, kd as 1/dt)."""
+    Gains that ring at the start, with commands one tick late, are refused. The defaults of the
+    torque level are for dt to 4 ms (rotation 2 ms); beyond, kp goes as 1/dt^2, ki as 1/dt^3, kd as
+    1/dt."""
     ki: Gains | None = None
     """Integral gains, likewise, per second."""
     kd: Gains | None = None
