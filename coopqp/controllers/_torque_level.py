@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
 from coopqp.controller import ControlProblem
@@ -29,6 +30,7 @@ class TaskDynamics:
     Attributes:
         dynamics: of the modelled object.
         tasks: e, J, rate as of the last update.
+        gains: of the task rows, shape (k,) [1/s].
         e_dot: J v - rate, shape (k,).
         drift: e_ddot - J a, shape (k,).
     """
@@ -37,6 +39,7 @@ class TaskDynamics:
         start = State(problem.chain)
         self.dynamics = ClosedLoopDynamics(problem.chain)
         self.tasks = TaskStack(problem.tasks, start)
+        self.gains = np.repeat([float(task.gain) for task in problem.tasks], self.tasks.sizes)
         self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
         self._ahead = State(problem.chain)
 
@@ -54,6 +57,15 @@ class TaskDynamics:
         np.subtract(self.drift, self.e_dot, self.drift)
         self.drift /= STEP
         self.dynamics.update(state.q, v)
+
+    def inverse_inertia(self) -> Array:
+        """Acceleration of the task rows per wrench on them, the loops closed, shape (k, k).
+
+        W = J N (N' A N)^-1 N' J', with N as in :meth:`ClosedLoopDynamics.null_space`.
+        """
+        J, N = self.tasks.J, self.dynamics.null_space()
+        JN = J @ N
+        return np.asarray(JN @ np.linalg.solve(N.T @ self.dynamics.A @ N, JN.T), float)
 
 
 def require_motor_freedom(problem: ControlProblem, controller: str) -> None:

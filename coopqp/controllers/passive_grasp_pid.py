@@ -1,24 +1,33 @@
 """One PID in task space for the whole closed chain: section 5.3 and Fig. 10 of the paper.
 
-With e the task error (six rows for a pose), e_dot = J v - rate measured, not differentiated:
+With e the task error (six rows for a pose), e_dot = J v - rate measured, not differentiated, e_m
+a model of how e should decay after a step of the reference, and w = e - e_m:
 
-    u = kp e + ki int e dt + kd e_dot
+    u = kp w + ki int w dt + kd w_dot
 
-``kinematic``: J v = rate - u with the loops closed, mapped through a basis N of their null space,
-v = N (J N)^+ (rate - u), which is J_a of eq. (19) without choosing independent joints.
+``kinematic``: J v = rate + e_m_dot - u with the loops closed, mapped through a basis N of their
+null space, v = N (J N)^+ (rate + e_m_dot - u), which is J_a of eq. (19) without choosing
+independent joints. e_m_dot = -kp e_m.
 
 ``torque``: the wrench -u on the object plus a feed-forward, as torques Gamma of the tree,
 
     Gamma = g(q) - J' u                      (gravity)
-    Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference)
+    Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference and e_m)
 
-and from there to the motors by eq. (23), with redundant motors by eq. (27). While a motor is at
-its limit the integral stands still (anti-windup).
+and from there to the motors by eq. (23), with redundant motors by eq. (27). e_m decays with the
+task's gain (``_reference_model``). While a motor is at its limit the integral stands still
+(anti-windup).
+
+Gains that ring in the start's pose with commands one tick late are refused (``_margins``). The
+highest stiffness that holds goes with 1/dt^2, so the torque level's default gains grow weaker from
+4 ms on, those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps
+the shape of the motion and the margin in ticks. A rate is not refused for being low.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -26,6 +35,15 @@ from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
+from coopqp.controllers._margins import (
+    LEAST_DAMPING,
+    TorqueLoop,
+    VelocityLoop,
+    damped,
+    largest,
+    require_damped_models,
+)
+from coopqp.controllers._reference_model import ReferenceModel, memory_of
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
 from coopqp.errors import InvalidValueError
 from coopqp.rank import least_squares, null_space
@@ -37,23 +55,23 @@ Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
 
 
 class KinematicPid(Law):
-    """PID on the object's twist; memory is the integral, shape (k,)."""
+    """PID on the object's twist; memory as in :func:`memory_of`."""
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem)
         self._tasks = TaskStack(problem.tasks, State(problem.chain))
-        self.memory_sizes = {"integral": len(self._tasks.e)}
-        self._gains = settings.gains(problem, KINEMATIC_GAINS, len(self._tasks.e))
+        k = len(self._tasks.e)
+        self.memory_sizes = memory_of(k)
+        kp, ki, kd = settings.gains(problem, KINEMATIC_GAINS, k)
+        self._loop = VelocityLoop(kp, ki, kd, problem.dt)
+        settings.require_damping(problem, self._loop)
 
     def decide(self, state: State) -> Command:
         """One evaluation; the integral is carried in ``state.memory``."""
         tasks, command = self._tasks, self.command
         tasks.update(state)
-        kp, ki, kd = self._gains
-        integral = state.memory["integral"]
-        integral += self.problem.dt * tasks.e
-        wanted = tasks.rate - kp * tasks.e - ki * integral
-        wanted -= kd * (tasks.J.dot(state.v) - tasks.rate)
+        e_dot = tasks.J.dot(state.v) - tasks.rate
+        wanted = tasks.rate + self._loop.decide(state.memory, tasks.e, e_dot)
         N = null_space(state.J_loop)
         command.v[:] = N @ least_squares(tasks.J @ N, wanted)
         command.v -= np.linalg.pinv(state.J_loop) @ (self.problem.kappa * state.e_loop)
@@ -64,14 +82,25 @@ class KinematicPid(Law):
 
 
 class TorquePid(Law):
-    """PID on the object's wrench; memory is the integral, shape (k,)."""
+    """PID on the object's wrench; memory as in :func:`memory_of`.
+
+    Attributes:
+        loop: what it does at the start, linear; from it the margins.
+    """
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem, torques=True)
-        self._level = TaskDynamics(problem)
-        self.memory_sizes = {"integral": len(self._level.tasks.e)}
-        self._gains = settings.gains(problem, TORQUE_GAINS, len(self._level.tasks.e))
+        self._level = level = TaskDynamics(problem)
+        self._model = ReferenceModel(level.gains, problem.dt)
+        self.memory_sizes = self._model.memory_sizes
+        defaults = torque_gains(problem.dt)
+        self._gains = kp, ki, kd = settings.gains(problem, defaults, len(level.tasks.e))
         self._inverse = settings.feed_forward == "inverse_dynamics"
+        require_damped_models(problem, settings.name or "passive_grasp_pid")
+        level.update(State(problem.chain))
+        W, forward = level.inverse_inertia(), float(self._inverse)
+        self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
+        settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit
 
     def decide(self, state: State) -> Command:
@@ -80,8 +109,10 @@ class TorquePid(Law):
         level.update(state)
         kp, ki, kd = self._gains
         tasks, dynamics = level.tasks, level.dynamics
-        integral = state.memory["integral"]
-        u = kp * tasks.e + ki * integral + kd * level.e_dot
+        memory = state.memory
+        self._model.update(memory, tasks.e)
+        u = kp * memory["deviation"] + ki * memory["integral"]
+        u += kd * (level.e_dot - memory["model_rate"])
         Gamma = self._feed_forward(state) - tasks.J.T.dot(u)
         result = dynamics.distribute(Gamma)
         tau = result.tau
@@ -89,8 +120,8 @@ class TorquePid(Law):
         assert command.tau is not None
         command.tau[:] = tau if finite else 0.0
         command.say(Status.OPTIMAL if finite else Status.NOT_FINITE)
-        if (np.abs(tau) <= self._effort).all():
-            integral += self.problem.dt * tasks.e
+        integrate = bool((np.abs(tau) <= self._effort).all())
+        self._model.advance(memory, level.e_dot, integrate=integrate)
         return command
 
     def _feed_forward(self, state: State) -> Array:
@@ -98,7 +129,7 @@ class TorquePid(Law):
         if not self._inverse:
             return dynamics.gravity(state.q)
         rows = np.vstack([level.tasks.J, dynamics.J])
-        wanted = -np.concatenate([level.drift, dynamics.drift])
+        wanted = np.concatenate([self._model.e_ddot - level.drift, -dynamics.drift])
         a_r = least_squares(rows, wanted)
         return np.asarray(dynamics.A.dot(a_r) + dynamics.H, float)
 
@@ -106,7 +137,23 @@ class TorquePid(Law):
 #: kp [1/s], ki [1/s2], kd [-] of the kinematic level.
 KINEMATIC_GAINS = (5.0, 2.0, 0.0)
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
-TORQUE_GAINS = ((600.0, 4.0), (2400.0, 16.0), (40.0, 0.25))
+TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
+#: Control period up to which the torque level has these gains, translation and rotation [s]; at
+#: the start of passive_grasp_pose, rotation about x is what rings first with longer ones.
+FULL_GAINS_DT = (0.004, 0.002)
+#: Powers of one time scale that slow a motion down without changing its shape: of kp, ki, kd.
+POWERS = (2, 3, 1)
+#: What may be lowered against ringing, as powers of one factor: ki; all; kp and ki.
+REMEDIES = ((0, 1, 0), POWERS, (2, 3, 0))
+
+
+def torque_gains(dt: float) -> list[tuple[float, float]]:
+    """Defaults of the torque level at a control period, for translation and rotation."""
+    move, turn = (min(1.0, full / dt) for full in FULL_GAINS_DT)
+    return [
+        (move**power * gains[0], turn**power * gains[1])
+        for power, gains in zip(POWERS, TORQUE_GAINS, strict=True)
+    ]
 
 
 @spec
@@ -116,7 +163,11 @@ class PassiveGraspPid(Controller):
     level: Literal["kinematic", "torque"] = "torque"
     """Whether it commands velocities or torques."""
     kp: Gains | None = None
-    """Proportional gains, one for all task rows or one each [N/m, N m/rad; kinematic 1/s]."""
+    """Proportional gains, one for all task rows or one each [N/m, N m/rad; kinematic 1/s].
+
+    Gains that ring at the start, with commands one tick late, are refused. The defaults of the
+    torque level are for dt to 4 ms (rotation 2 ms); beyond, kp goes as 1/dt^2, ki as 1/dt^3, kd as
+    1/dt."""
     ki: Gains | None = None
     """Integral gains, likewise, per second."""
     kd: Gains | None = None
@@ -130,7 +181,7 @@ class PassiveGraspPid(Controller):
         return self.level == "torque"
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, and gains of the wrong number."""
+        """Refuse tasks that the motors cannot decide, gains of the wrong number or that ring."""
         require_motor_freedom(problem, self.name or "passive_grasp_pid")
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
@@ -158,6 +209,41 @@ class PassiveGraspPid(Controller):
                     f"or {rows}, one for each task row"
                 )
         return found[0], found[1], found[2]
+
+    def require_damping(self, problem: ControlProblem, loop: TorqueLoop | VelocityLoop) -> None:
+        """Refuse gains that ring at the start with commands one tick late.
+
+        Raises:
+            InvalidValueError: with the gains to lower, and by how much.
+        """
+        if damped(loop):
+            return
+        raise InvalidValueError(
+            f"{self.name or 'passive_grasp_pid'}: the gains ring at dt "
+            f"{1e3 * problem.dt:g} ms with commands a tick late (damping ratio "
+            f"{loop.damping():.2f}, needs {LEAST_DAMPING:.2f}); {_fix(loop)}"
+        )
+
+
+def _fix(loop: TorqueLoop | VelocityLoop) -> str:
+    """Which gains to lower, and by how much."""
+    for powers in REMEDIES:
+        most = largest(partial(_damped_at, loop, powers), 1.0)
+        if most > 0.0:
+            times = (
+                f"{key} at most {most**power:.2g} times as large"
+                for key, power in zip(("kp", "ki", "kd"), powers, strict=True)
+                if power
+            )
+            return f"needs {', '.join(times)}"
+    return "needs gains of another size: all much lower, or more kd with the same kp and ki"
+
+
+def _damped_at(
+    loop: TorqueLoop | VelocityLoop, powers: tuple[int, int, int], factor: float
+) -> bool:
+    kp, ki, kd = (factor**power for power in powers)
+    return damped(loop.times(kp, ki, kd))
 
 
 def _units(problem: ControlProblem) -> list[str]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -24,7 +25,10 @@ import numpy as np
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
+from coopqp.controllers._reference_model import ReferenceModel
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
+from coopqp.errors import InvalidValueError
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import add_damping, normal_equations
@@ -55,9 +59,10 @@ class TorqueQpLaw(Law):
         self.solution = Solution(self.qp)
         self._a, self._tau = slice(0, n), slice(n, n + k)
         self._diagonal = np.repeat([settings.damping, settings.effort, settings.grip], [n, k, m])
-        self.memory_sizes = {"integral": len(level.tasks.e)}
         self._effort = chain.model.effortLimit[dynamics.actuated]
-        self._gains = np.repeat([t.gain for t in problem.tasks], _sizes(level))
+        self._gains = level.gains
+        self._model = ReferenceModel(level.gains, problem.dt)
+        self.memory_sizes = self._model.memory_sizes
         self._weights = level.tasks.weights
         self.qp.lb[self._tau], self.qp.ub[self._tau] = -self._effort, self._effort
         # S' tau and J_c' lambda on the left of the dynamics row.
@@ -78,9 +83,9 @@ class TorqueQpLaw(Law):
         if command.status.usable:
             tau = self.solution.v[self._tau]
             command.tau[self._level.dynamics.actuated] = tau
-            if (np.abs(tau) < self._effort).all():
-                integral = state.memory["integral"]
-                integral += self.problem.dt * self._level.tasks.e
+            integrate = bool((np.abs(tau) < self._effort).all())
+            self._model.update(state.memory, self._level.tasks.e)
+            self._model.advance(state.memory, self._level.e_dot, integrate=integrate)
         else:
             command.tau[:] = self._holding(state)
             self.solution.v[:] = 0.0
@@ -162,10 +167,6 @@ def _rows(chain: ClosedChain, actuated: Sequence[int], inequalities: tuple[Row, 
     return Rows((*a, *tau, *wrench), inequalities, (*dynamics, *chain.loops.kept_rows))
 
 
-def _sizes(level: TaskDynamics) -> list[int]:
-    return [part.stop - part.start for part in level.tasks.slices]
-
-
 @spec
 class TorqueQp(Controller):
     """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
@@ -174,7 +175,7 @@ class TorqueQp(Controller):
     heeds: ClassVar[Heeds] = frozenset({"limits"})
 
     integral: NonNegative = 0.3
-    """Weight of the integral over gain cubed; above 2 it is unstable."""
+    """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""
     damping: Positive = 1e-5
     """Cost of squared accelerations that do not brake [s4/rad2]."""
     damping_time: Positive = 0.05
@@ -194,6 +195,24 @@ class TorqueQp(Controller):
         return True
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide."""
-        require_motor_freedom(problem, self.name or "torque_qp")
+        """Refuse tasks that the motors cannot decide, gains and integrals that ring."""
+        name = self.name or "torque_qp"
+        require_motor_freedom(problem, name)
+        require_damped_models(problem, name)
+        self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)
+
+    def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
+        dt = problem.dt
+        for task in problem.tasks:
+            holds = partial(_integral_holds, task.gain, dt)
+            if not holds(self.integral):
+                raise InvalidValueError(
+                    f"{name}.integral: found {self.integral:g}, needs at most "
+                    f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
+                    f"{task.name}) and dt {1e3 * dt:g} ms; more rings, so lower it"
+                )
+
+
+def _integral_holds(gain: float, dt: float, integral: float) -> bool:
+    return damped(row_loop(gain, integral, dt))
