@@ -46,12 +46,12 @@ def rollout(
         heeds: what of the problem the law reads, for the trace.
         progress: called every few ticks.
         state: where it begins, of the law's own start; written, so that it is where it ends. At
-            rest at the chain's start when omitted.
+            rest where the plant's sensors say when omitted.
 
     Returns:
         All that happened.
     """
-    state = law.start() if state is None else state
+    state = law.start(q_measured=plant.measured) if state is None else state
     recorder = _Recorder(law, plant, state, ticks)
     for k, (command, us) in enumerate(drive(law, plant, state, ticks)):
         recorder.instant(k, state)
@@ -112,12 +112,13 @@ class _Recorder:
 
     def instant(self, k: int, state: State) -> None:
         """Keep what tick k - 1 has led to, which is the state before tick k."""
+        true = self._plant.truth(state)
         if k:
-            self._close(k - 1, state.v)
-        self.t[k], self.q[k] = state.t, state.q
-        self.position[k], self.rotation[k] = state.p_WO, state.R_WO
-        self.loop[k] = state.loop_position_error, state.loop_orientation_error
-        self._tasks.update(state)
+            self._close(k - 1, true.v)
+        self.t[k], self.q[k] = state.t, true.q
+        self.position[k], self.rotation[k] = true.p_WO, true.R_WO
+        self.loop[k] = true.loop_position_error, true.loop_orientation_error
+        self._tasks.update(true)
         for i, (_, part) in enumerate(self._parts):
             if i not in self._velocities:
                 self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
