@@ -35,7 +35,8 @@ class DynamicModel(PlantModel):
             [J].
 
     Raises:
-        InvalidValueError: the time step does not divide the control period.
+        InvalidValueError: the time step does not divide the control period, or the robot has no
+            mass.
     """
 
     def __init__(
@@ -48,6 +49,10 @@ class DynamicModel(PlantModel):
     ) -> None:
         super().__init__()
         n = problem.chain.n
+        if not any(body.mass for body in problem.chain.robot.model.inertias):
+            raise InvalidValueError(
+                f"robot {problem.chain.robot.name} has no masses; use plant: kinematic"
+            )
         self.disturbance, self._seed = disturbance, seed
         self._dt, self._t_start, self._slipped = problem.dt, 0.0, 0.0
         firm = true_chain(problem.chain, seed, disturbance)

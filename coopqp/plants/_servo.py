@@ -52,8 +52,7 @@ class ServoLaw:
     """
 
     def __init__(self, chain: ClosedChain, servo: Servo) -> None:
-        shares = {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
-        self._model = ClosedLoopDynamics(chain, shares=shares)
+        self._model = ClosedLoopDynamics(chain, shares=fair_shares(chain))
         motors = np.zeros(chain.n, bool)
         motors[self._model.actuated] = True
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
@@ -120,6 +119,11 @@ class ServoLaw:
 
 #: Taken for the stiffness of a joint whose motor has no limit [N m].
 UNLIMITED_EFFORT = 100.0
+
+
+def fair_shares(chain: ClosedChain) -> dict[str, float]:
+    """The share of the object's weight that each arm carries: its weight alpha in the pose."""
+    return {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
 
 
 def full_effort(chain: ClosedChain) -> Array:

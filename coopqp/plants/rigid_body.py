@@ -15,7 +15,7 @@ from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._end_stops import EndStops
-from coopqp.plants._servo import Servo
+from coopqp.plants._servo import Servo, fair_shares
 
 
 #: Newton steps on the loops after a small slip.
@@ -29,7 +29,7 @@ class RigidBodyModel(DynamicModel):
         problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda at the cut, and ``internal_wrench`` (6 N,), what
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off, and ``internal_wrench`` (6 N,), what
             the hands do to the object that cancels, arm by arm [N, N m], world axes.
     """
 
@@ -60,8 +60,10 @@ class RigidBodyModel(DynamicModel):
     def _open(self) -> None:
         """Make dynamics and end stops of the true chain."""
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
-        friction = self._settings.friction
-        self._dynamics = ClosedLoopDynamics(chain, friction=friction, mass_scale=mass_scale)
+        # Where planar arms leave it open who carries the weight, each carries its share.
+        self._dynamics = ClosedLoopDynamics(
+            chain, shares=fair_shares(chain), friction=self._settings.friction, mass_scale=mass_scale
+        )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
 
     def integrate(self) -> None:
@@ -88,12 +90,9 @@ class RigidBodyModel(DynamicModel):
         """Kinetic and potential energy; keeps the wrenches of this instant as well."""
         true, dynamics = self.true, self._dynamics
         a = self._acceleration(true.q, true.v, true.t)
-        self.signals["cut_wrench"][:] = self._wrench
-        self.signals["internal_wrench"][:] = (
-            dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
-            .internal[self._order]
-            .ravel()
-        )
+        wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
+        self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
+        self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
