@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.loop_observer import MOST_ORIENTATION, MOST_POSITION
 from coopqp.trace import Trace
 
 #: A gap between the hands and the model below both is not worth saying [m], [rad].
 WORTH_SAYING = (1e-3, 5e-3)
+#: Beyond one of these the model should be calibrated [m], [rad].
+WORTH_CALIBRATING = (5e-3, 20e-3)
 #: A limit overrun below this is rounding [rad, rad/s].
 ROUNDING = 1e-9
 
@@ -81,11 +82,10 @@ def _gap(metrics: Mapping[str, Any]) -> str:
     position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
     if position <= WORTH_SAYING[0] and orientation <= WORTH_SAYING[1]:
         return ""
-    most = (MOST_POSITION * (1.0 - ROUNDING), MOST_ORIENTATION * (1.0 - ROUNDING))
-    beyond = " or more: calibrate" if position >= most[0] or orientation >= most[1] else ""
+    beyond = position > WORTH_CALIBRATING[0] or orientation > WORTH_CALIBRATING[1]
     return (
         f"the hands are {_round(1e3 * position)} mm and {_round(1e3 * orientation)} mrad apart "
-        f"from what the model says{beyond}"
+        f"from what the model says{': calibrate' if beyond else ''}"
     )
 
 

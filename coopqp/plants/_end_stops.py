@@ -13,7 +13,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.plants._servo import full_effort, inertia_seen
+from coopqp.plants._servo import UNLIMITED_EFFORT, full_effort, inertia_seen
 
 #: How far a motor's full torque presses a joint into its stop [rad].
 STOP_ANGLE = 0.005
@@ -34,7 +34,8 @@ class EndStops:
         self._upper = np.maximum(chain.upper, chain.q_start)
         effort = full_effort(chain)
         # A passive joint's stop is a part of the hand: as firm as the weakest motor's.
-        self._firm = np.where(effort > 0.0, effort, effort[effort > 0.0].min()) / STOP_ANGLE
+        least = effort[effort > 0.0].min(initial=UNLIMITED_EFFORT)
+        self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
         self._most = (STABLE / h) ** 2
 
