@@ -171,7 +171,8 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, object_mass: fl
 <option timestep="{time_step!r}" gravity="{gravity}" integrator="implicitfast" iterations="200"
  tolerance="1e-12"><flag energy="enable" contact="disable"/></option>
 <worldbody>{arms}
-<body name="{OBJECT}" {_pose(data.oMf[chain.frames[0]])}><freejoint name="{OBJECT}"/>{_inertial(scaled)}</body>
+<body name="{OBJECT}" {_pose(data.oMf[chain.frames[0]])}>
+<freejoint name="{OBJECT}"/>{_inertial(scaled)}</body>
 </worldbody>
 <equality>{"".join(welds)}</equality>
 </mujoco>"""

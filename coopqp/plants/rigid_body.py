@@ -17,7 +17,6 @@ from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._end_stops import EndStops
 from coopqp.plants._servo import Servo, fair_shares
 
-
 #: Newton steps on the loops after a small slip.
 SLIP_STEPS = 3
 
@@ -29,8 +28,9 @@ class RigidBodyModel(DynamicModel):
         problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off, and ``internal_wrench`` (6 N,), what
-            the hands do to the object that cancels, arm by arm [N, N m], world axes.
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut
+            off, and ``internal_wrench`` (6 N,), what the hands do to the object that cancels, arm
+            by arm [N, N m], world axes.
     """
 
     def __init__(
@@ -62,7 +62,10 @@ class RigidBodyModel(DynamicModel):
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
-            chain, shares=fair_shares(chain), friction=self._settings.friction, mass_scale=mass_scale
+            chain,
+            shares=fair_shares(chain),
+            friction=self._settings.friction,
+            mass_scale=mass_scale,
         )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
 
