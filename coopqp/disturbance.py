@@ -68,7 +68,7 @@ class Disturbance:
     noise_position: NonNegative = 0.0
     """Standard deviation of each measured joint position [rad, m]."""
     noise_velocity: NonNegative = 0.0
-    """Standard deviation of each measured joint velocity [rad/s, m/s]."""
+    """Standard deviation of each measured joint velocity, which torque controllers read [rad/s]."""
     delay: Annotated[int, Field(ge=0, le=1000)] = 0
     """Ticks that a command is late."""
     link_length: Length = 0.0
