@@ -58,16 +58,18 @@ def _legs(
 
     def where(_: int) -> Array:
         assert ended
-        return ended[0].configuration(ended[1])
+        before, state = ended
+        return state.q if before.measured is None else before.measured
 
     problems = scenario.problems(where)
     for phase, first in zip(scenario.schedule, scenario.first_ticks, strict=True):
         problem = next(problems)
         law = chosen.build(problem)
         plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
-        state = law.start()
         if ended:
             plant.resume(ended[0])
+        state = law.start(q_measured=plant.measured)
+        if ended:
             state.v[:] = ended[1].v
         leg = rollout(
             law,

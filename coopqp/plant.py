@@ -17,24 +17,36 @@ class PlantModel(ABC):
     Attributes:
         signals: what the plant tells beside the state, by name, written by each step; the trace
             keeps it.
+        measured: where the sensors say that the joints are, shape (n,) [rad, m]; None where the
+            joints do exactly as told. A run begins there, and so does each phase.
     """
 
     def __init__(self) -> None:
         self.signals = {}
+        self.measured = None
 
     signals: dict[str, Array]
+    measured: Array | None
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
-        """Carry the command out for one dt: writes t, q and v of the state, nothing else."""
+        """Carry the command out for one dt: writes t, q, v and q_measured of the state.
 
-    @abstractmethod
-    def configuration(self, state: State) -> Array:
-        """Where the joints really are, which is not what noisy sensors say, shape (n,).
+        After a velocity command q is the commanded configuration and v the commanded velocity,
+        :meth:`State.advance`, and q_measured says where the joints are: limits, damping and the
+        drift correction go by what was asked for, not by what a servo has made of it so far. After
+        a torque command q and v are measured, and q_measured is None.
+        """
+
+    def truth(self, state: State) -> State:
+        """What is really so: joints, object and loops, with the kinematics up to date.
+
+        The state itself where joints do exactly as told and the model has no errors.
 
         Args:
-            state: as the last step left it.
+            state: as the last step left it, or as the run began.
         """
+        return state
 
     @abstractmethod
     def resume(self, before: PlantModel) -> None:

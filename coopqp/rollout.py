@@ -46,16 +46,16 @@ def rollout(
         heeds: what of the problem the law reads, for the trace.
         progress: called every few ticks.
         state: where it begins, of the law's own start; written, so that it is where it ends. At
-            rest at the chain's start when omitted.
+            rest where the plant's sensors say when omitted.
 
     Returns:
         All that happened.
     """
-    state = law.start() if state is None else state
+    state = law.start(q_measured=plant.measured) if state is None else state
     recorder = _Recorder(law, plant, state, ticks)
     for k, (command, us) in enumerate(drive(law, plant, state, ticks)):
         recorder.instant(k, state)
-        recorder.tick(k, command, us)
+        recorder.tick(k, command, us, state)
         if progress and k % PROGRESS_EVERY == 0:
             progress(k)
     recorder.instant(ticks, state)
@@ -96,6 +96,9 @@ class _Recorder:
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
+        self.commanded, self.gap = np.zeros((ticks, n)), np.zeros((ticks, len(start.gap)))
+        self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
+        self._remembered = start.memory.numbers.copy()
         self._parts = _parts(problem.tasks, problem.chain)
         asking = [task for task in problem.tasks for _ in task.parts(problem.chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
@@ -112,12 +115,13 @@ class _Recorder:
 
     def instant(self, k: int, state: State) -> None:
         """Keep what tick k - 1 has led to, which is the state before tick k."""
+        true = self._plant.truth(state)
         if k:
-            self._close(k - 1, state.v)
-        self.t[k], self.q[k] = state.t, state.q
-        self.position[k], self.rotation[k] = state.p_WO, state.R_WO
-        self.loop[k] = state.loop_position_error, state.loop_orientation_error
-        self._tasks.update(state)
+            self._close(k - 1, true.v)
+        self.t[k], self.q[k] = state.t, true.q
+        self.position[k], self.rotation[k] = true.p_WO, true.R_WO
+        self.loop[k] = true.loop_position_error, true.loop_orientation_error
+        self._tasks.update(true)
         for i, (_, part) in enumerate(self._parts):
             if i not in self._velocities:
                 self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
@@ -133,8 +137,11 @@ class _Recorder:
         for name, signal in self._plant.signals.items():
             self.signals[name][k] = signal
 
-    def tick(self, k: int, command: Command, us: float) -> None:
-        """Keep what the law decided in tick k."""
+    def tick(self, k: int, command: Command, us: float, state: State) -> None:
+        """Keep what the law decided in tick k, and from what."""
+        closed = len(state.closed_error)
+        self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
+        self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
         if command.causes != (Status.OPTIMAL,):
             self._note(k, command)
@@ -176,6 +183,9 @@ class _Recorder:
             t=self.t,
             q=self.q,
             v=self.v,
+            commanded=self.commanded,
+            gap=self.gap,
+            memory=self.memory,
             position=self.position,
             rotation=self.rotation,
             loop_position=self.loop[:, 0],

@@ -120,6 +120,19 @@ class State:
         self._update_errors()
         self.update_drift()
 
+    def advance(self, v: Array, dt: float) -> None:
+        """Go on to the next tick, with the velocity that was commanded: q + v dt, t + dt.
+
+        The measured configuration is not touched: sensors say where the joints are.
+
+        Args:
+            v: as commanded, shape (n,) [rad/s, m/s].
+            dt: control period [s].
+        """
+        self.q += dt * v
+        self.v[:] = v
+        self.t += dt
+
     def update_poses(self) -> None:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
         pin.forwardKinematics(self._model, self._data, self.q)

@@ -75,6 +75,13 @@ def _ticks(legs: Legs, name: str) -> Any:
     return np.concatenate([getattr(leg, name) for _, leg in legs])
 
 
+def _memories(legs: Legs, name: str) -> Array:
+    """A row a tick; the laws of some phases remember less."""
+    rows = [getattr(leg, name) for _, leg in legs]
+    most = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, most - row.shape[1]))) for row in rows])
+
+
 def _statuses(legs: Legs, name: str) -> tuple[str, ...]:
     return tuple(status for _, leg in legs for status in getattr(leg, name))
 
@@ -169,9 +176,15 @@ class Trace:
             no effort for passive joints.
         tasks: in the order of task_error.
         t: shape (T + 1,) [s].
-        q: shape (T + 1, n) [rad or m].
+        q: what the plant's joints did, before noise, shape (T + 1, n) [rad or m].
         v: commanded velocity, or the plant's after the tick when torques were commanded, shape
             (T, n) [rad/s or m/s].
+        commanded: the configuration from which each tick decided: the integral of the commands,
+            or what was measured when torques were commanded, shape (T, n).
+        gap: the part of the loop error that each tick took for the model's own, loop by loop in
+            the order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
+        memory: what the law remembered when each tick began, zero beyond what it remembers, shape
+            (T, .); with t, commanded, gap and the v before it repeats the tick.
         position: of the object, shape (T + 1, 3) [m].
         rotation: of the object, shape (T + 1, 3, 3).
         loop_position, loop_orientation: largest loop error, shape (T + 1,) [m], [rad].
@@ -203,6 +216,9 @@ class Trace:
     t: Array = field(metadata={"join": _times})
     q: Array = field(metadata={"join": _instants})
     v: Array = field(metadata={"join": _ticks})
+    commanded: Array = field(metadata={"join": _ticks})
+    gap: Array = field(metadata={"join": _ticks})
+    memory: Array = field(metadata={"join": _memories})
     position: Array = field(metadata={"join": _instants})
     rotation: Array = field(metadata={"join": _instants})
     loop_position: Array = field(metadata={"join": _instants})

@@ -10,13 +10,20 @@ import numpy as np
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.trace import Trace
 
+#: A gap between the hands and the model below both is not worth saying [m], [rad].
+WORTH_SAYING = (1e-3, 5e-3)
+#: Beyond one of these the model should be calibrated [m], [rad].
+WORTH_CALIBRATING = (5e-3, 20e-3)
 #: A limit overrun below this is rounding [rad, rad/s].
 ROUNDING = 1e-9
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
-    parts = [_arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _ticks(metrics)]
+    parts = [
+        _arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _gap(metrics),
+        _ticks(metrics),
+    ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
 
@@ -68,6 +75,17 @@ def _loop(metrics: Mapping[str, Any]) -> str:
     return (
         f"lets the loop open by {_round(1e3 * error['position'])} mm and "
         f"{_round(np.degrees(error['orientation']))} degrees"
+    )
+
+
+def _gap(metrics: Mapping[str, Any]) -> str:
+    position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
+    if position <= WORTH_SAYING[0] and orientation <= WORTH_SAYING[1]:
+        return ""
+    beyond = position > WORTH_CALIBRATING[0] or orientation > WORTH_CALIBRATING[1]
+    return (
+        f"the hands are {_round(1e3 * position)} mm and {_round(1e3 * orientation)} mrad apart "
+        f"from what the model says{': calibrate' if beyond else ''}"
     )
 
 

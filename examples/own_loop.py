@@ -36,14 +36,14 @@ def main() -> None:
         kappa=1.0 / DT,
     )
     law = QPController().build(problem)
-    state = law.start()
+    state = law.start()  # on a robot: law.start(q_measured=robot.read())
     for _ in range(300):
         command = law.tick(state)
         if not command.status.usable:
             print(command.status.value)
-        state.q += command.v * DT  # your robot goes here; the next tick reads what it measures
-        state.v[:] = command.v
-        state.t += DT
+        # robot.send(command.v) goes here
+        state.advance(command.v, DT)
+        # and state.q_measured[:] = robot.read() here; state.q is what was commanded
     state.update()
     print("object at", np.round(state.p_WO, 4), "m; loop error", state.loop_position_error, "m")
 

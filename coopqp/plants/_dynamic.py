@@ -8,11 +8,13 @@ from collections import deque
 import numpy as np
 
 from coopqp.checked import Array, seeded
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError
 from coopqp.plant import PlantModel
 from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._true_chain import slipped, true_chain
 from coopqp.state import State
 
 
@@ -27,13 +29,14 @@ class DynamicModel(PlantModel):
         disturbance: what the controller does not know.
 
     Attributes:
-        true: the state before noise; its time goes on from phase to phase.
+        true: the state of the true chain, before noise; its time goes on from phase to phase.
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
             [J].
 
     Raises:
-        InvalidValueError: the time step does not divide the control period.
+        InvalidValueError: the time step does not divide the control period, or the robot has no
+            mass.
     """
 
     def __init__(
@@ -44,23 +47,33 @@ class DynamicModel(PlantModel):
         seed: int,
         disturbance: Disturbance,
     ) -> None:
+        super().__init__()
         n = problem.chain.n
-        self.true, self._t_start = State(problem.chain), 0.0
+        if not any(body.mass for body in problem.chain.robot.model.inertias):
+            raise InvalidValueError(
+                f"robot {problem.chain.robot.name} has no masses; use plant: kinematic"
+            )
+        self.disturbance, self._seed = disturbance, seed
+        self._dt, self._t_start, self._slipped = problem.dt, 0.0, 0.0
+        firm = true_chain(problem.chain, seed, disturbance)
+        self.true, self._told = State(firm), State(firm)
         self.servo = ServoLaw(problem.chain, servo)
-        self.disturbance = disturbance
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
         self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
-        self.signals: dict[str, Array] = {
+        self.signals = {
             "tau": self.servo.tau,
             "saturated": np.zeros(n),
             "energy": np.zeros(2),
         }
+        self.measured = self._noisy(self.true.q, disturbance.noise_position)
+        self.servo.hold(self.measured)
 
     def step(self, state: State, command: Command) -> None:
         """One control period."""
+        self._slip()
         self.servo.begin(self._delayed(command), self.true.q)
         self._at_limit[:] = 0.0
         for _ in range(self._steps):
@@ -69,26 +82,54 @@ class DynamicModel(PlantModel):
             self._at_limit += np.abs(self.servo.asked) > self.servo.effort
         np.divide(self._at_limit, self._steps, self.signals["saturated"])
         self.signals["energy"][:] = self.energy()
-        self._measure(state)
+        self._measure(state, command)
 
-    def configuration(self, state: State) -> Array:
-        """Before noise."""
-        return self.true.q
+    def truth(self, state: State) -> State:
+        """Before noise, on the true chain."""
+        told = self._told
+        told.t, told.q[:], told.v[:] = state.t, self.true.q, self.true.v
+        told.update()
+        return told
 
     def resume(self, before: PlantModel) -> None:
-        """Take over time, motion, servos, commands on their way and the stream of noise."""
+        """Take over time, motion, servos, commands on their way and the stream of noise.
+
+        The arms hold the object where they really are. Where velocities are commanded, the servos
+        hold what was measured last, from where the controller goes on, and what was on its way is
+        void; with torques nothing stops.
+        """
         assert isinstance(before, DynamicModel)
-        true, old = self.true, before.true
-        true.t = self._t_start = old.t
-        true.q[:], true.v[:] = old.q, old.v
-        true.update()
+        old, released = before.true, self.true.chain.hold.released
+        self._t_start, self._slipped = old.t, before._slipped
+        self._late, self._rng, self.measured = before._late, before._rng, before.measured
         self.servo.resume(before.servo)
-        self._late, self._rng = before._late, before._rng
+        if self.servo.follows:
+            assert self.measured is not None
+            self.servo.hold(self.measured)
+            self._late = deque(Command(len(old.q)) for _ in self._late)
+        self._occupy(old.chain.handed_over(old.q, released), old)
         self.take_hold(before)
+
+    def _slip(self) -> None:
+        """Let the object slip in a hand by what has come since the last period."""
+        distance = self.disturbance.slipped(self.true.t)
+        if distance != self._slipped:
+            step, self._slipped = distance - self._slipped, distance
+            self._occupy(slipped(self.true.chain, self._seed, step), self.true)
+            self.grip()
+
+    def _occupy(self, chain: ClosedChain, old: State) -> None:
+        """Put another true chain where the old one is."""
+        self.true, self._told = State(chain, old.q, old.t), State(chain)
+        self.true.v[:] = old.v
 
     @abstractmethod
     def take_hold(self, before: PlantModel) -> None:
         """Make ``true``, taken over from before, agree with the loops that have closed."""
+
+    @abstractmethod
+    def grip(self) -> None:
+        """Follow a new ``true.chain``, in which an arm holds the object a little otherwise."""
 
     @abstractmethod
     def integrate(self) -> None:
@@ -105,13 +146,21 @@ class DynamicModel(PlantModel):
         self._late.append(command.copy())
         return self._late.popleft()
 
-    def _measure(self, state: State) -> None:
-        true, noise = self.true, self.disturbance
-        state.t, state.q[:], state.v[:] = true.t - self._t_start, true.q, true.v
-        if noise.noise_position:
-            state.q += self._rng.normal(0.0, noise.noise_position, len(state.q))
-        if noise.noise_velocity:
-            state.v += self._rng.normal(0.0, noise.noise_velocity, len(state.v))
+    def _measure(self, state: State, command: Command) -> None:
+        true, disturbance = self.true, self.disturbance
+        self.measured = self._noisy(true.q, disturbance.noise_position)
+        if command.tau is None:
+            state.advance(command.v, self._dt)
+            state.q_measured = self.measured.copy()
+        else:
+            state.q[:], state.q_measured = self.measured, None
+            state.v[:] = self._noisy(true.v, disturbance.noise_velocity)
+        state.t = true.t - self._t_start
+
+    def _noisy(self, values: Array, deviation: float) -> Array:
+        if not deviation:
+            return values.copy()
+        return values + self._rng.normal(0.0, deviation, len(values))
 
 
 def _whole_steps(dt: float, time_step: float) -> int:

@@ -8,6 +8,10 @@ A velocity command moves the desired angle, q_d += v dt, and each joint follows 
 with 1/W_jj the inertia the joint sees where it is, the loops closed: W = N (N' A N)^-1 N'. (The
 tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain.) A
 torque command goes to the motors as it is.
+
+Each arm carries its own weight and its share alpha of the object's, so that the servos of arms
+that hold one object do not squeeze it. Passive joints carry nothing: what the weight would turn
+there is taken by the smallest wrench between the hands that can.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command
+from coopqp.rank import least_squares
 
 
 @spec
@@ -43,33 +48,36 @@ class ServoLaw:
         tau: torques as of the last :meth:`torque`, shape (n,) [N m].
         effort: their limits, zero for passive joints, shape (n,) [N m].
         asked: the same torques before they were limited.
+        follows: whether the last command was a velocity, or there was none.
     """
 
     def __init__(self, chain: ClosedChain, servo: Servo) -> None:
-        self._model = ClosedLoopDynamics(chain)
+        self._model = ClosedLoopDynamics(chain, shares=fair_shares(chain))
         motors = np.zeros(chain.n, bool)
         motors[self._model.actuated] = True
-        # A file that gives no limit means a motor without one, which no stiffness can be read from.
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
         self._rest = np.zeros(chain.n)
-        full = np.where(np.isfinite(self.effort), self.effort, UNLIMITED_EFFORT)
-        self._stiffness = full / servo.saturation_angle
+        self._stiffness = full_effort(chain) / servo.saturation_angle
         self._ratio = servo.damping_ratio
         self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
         self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
         self._forward = np.zeros(chain.n)
-        self._follow = True
+        self.follows = True
         self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
 
     def resume(self, before: ServoLaw) -> None:
         """Keep the angles that the servos of the phase before were holding."""
         self._q_d[:], self._v_d[:] = before._q_d, before._v_d
-        self._forward[:], self._follow = before._forward, before._follow
+        self._forward[:], self.follows = before._forward, before.follows
+
+    def hold(self, q: Array) -> None:
+        """Hold these angles, from where velocity commands go on."""
+        self._q_d[:] = q
 
     def begin(self, command: Command, q: Array) -> None:
         """Take a command for the next control period."""
-        self._follow = command.tau is None
+        self.follows = command.tau is None
         if command.tau is not None:
             self._forward[:] = command.tau
             return
@@ -77,27 +85,33 @@ class ServoLaw:
         self._model.update(q, self._rest)
         self._update_damping()
         if self._compensate:
-            self._forward[:] = self._model.inverse(self._rest).tau
+            self._forward[:] = self._weight(q)
+
+    def _weight(self, q: Array) -> Array:
+        """Motor torques that hold arms and object."""
+        model = self._model
+        Gamma = model.gravity(q)
+        passive = model.passive
+        if len(passive):
+            wrench = least_squares(model.J[:, passive].T, Gamma[passive])
+            Gamma = Gamma - model.J.T @ wrench
+            Gamma[passive] = 0.0
+        return Gamma
 
     def _update_damping(self) -> None:
-        model = self._model
-        N = model.null_space()
-        mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ model.A @ N), N)
-        # A joint that the loops hold fast is infinitely heavy and needs no damping.
-        inertia = np.where(mobility > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)
-        np.sqrt(self._stiffness * inertia, out=self._damping)
+        np.sqrt(self._stiffness * inertia_seen(self._model), out=self._damping)
         self._damping *= 2.0 * self._ratio
 
     def advance(self, h: float) -> None:
         """Move the desired angles by a time h [s]."""
-        if self._follow:
+        if self.follows:
             self._q_d += h * self._v_d
 
     def torque(self, q: Array, v: Array) -> Array:
         """Motor torques at a state, within their limits, shape (n,) [N m]."""
         asked = self.asked
         asked[:] = self._forward
-        if self._follow:
+        if self.follows:
             asked += self._stiffness * (self._q_d - q) + self._damping * (self._v_d - v)
         np.minimum(np.maximum(asked, -self.effort, out=self.tau), self.effort, out=self.tau)
         return self.tau
@@ -105,3 +119,26 @@ class ServoLaw:
 
 #: Taken for the stiffness of a joint whose motor has no limit [N m].
 UNLIMITED_EFFORT = 100.0
+
+
+def fair_shares(chain: ClosedChain) -> dict[str, float]:
+    """The share of the object's weight that each arm carries: its weight alpha in the pose."""
+    return {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
+
+
+def full_effort(chain: ClosedChain) -> Array:
+    """The motors' limits for a stiffness to be read from, zero at passive joints, shape (n,)."""
+    effort = chain.model.effortLimit.copy()
+    effort[chain.passive] = 0.0
+    # A file that gives no limit means a motor without one.
+    return np.where(np.isfinite(effort), effort, UNLIMITED_EFFORT)
+
+
+def inertia_seen(model: ClosedLoopDynamics) -> Array:
+    """Inertia that each joint sees where the model was updated, the loops closed, shape (n,).
+
+    Zero at a joint that the loops hold fast: it is infinitely heavy and needs no damping.
+    """
+    N = model.null_space()
+    mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ model.A @ N), N)
+    return np.where(mobility > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)

@@ -6,10 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
+from coopqp.checked import spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
+from coopqp.plants._true_chain import slipped, true_chain
 from coopqp.state import State
 
 
@@ -33,12 +34,54 @@ class KinematicModel(PlantModel):
         state.v[:] = command.v
         state.t += float(self._dt)
 
-    def configuration(self, state: State) -> Array:
-        """As told: the sensors are perfect."""
-        return state.q
-
     def resume(self, before: PlantModel) -> None:
         """Nothing: all that this plant knows is in the state."""
+
+
+class MisledModel(PlantModel):
+    """Perfect servos of arms that are not as the model says.
+
+    Args:
+        problem: chain and control period.
+        seed: of the errors.
+        disturbance: their sizes.
+    """
+
+    def __init__(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> None:
+        super().__init__()
+        self._dt, self._seed, self._disturbance = problem.dt, seed, disturbance
+        self._t, self._slipped = 0.0, 0.0
+        self._occupy(State(true_chain(problem.chain, seed, disturbance)))
+
+    def step(self, state: State, command: Command) -> None:
+        """One Euler step; the joints are where they were told to be, the hands are not."""
+        state.advance(command.v, self._dt)
+        self._t += self._dt
+        self._true.q[:] = state.q
+        self.measured = state.q.copy()
+        state.q_measured = state.q.copy()
+        distance = self._disturbance.slipped(self._t)
+        if distance != self._slipped:
+            chain = slipped(self._true.chain, self._seed, distance - self._slipped)
+            self._slipped = distance
+            self._occupy(State(chain, self._true.q))
+
+    def truth(self, state: State) -> State:
+        """Where the hands really are; nothing holds them together."""
+        self._true.t, self._true.v[:] = state.t, state.v
+        self._true.update()
+        return self._true
+
+    def resume(self, before: PlantModel) -> None:
+        """The arms hold the object where they really are."""
+        assert isinstance(before, MisledModel)
+        q, released = before._true.q, self._true.chain.hold.released
+        self._t, self._slipped = before._t, before._slipped
+        self._occupy(State(before._true.chain.handed_over(q, released)))
+
+    def _occupy(self, true: State) -> None:
+        self._true = true
+        self.measured = true.q.copy()
 
 
 @spec
@@ -48,5 +91,7 @@ class Kinematic(Plant):
     takes_torques: ClassVar[bool] = False
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """Nothing to prepare."""
-        return KinematicModel(problem.dt, problem.chain.n)
+        """With errors of the model the arms begin where the real hands hold the object."""
+        if disturbance.kinematic == Disturbance():
+            return KinematicModel(problem.dt, problem.chain.n)
+        return MisledModel(problem, seed, disturbance)

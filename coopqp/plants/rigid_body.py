@@ -14,7 +14,11 @@ from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo
+from coopqp.plants._end_stops import EndStops
+from coopqp.plants._servo import Servo, fair_shares
+
+#: Newton steps on the loops after a small slip.
+SLIP_STEPS = 3
 
 
 class RigidBodyModel(DynamicModel):
@@ -24,18 +28,17 @@ class RigidBodyModel(DynamicModel):
         problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda at the cut, and ``internal_wrench`` (6 N,), what
-            the hands do to the object that cancels, arm by arm [N, N m], world axes.
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut
+            off, and ``internal_wrench`` (6 N,), what the hands do to the object that cancels, arm
+            by arm [N, N m], world axes.
     """
 
     def __init__(
         self, problem: ControlProblem, settings: RigidBody, seed: int, disturbance: Disturbance
     ) -> None:
         super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
-        chain = problem.chain
-        self._dynamics = ClosedLoopDynamics(
-            chain, friction=settings.friction, mass_scale=disturbance.object_mass
-        )
+        chain, self._settings = problem.chain, settings
+        self._open()
         arms = len(chain.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
@@ -44,14 +47,35 @@ class RigidBodyModel(DynamicModel):
 
     def take_hold(self, before: PlantModel) -> None:
         """Hands that take hold while they move stop without a bounce."""
-        true, dynamics = self.true, self._dynamics
-        dynamics.update(true.q, true.v)
-        true.v[:] = dynamics.impact(true.v)
+        true = self.true
+        self._open()
+        self._dynamics.update(true.q, true.v)
+        true.v[:] = self._dynamics.impact(true.v)
+
+    def grip(self) -> None:
+        """The arms give way at once to close the loops as they are now."""
+        self.true.close_loops(SLIP_STEPS)
+        self._open()
+
+    def _open(self) -> None:
+        """Make dynamics and end stops of the true chain."""
+        chain, mass_scale = self.true.chain, self.disturbance.object_mass
+        # Where planar arms leave it open who carries the weight, each carries its share.
+        self._dynamics = ClosedLoopDynamics(
+            chain,
+            shares=fair_shares(chain),
+            friction=self._settings.friction,
+            mass_scale=mass_scale,
+        )
+        self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
 
     def integrate(self) -> None:
         """One step of the Runge-Kutta method, then back on the loops."""
         h, true = self.h, self.true
         q, v, t = true.q, true.v, true.t
+        if self._stops:
+            self._dynamics.update(q, v)
+            self._stops.update(self._dynamics)
         a1 = self._acceleration(q, v, t)
         v2 = v + 0.5 * h * a1
         a2 = self._acceleration(q + 0.5 * h * v, v2, t)
@@ -69,18 +93,17 @@ class RigidBodyModel(DynamicModel):
         """Kinetic and potential energy; keeps the wrenches of this instant as well."""
         true, dynamics = self.true, self._dynamics
         a = self._acceleration(true.q, true.v, true.t)
-        self.signals["cut_wrench"][:] = self._wrench
-        self.signals["internal_wrench"][:] = (
-            dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
-            .internal[self._order]
-            .ravel()
-        )
+        wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
+        self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
+        self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
         dynamics = self._dynamics
         dynamics.update(q, v)
         tau = self.servo.torque(q, v)
+        if self._stops:
+            tau = tau + self._stops.torque(q, v)
         push = self.disturbance.wrench(t)
         result = dynamics.direct(tau if push is None else tau + dynamics.J_object.T @ push)
         self._wrench = result.wrench
@@ -97,6 +120,8 @@ class RigidBody(Plant):
     """How the joints follow velocity commands."""
     friction: Friction = Friction()
     """In every joint."""
+    end_stops: bool = True
+    """Whether joints stop at their position limits: full torque presses them in by 5 mrad."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """At rest at the chain's start."""

@@ -92,24 +92,20 @@ class LoopProbe:
         pin.forwardKinematics(self._model, self._data, self._q)
         for frame in self._frames:
             pin.updateFramePlacement(self._model, self._data, frame)
-        for p, R in self._others:
-            if np.linalg.norm(p - self._p_0) > self._gap:
-                return self._no_worse(state)
-            if np.linalg.norm(pin.log3(R.dot(self._R_0T))) > self._turn:
-                return self._no_worse(state)
-        return True
-
-    def _no_worse(self, state: State) -> bool:
-        """A loop that is open already may be closed by steps that leave it open for now."""
+        after = self._opened(state)
+        if (after <= (self._gap, self._turn)).all():
+            return True
+        # A loop that is open already may be closed by steps that leave it open for now.
         before = np.linalg.norm(state.closed_error.reshape(-1, 2, 3), axis=2)
-        for (p, R), (gap, turn) in zip(self._others, before, strict=True):
-            gap_after = np.linalg.norm(p - self._p_0)
-            turn_after = np.linalg.norm(pin.log3(R.dot(self._R_0T)))
-            if gap_after > max(gap, self._gap):
-                return False
-            if turn_after > max(turn, self._turn):
-                return False
-        return True
+        return bool((after <= np.maximum(before, (self._gap, self._turn))).all())
+
+    def _opened(self, state: State) -> Array:
+        """How far each loop is open after the step, beyond the model's own gap, shape (L, 2)."""
+        after = []
+        for (p, R), gap in zip(self._others, state.gap.reshape(-1, 2, 3), strict=False):
+            turn = pin.log3(R.dot(self._R_0T)) - gap[1]
+            after.append((np.linalg.norm(p - self._p_0 - gap[0]), np.linalg.norm(turn)))
+        return np.array(after)
 
 
 def _not_ordinary(causes: tuple[Status, ...]) -> tuple[Status, ...]:

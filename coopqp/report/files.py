@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import AXES
 from coopqp.comparison import Comparison
 from coopqp.errors import CoopqpError
 from coopqp.report import strict_json
@@ -83,15 +84,18 @@ def metrics_json(comparison: Comparison) -> str:
 def trace_csv(comparison: Comparison) -> str:
     """``trace.csv``: a row for each controller and instant, with numbers that read back exactly.
 
-    The last row of a controller is the end of its run, after which there is no command.
+    The last row of a controller is the end of its run, after which there is no command. Columns
+    are empty where a controller has nothing to say: ``commanded`` where the joints do exactly as
+    told, ``gap`` where the model has no error, ``memory`` where the law remembers nothing.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     traces = comparison.traces
     joints = list(dict.fromkeys(joint for trace in traces.values() for joint in trace.joints))
-    writer.writerow(_header(joints, next(iter(traces.values()))))
+    memory = max(trace.memory.shape[1] for trace in traces.values())
+    writer.writerow(_header(joints, memory, next(iter(traces.values()))))
     for name, trace in traces.items():
-        writer.writerows(_rows(name, trace, joints))
+        writer.writerows(_rows(name, trace, joints, memory))
     return stream.getvalue()
 
 
@@ -106,11 +110,14 @@ def _replace_all(contents: dict[str, str], folder: Path) -> list[Path]:
     return [folder / name for name in contents]
 
 
-def _header(joints: list[str], trace: Trace) -> list[str]:
+def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
     return [
         *("controller", "tick", "t"),
         *(f"q[{joint}]" for joint in joints),
         *(f"v[{joint}]" for joint in joints),
+        *(f"commanded[{joint}]" for joint in joints),
+        *(f"gap[{loop + 1}].{axis}" for loop in range(trace.gap.shape[1] // 6) for axis in AXES),
+        *(f"memory[{i}]" for i in range(memory)),
         *(f"tau[{joint}]" for joint in joints),
         *("x", "y", "z"),
         *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
@@ -121,7 +128,7 @@ def _header(joints: list[str], trace: Trace) -> list[str]:
     ]
 
 
-def _rows(name: str, trace: Trace, joints: list[str]) -> Iterator[list[Any]]:
+def _rows(name: str, trace: Trace, joints: list[str], memory: int) -> Iterator[list[Any]]:
     # tolist() gives Python floats, which csv writes with all the digits they need.
     after = np.column_stack(
         [
@@ -135,12 +142,24 @@ def _rows(name: str, trace: Trace, joints: list[str]) -> Iterator[list[Any]]:
     q, v = _by_joint(trace.q, trace, joints), _by_joint(trace.v, trace, joints)
     tau = _by_joint(trace.signals.get("tau", np.zeros((trace.ticks, 0))), trace, joints)
     t, us, scale = trace.t.tolist(), trace.tick_us.tolist(), trace.scale.tolist()
-    phases = _phase_of_each_tick(trace)
+    known, phases = _known(trace, joints, memory), _phase_of_each_tick(trace)
     for k in range(trace.ticks):
         flags = [trace.status[k], scale[k], us[k], *phases[k]]
-        yield [name, k, t[k], *q[k], *v[k], *tau[k], *after[k], *flags]
-    end, nothing = trace.ticks, [""] * (2 * len(joints))
+        yield [name, k, t[k], *q[k], *v[k], *known[k], *tau[k], *after[k], *flags]
+    end, nothing = trace.ticks, [""] * (2 * len(joints) + len(known[0]))
     yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", "", *phases[end - 1]]
+
+
+def _known(trace: Trace, joints: list[str], memory: int) -> list[list[Any]]:
+    """What each tick decided from, beside time, joints and their velocity."""
+    told = not np.array_equal(trace.commanded, trace.q[:-1])
+    commanded = _by_joint(trace.commanded if told else trace.commanded[:, :0], trace, joints)
+    rows = []
+    for values, width in ((trace.gap, trace.gap.shape[1]), (trace.memory, memory)):
+        empty = width - values.shape[1] if values.any() else width
+        shown: list[list[Any]] = values[:, : width - empty].tolist()
+        rows.append([[*row, *[""] * empty] for row in shown])
+    return [[*c, *g, *m] for c, g, m in zip(commanded, *rows, strict=True)]
 
 
 def _errors(trace: Trace) -> list[list[Any]]:

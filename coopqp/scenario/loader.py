@@ -174,7 +174,8 @@ class _Reader:
                 self._fault(
                     ["grasp_of", name], unknown_name("controller", name, scenario.controllers)
                 )
-        if not scenario.disturbance.none and not scenario.plant.takes_torques:
+        needs_masses = scenario.disturbance != scenario.disturbance.kinematic
+        if needs_masses and not scenario.plant.takes_torques:
             self._fault(["disturbance"], "has no effect on this plant; use one with masses")
         if self._faults:
             raise ScenarioError(list(dict.fromkeys(self._faults)))

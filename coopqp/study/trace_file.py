@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TextIO
 
+from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
@@ -15,7 +17,9 @@ from coopqp.state import State
 def state_from_trace(
     path: Path, controller: str, tick: int, law: QPLaw, t_start: float = 0.0
 ) -> State:
-    """The state that a tick of a written trace began with.
+    """The state that a tick of a written trace decided from; the law's tick repeats it.
+
+    What the observer had made of the measured joints is in the gap, so that there is no q_measured.
 
     Args:
         path: of ``trace.csv``.
@@ -40,12 +44,22 @@ def state_from_trace(
         for i, row in enumerate(csv.DictReader(stream)):
             role = wanted.get(i)
             if role == "now":
-                state.t = float(row["t"]) - t_start
-                state.q[:] = [float(row[f"q[{joint}]"]) for joint in joints]
+                state.t = max(0.0, float(row["t"]) - t_start)  # of the phase, but for rounding
+                told = bool(row.get(f"commanded[{joints[0]}]"))
+                key = "commanded" if told else "q"
+                state.q[:] = [float(row[f"{key}[{joint}]"]) for joint in joints]
+                _read(row, "gap[", state.gap)
+                _read(row, "memory[", state.memory.numbers)
             elif role == "before":
                 state.v[:] = [float(row[f"v[{joint}]"]) for joint in joints]
     state.update()
     return state
+
+
+def _read(row: Mapping[str, str], start: str, numbers: Array) -> None:
+    """Numbers from the columns whose names start so; nothing where they are empty."""
+    found = [text for key, text in row.items() if key.startswith(start) and text]
+    numbers[: len(found)] = [float(text) for text in found[: len(numbers)]]
 
 
 def blocked_tick(path: Path, controller: str) -> int:

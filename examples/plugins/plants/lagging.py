@@ -11,7 +11,6 @@ import math
 from typing import ClassVar
 
 from coopqp import (
-    Array,
     Command,
     ControlProblem,
     Disturbance,
@@ -23,26 +22,35 @@ from coopqp import (
 
 
 class LaggingModel(PlantModel):
-    """Velocity servos with a first-order lag; all that they know is in the state."""
+    """Velocity servos with a first-order lag, and encoders that see it."""
 
-    def __init__(self, dt: float, lag: float) -> None:
+    def __init__(self, problem: ControlProblem, lag: float) -> None:
         super().__init__()
-        self._dt, self._lag = dt, lag
+        self._dt, self._lag = problem.dt, lag
+        self._true = State(problem.chain)
+        self.measured = self._true.q.copy()
 
     def step(self, state: State, command: Command) -> None:
-        """The exact solution over dt."""
-        left = math.exp(-self._dt / self._lag)
-        late = state.v - command.v
-        state.q += command.v * self._dt + late * (self._lag * (1.0 - left))
-        state.v[:] = command.v + late * left
-        state.t += self._dt
+        """The exact solution over dt; the state goes on as commanded."""
+        left, true = math.exp(-self._dt / self._lag), self._true
+        late = true.v - command.v
+        true.q += command.v * self._dt + late * (self._lag * (1.0 - left))
+        true.v[:] = command.v + late * left
+        self.measured = true.q.copy()
+        state.advance(command.v, self._dt)
+        state.q_measured = true.q.copy()
 
-    def configuration(self, state: State) -> Array:
-        """As told: the sensors are perfect."""
-        return state.q
+    def truth(self, state: State) -> State:
+        """Where the joints are by now."""
+        self._true.t = state.t
+        self._true.update()
+        return self._true
 
     def resume(self, before: PlantModel) -> None:
-        """Nothing: the velocity goes on in the state."""
+        """The motion goes on."""
+        assert isinstance(before, LaggingModel)
+        self._true.q[:], self._true.v[:] = before._true.q, before._true.v
+        self.measured = before._true.q.copy()
 
 
 @spec
@@ -56,4 +64,4 @@ class Lagging(Plant):
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """Nothing to prepare."""
-        return LaggingModel(problem.dt, self.lag)
+        return LaggingModel(problem, self.lag)

@@ -1,0 +1,71 @@
+"""A tick of a written trace is repeated from what it had decided from, whatever the plant."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coopqp
+from coopqp.comparison import summarize
+from coopqp.disturbance import Disturbance, Slip
+from coopqp.plant import Plant
+from coopqp.plants import Kinematic, Mujoco, RigidBody
+from coopqp.report import files
+from coopqp.study.recorded_tick import recorded_tick
+
+WRONG = Disturbance(
+    grasp_offset=2e-3, encoder_offset=5e-3, noise_position=1e-4, delay=2, slip=Slip(at=0.5, by=5e-3)
+)
+PHASES = """
+robot: nao_t14
+object: {size: [0.08, 0.19, 0.08], mass: 0.2}
+start: {right: [0.7, -0.2, 1.2, 0.9, 0.1], left: [0.7, 0.2, -1.2, -0.9, -0.1]}
+phases:
+  - name: carry
+    duration: 0.6
+    tasks:
+      - point_on_point: {name: reach, goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.4}}
+  - name: alone
+    duration: 0.4
+    released: [left]
+    tasks:
+      - point_on_point: {name: stay, goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.1}}
+  - name: again
+    duration: 0.4
+    tasks:
+      - point_on_point: {name: up, goal: [0.17, 0.01, 0.07], gain: 5, mode: scaled,
+                         profile: {duration: 0.3}}
+controllers: [qp]
+dt: 0.01
+"""
+
+
+@pytest.mark.parametrize("plant", [Kinematic(), RigidBody(), Mujoco()], ids=repr)
+def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
+    if isinstance(plant, Mujoco):
+        pytest.importorskip("mujoco")
+    (tmp_path / "s.yaml").write_text(PHASES, encoding="utf-8")
+    wrong = WRONG.kinematic if isinstance(plant, Kinematic) else WRONG
+    scenario = replace(coopqp.load(tmp_path / "s.yaml"), plant=plant, disturbance=wrong)
+    trace = coopqp.run(scenario, controller="qp")
+    files.write(summarize(scenario, {"qp": trace}), tmp_path / "out")
+    assert np.abs(trace.v).max() > 0.05
+    for tick in (0, 1, 30, 55, 59, 60, 61, 99, 100, 101, 120, 139):
+        record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
+        np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
+        np.testing.assert_array_equal(record.q, trace.commanded[tick])
+
+
+def test_columns_are_empty_where_there_is_nothing_to_say(tmp_path: Path) -> None:
+    comparison = coopqp.compare(coopqp.load("point_on_point"), controllers=["qp", "pseudoinverse"])
+    files.write(comparison, tmp_path)
+    with (tmp_path / "trace.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    joints = comparison.traces["qp"].joints
+    for row in rows:
+        assert not any(row[f"commanded[{joint}]"] for joint in joints)
+        assert not any(row[f"gap[1].{axis}"] for axis in ("x", "y", "z", "rot_x"))
