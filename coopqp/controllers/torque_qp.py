@@ -1,13 +1,15 @@
 """The QP at torque level: accelerations, torques and loop wrenches as variables.
 
-    minimise    sum_i w_i |J_i a + drift_i + 2 g_i e_dot_i + g_i^2 e_i + integral g_i^3 int e_i|^2
+    minimise    sum_i w_i |J_i a + drift_i + 2 g_i e_dot_i + g_i^2 e_i + integral g_i^3 int w_i|^2
               + damping |a + v/damping_time|^2 + effort |tau|^2 + grip |lambda|^2
     subject to  A a + H = S' tau + J_c' lambda                     dynamics          (hard)
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration (hard)
                 |tau| <= effort limits                             motors            (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits (hard)
 
-g_i is the task's gain. While a motor is at its limit the integral stands still.
+g_i is the task's gain, w_i how far the error is from its reference model (``_reference_model``), so
+that a step of the reference does not overshoot. While a motor is at its limit the integral stands
+still. Gains and integrals that ring with commands one tick late are refused (``_margins``).
 lb, ub, G, h are what the scenario's limits say of the next velocity, but a joint near its stop must
 slow down in time: v + a dt <= (upper - q)/brake_time. Where the velocity has already left a limit,
 it comes back with the largest acceleration.
@@ -38,7 +40,7 @@ from coopqp.state import State
 
 
 class TorqueQpLaw(Law):
-    """The QP of one problem; x = [a; tau of the motors; lambda]; memory is the integral, (k,).
+    """The QP of one problem; x = [a; tau of the motors; lambda]; memory: that of ReferenceModel.
 
     Attributes:
         qp: the last tick's program.
