@@ -47,10 +47,16 @@ class RigidBodyModel(DynamicModel):
 
     def take_hold(self, before: PlantModel) -> None:
         """Hands that take hold while they move stop without a bounce."""
+        assert isinstance(before, RigidBodyModel)
         true = self.true
         self._open()
-        self._dynamics.update(true.q, true.v)
-        true.v[:] = self._dynamics.impact(true.v)
+        # The object comes with the speed of an arm that has held it.
+        carrier = before.true.chain.hold.holders[0]
+        impact = ClosedLoopDynamics(
+            true.chain, shares={carrier: 1.0}, mass_scale=self.disturbance.object_mass
+        )
+        impact.update(true.q, true.v)
+        true.v[:] = impact.impact(true.v)
 
     def grip(self) -> None:
         """The arms give way at once to close the loops as they are now."""

@@ -94,7 +94,7 @@ def test_a_noisy_run_is_the_same_to_the_bit_with_the_same_seed(plant: str) -> No
 
 def test_a_weak_motor_saturates_and_is_recorded() -> None:
     scenario = load("passive_grasp_pose")
-    strong = PassiveGraspPid(name="strong", kp=(20_000.0,), kd=(300.0,))
+    strong = PassiveGraspPid(name="strong")
     pushed = replace(
         scenario,
         controllers={"strong": strong},

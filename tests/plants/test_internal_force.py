@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
-from shipped_here import HAS_ROBOTS
+from scenario_files import HAS_ROBOTS
 
 import coopqp
 from coopqp.closed_chain import ClosedChain

@@ -98,19 +98,7 @@ def taking_hold(before: ClosedChain, after: ClosedChain, v: Array) -> Array:
     return np.array(new.true.v)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    "released",
-    [
-        "left",
-        pytest.param(
-            "right",
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="impact() gives the object the speed of arm 0, which only takes hold now",
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("released", ["left", "right"])
 def test_the_object_brings_its_own_momentum_into_the_impact(
     chain: ClosedChain, released: str
 ) -> None:

@@ -125,17 +125,11 @@ def off_the_trace(folder: Path, text: str, tick: int) -> float:
     return float(np.abs(np.array(TickRecord.read(kept).answer) - recorded).max())
 
 
-@pytest.mark.xfail(
-    strict=True, reason="explain builds the phase's chain where the noisy sensors put the joints"
-)
 def test_a_tick_of_a_later_phase_is_explained_as_it_was_despite_noise(tmp_path: Path) -> None:
     noisy = "plant: rigid_body\ndisturbance: {noise_position: 0.001}\n"
     assert off_the_trace(tmp_path, HEAD + PHASES + NO_DRIFT + noisy, 90) < 1e-6
 
 
-@pytest.mark.xfail(
-    strict=True, reason="explain takes the velocity commanded for the one measured; damping differs"
-)
 def test_a_tick_that_damps_by_what_it_missed_is_explained_as_it_was(tmp_path: Path) -> None:
     task = "duration: 1.0\ntasks:\n  - twist: {velocity: {x: 0.1, y: 0.15}}\n"
     assert off_the_trace(tmp_path, f"{HEAD}{task}{NO_DRIFT}plant: rigid_body\n", 40) < 1e-6
