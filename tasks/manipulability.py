@@ -62,8 +62,8 @@ class Manipulability(Task):
         m_0 = climb.isotropic(start)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            climb.gradient(state, rows.e)
-            np.multiply(rows.e, -1.0 / m_0, rows.e)
+            m = climb.gradient(state, rows.e)
+            np.multiply(rows.e, -1.0 / max(m, m_0), rows.e)
 
         return evaluate
 
@@ -97,13 +97,13 @@ class _Climb:
         mean = float(np.sum(J_free * J_free)) / k
         return 1.0 if failed or mean <= 0.0 else float(mean ** (0.5 * k))
 
-    def gradient(self, state: State, out: Array) -> None:
-        """Write grad m, shape (n,); zero where it cannot be computed."""
+    def gradient(self, state: State, out: Array) -> float:
+        """Write grad m, shape (n,), zero where it cannot be computed; and return m."""
         to_loops, J_free, failed = self._project(state)
         factor, G_T, singular = lapack.dposv(_regular(J_free.dot(J_free.T)), J_free)
         if failed or singular:
             out[:] = 0.0
-            return
+            return 0.0
         m = float(factor.diagonal().prod())
         mixture = self._of_J - to_loops.T.dot(self._of_C)
         n = state.chain.n
@@ -113,6 +113,7 @@ class _Climb:
         after = (_cross(v, g) + _cross(w, h)) @ self._down
         before = _cross(g, w) @ self._up
         np.sum(w * after + v * before, axis=(0, 1), out=out)
+        return m
 
     def _project(self, state: State) -> tuple[Array, Array, int]:
         """(J C^+)', J P and whether that failed."""
