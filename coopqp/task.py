@@ -108,6 +108,11 @@ class Task(ABC):
         """When the reference has reached its goal [s]."""
         return 0.0
 
+    @property
+    def curvature(self) -> float:
+        """Of the surface from which a length is measured [1/m]; 0 where it is flat, or a point."""
+        return 0.0
+
 
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
@@ -190,11 +195,15 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
 
 
 def _levers(task: Task, chain: ClosedChain) -> list[float]:
-    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints."""
+    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints.
+
+    A distance from something round bends by itself too, by the square of the reach.
+    """
     if task.joint_space:
         return [0.0] * len(task.rows(chain))
+    length = chain.reach * (1.0 + chain.reach * task.curvature)
     return [
-        chain.reach if part.unit in LENGTHS else 1.0
+        length if part.unit in LENGTHS else 1.0
         for part in task.parts(chain)
         for _ in range(part.rows)
     ]
