@@ -147,7 +147,6 @@ class TaskStack:
         self.levers = np.array(
             [lever for task in tasks for lever in _levers(task, start.chain)], float
         )
-        self._steepness = self.weights * self._gains * self.levers
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
@@ -165,24 +164,28 @@ class TaskStack:
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 
-    def bend(self, v: Array) -> float:
-        """Bound on the second derivative of the cost that J leaves out, times 1 s.
+    def bends(self, v: Array) -> Array:
+        """What J leaves out of each row's second derivative, times 1 s, shape (k,).
 
         The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
         it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
 
-            sum_i w_i g_i |e_i| L_i
+            g_i |e_i| L_i
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
 
         Args:
             v: the last velocity, shape (n,).
         """
-        most = float(self._steepness.dot(np.abs(self.e)))
+        most = self._gains * np.abs(self.e)
         for part in self._asking:
-            missed = self.J[part].dot(v) - self.rate[part]
-            most += float((self.weights[part] * self.levers[part]).dot(np.abs(missed)))
+            np.abs(self.J[part].dot(v) - self.rate[part], out=most[part])
+        most *= self.levers
         return most
+
+    def bend(self, v: Array) -> float:
+        """All of it in the cost, sum_i w_i g_i |e_i| L_i."""
+        return float(self.weights.dot(self.bends(v)))
 
 
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:

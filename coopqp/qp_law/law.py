@@ -155,7 +155,7 @@ class QPLaw(Law):
             hard: float = share * self._reach * state.memory["pull"][0]
             return min(hard, MOST_HARD_DAMPING)
         wanted = float(scaled.wanted.dot(scaled.wanted)) + LEAST_WANTED
-        asked = scaled.levers * (scaled.wanted - scaled.rate)
+        asked = scaled.bends(state.v)
         return share * SCALE_WEIGHT * math.sqrt(asked.dot(asked)) / wanted
 
     def _solve_first(self, state: State) -> Status:
