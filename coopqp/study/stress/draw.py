@@ -18,7 +18,8 @@ from coopqp.study.stress import arrangements, goals
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 
-WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps
+WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps ...
+FARTHER = 3  # ... so many times as many to get outside
 FARTHEST_OUTSIDE = 0.3  # [rad, m]
 OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
 PERIODS = (0.005, 0.01, 0.02)  # [s]
@@ -83,7 +84,7 @@ def walk(rng: np.random.Generator, chain: ClosedChain, *, outside: bool) -> Arra
     state = State(chain)
     direction = rng.normal(size=chain.n)
     inside = state.q.copy()
-    for _ in range(WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))):
+    for _ in range(FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))):
         _step(state, direction)
         if state.loop_position_error > OPEN or state.loop_orientation_error > OPEN:
             return inside
@@ -92,7 +93,7 @@ def walk(rng: np.random.Generator, chain: ClosedChain, *, outside: bool) -> Arra
             inside = state.q.copy()
         elif not outside or beyond >= FARTHEST_OUTSIDE:
             return inside
-        elif rng.random() < 0.3:
+        elif rng.random() < 0.5:
             return state.q.copy()
     return inside
 

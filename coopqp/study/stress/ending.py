@@ -60,12 +60,16 @@ def ending(problem: ControlProblem, law: QPLaw, state: State, record: Record) ->
         record: of all ticks.
     """
     said = signs.names_of(record.causes[-1])
-    if problem.on_infeasible != "scale" and not record.causes[-1][0].usable:
-        return Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
+    stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
+    asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
+    if stands and problem.on_infeasible == "stop":
+        return asked
     if signs.beyond(record)[-1].max() > signs.EXCESS:
         way = way_back(problem, state)
         stuck = way > INWARD and signs.slowest(record) < signs.AT_REST
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
+    if stands:
+        return asked
     errors = part_errors(problem, state, record)
     if errors.max() <= 1.0:
         return Ending("reached")

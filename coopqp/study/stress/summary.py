@@ -42,15 +42,16 @@ class Summary:
 def summarize(rollouts: list[Rollout]) -> list[Summary]:
     """By robot, start, limits and drift correction, and all together."""
     kinds: dict[str, list[Rollout]] = {}
+    drawn = [r for r in rollouts if r.robot]
     for words in (_robot, _start, _limits, _kappa):
-        for r in sorted(rollouts, key=words):
+        for r in sorted(drawn, key=words):
             kinds.setdefault(words(r), []).append(r)
     lines = [_summary(kind, of_kind) for kind, of_kind in kinds.items()]
     return [*lines, _summary("all", rollouts)]
 
 
 def _robot(r: Rollout) -> str:
-    return r.robot or "not built"
+    return r.robot
 
 
 def _start(r: Rollout) -> str:
