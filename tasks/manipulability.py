@@ -6,7 +6,9 @@ motions that keep the loops closed,
     m(q) = sqrt(det(J P J')),   phi = m / m_0,   m_0 = (tr(J P J') / k)^(k/2) at the start
 
 so that phi is 1 where the object starts equally able to move in all k directions and 0 where it
-cannot move in one. The joints climb it:
+cannot move in one. Beyond phi = ``LARGE``, which a poor start makes possible, its logarithm counts
+instead, with the same slope there: m itself is so curved that climbing it in steps would swing. The
+joints climb it:
 
     e = -grad phi,   grad_j m = m tr(G (dJ/dq_j - J C^+ dC/dq_j)),   G = P J' (J P J')^-1
 
@@ -36,6 +38,9 @@ Axis = Literal["x", "y", "z"]
 
 ALL: tuple[Axis, ...] = ("x", "y", "z")
 
+#: phi beyond which its logarithm is climbed.
+LARGE = 3.0
+
 #: Added to J P J' and C C', as a share of their traces, so that they can be inverted.
 REGULAR = 1e-12
 
@@ -63,7 +68,7 @@ class Manipulability(Task):
 
         def evaluate(state: State, rows: TaskRows) -> None:
             m = climb.gradient(state, rows.e)
-            np.multiply(rows.e, -1.0 / max(m, m_0), rows.e)
+            np.multiply(rows.e, -1.0 / max(m_0, m / LARGE), rows.e)
 
         return evaluate
 
