@@ -122,6 +122,11 @@ class Task(ABC):
         """When the reference has reached its goal [s]."""
         return 0.0
 
+    @property
+    def curvature(self) -> float:
+        """Of the surface from which a length is measured [1/m]; 0 where it is flat, or a point."""
+        return 0.0
+
 
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
@@ -156,7 +161,6 @@ class TaskStack:
         self.levers = np.array(
             [lever for task in tasks for lever in _levers(task, start.chain)], float
         )
-        self._steepness = self.weights * self._gains * self.levers
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
@@ -174,24 +178,28 @@ class TaskStack:
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 
-    def bend(self, v: Array) -> float:
-        """Bound on the second derivative of the cost that J leaves out, times 1 s.
+    def bends(self, v: Array) -> Array:
+        """What J leaves out of each row's second derivative, times 1 s, shape (k,).
 
         The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
         it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
 
-            sum_i w_i g_i |e_i| L_i
+            g_i |e_i| L_i
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
 
         Args:
             v: the last velocity, shape (n,).
         """
-        most = float(self._steepness.dot(np.abs(self.e)))
+        most = self._gains * np.abs(self.e)
         for part in self._asking:
-            missed = self.J[part].dot(v) - self.rate[part]
-            most += float((self.weights[part] * self.levers[part]).dot(np.abs(missed)))
+            np.abs(self.J[part].dot(v) - self.rate[part], out=most[part])
+        most *= self.levers
         return most
+
+    def bend(self, v: Array) -> float:
+        """All of it in the cost, sum_i w_i g_i |e_i| L_i."""
+        return float(self.weights.dot(self.bends(v)))
 
 
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
@@ -204,11 +212,15 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
 
 
 def _levers(task: Task, chain: ClosedChain) -> list[float]:
-    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints."""
+    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints.
+
+    A distance from something round bends by itself too, by the square of the reach.
+    """
     if task.joint_space:
         return [0.0] * len(task.rows(chain))
+    length = chain.reach * (1.0 + chain.reach * task.curvature)
     return [
-        chain.reach if part.unit in LENGTHS else 1.0
+        length if part.unit in LENGTHS else 1.0
         for part in task.parts(chain)
         for _ in range(part.rows)
     ]

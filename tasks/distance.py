@@ -47,6 +47,11 @@ class Distance(Task):
         """When the distance shall be the length [s]."""
         return self.profile.end
 
+    @property
+    def curvature(self) -> float:
+        """Of the sphere [1/m]."""
+        return 1.0 / self.length
+
     def bind(self, start: State) -> Evaluate:
         """The distance changes from what it is now."""
         other, length = self._other(), self.length

@@ -6,7 +6,9 @@ motions that keep the loops closed,
     m(q) = sqrt(det(J P J')),   phi = m / m_0,   m_0 = (tr(J P J') / k)^(k/2) at the start
 
 so that phi is 1 where the object starts equally able to move in all k directions and 0 where it
-cannot move in one. The joints climb it:
+cannot move in one. Beyond phi = ``LARGE``, which a poor start makes possible, its logarithm counts
+instead, with the same slope there: m itself is so curved that climbing it in steps would swing. The
+joints climb it:
 
     e = -grad phi,   grad_j m = m tr(G (dJ/dq_j - J C^+ dC/dq_j)),   G = P J' (J P J')^-1
 
@@ -36,6 +38,9 @@ Axis = Literal["x", "y", "z"]
 
 ALL: tuple[Axis, ...] = ("x", "y", "z")
 
+#: phi beyond which its logarithm is climbed.
+LARGE = 3.0
+
 #: Added to J P J' and C C', as a share of their traces, so that they can be inverted.
 REGULAR = 1e-12
 
@@ -62,8 +67,8 @@ class Manipulability(Task):
         m_0 = climb.isotropic(start)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            climb.gradient(state, rows.e)
-            np.multiply(rows.e, -1.0 / m_0, rows.e)
+            m = climb.gradient(state, rows.e)
+            np.multiply(rows.e, -1.0 / max(m_0, m / LARGE), rows.e)
 
         return evaluate
 
@@ -97,13 +102,13 @@ class _Climb:
         mean = float(np.sum(J_free * J_free)) / k
         return 1.0 if failed or mean <= 0.0 else float(mean ** (0.5 * k))
 
-    def gradient(self, state: State, out: Array) -> None:
-        """Write grad m, shape (n,); zero where it cannot be computed."""
+    def gradient(self, state: State, out: Array) -> float:
+        """Write grad m, shape (n,), zero where it cannot be computed; and return m."""
         to_loops, J_free, failed = self._project(state)
         factor, G_T, singular = lapack.dposv(_regular(J_free.dot(J_free.T)), J_free)
         if failed or singular:
             out[:] = 0.0
-            return
+            return 0.0
         m = float(factor.diagonal().prod())
         mixture = self._of_J - to_loops.T.dot(self._of_C)
         n = state.chain.n
@@ -113,6 +118,7 @@ class _Climb:
         after = (_cross(v, g) + _cross(w, h)) @ self._down
         before = _cross(g, w) @ self._up
         np.sum(w * after + v * before, axis=(0, 1), out=out)
+        return m
 
     def _project(self, state: State) -> tuple[Array, Array, int]:
         """(J C^+)', J P and whether that failed."""

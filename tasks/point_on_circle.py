@@ -53,6 +53,11 @@ class PointOnCircle(Task):
         """When the point shall be on the circle and the circle has turned [s]."""
         return last_end(self.profile, self.turn)
 
+    @property
+    def curvature(self) -> float:
+        """Of the circle [1/m]."""
+        return 1.0 / self.radius
+
     def bind(self, start: State) -> Evaluate:
         """The offset shrinks from what it is now."""
         circle = self._circle()

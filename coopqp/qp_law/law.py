@@ -5,7 +5,7 @@
                 J_j v = rate_j - gain_j e_j                                      hard tasks
                 J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
 
-with d = damping + c dt (sum_i w_i gain_i |e_i| L_i + curvature of the hard and scaled rows), in
+with d = damping + c dt (sum_i w_i gain_i |e_i| L_i + curvature of the rows that must hold), in
 every level from its own tasks: what a step needs that it does not overshoot where the arms are
 stretched (:func:`coopqp.qp_law.equations.step_damping`). It fades as the tasks are met.
 
@@ -47,6 +47,7 @@ from coopqp.task import TaskStack
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
 MOST_HARD_DAMPING = 1.0  # that the multipliers of hard tasks may ask for
+MOST_LATER_DAMPING = 1e4  # that those of decided rows may; beyond it solvers see a wall
 LEAST_WANTED = 1e-8  # square of the speed below which a scaled task counts as at rest
 
 
@@ -62,10 +63,9 @@ class QPLaw(Law):
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
         memory_sizes: "stopped" is 1 after a stop; "soft" is how long hard tasks stay soft [s];
-            "pull" the sum of the hard rows' multipliers in the last tick.
+            "pull" the sum of the hard rows' multipliers in the last tick; "later pulls" that of the
+            rows decided before each later level, :attr:`LaterLevel.pull`.
     """
-
-    memory_sizes = {"stopped": 1, "soft": 1, "pull": 1}  # noqa: RUF012 - a constant of the class
 
     def __init__(
         self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
@@ -85,6 +85,7 @@ class QPLaw(Law):
                 break
             self._later.append(later)
         self._stacks = stacks[: len(self._later) + 1]
+        self.memory_sizes = {"stopped": 1, "soft": 1, "pull": 1, "later pulls": len(self._later)}
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
         self._probe = LoopProbe(problem)
@@ -155,7 +156,7 @@ class QPLaw(Law):
             hard: float = share * self._reach * state.memory["pull"][0]
             return min(hard, MOST_HARD_DAMPING)
         wanted = float(scaled.wanted.dot(scaled.wanted)) + LEAST_WANTED
-        asked = scaled.levers * (scaled.wanted - scaled.rate)
+        asked = scaled.bends(state.v)
         return share * SCALE_WEIGHT * math.sqrt(asked.dot(asked)) / wanted
 
     def _solve_first(self, state: State) -> Status:
@@ -173,10 +174,12 @@ class QPLaw(Law):
 
     def _improve(self, state: State, status: Status) -> tuple[Array, tuple[Status, ...]]:
         """What the later levels make of the first one's answer."""
-        v = self.first.v
-        for later in self._later:
-            extra = self._step_damping(later.level.tasks, state)
+        v, pulls = self.first.v, state.memory["later pulls"]
+        for i, later in enumerate(self._later):
+            pull = step_damping(pulls[i], self.problem.dt, self._error_damping)
+            extra = self._step_damping(later.level.tasks, state) + min(pull, MOST_LATER_DAMPING)
             status, v = later.improve(state, self._bounds, v, status, extra)
+            pulls[i] = later.pull
         return v, (status,)
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:

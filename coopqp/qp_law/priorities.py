@@ -6,6 +6,11 @@ Level 0 decides v_0. What its tasks and the loops see of it is fixed for the lev
 
 so that level 1 moves in their null space alone, and so on. Q comes from a singular value
 decomposition, which minds no redundant rows.
+
+The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
+values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
+therefore not step far: y L / sigma is part of what its damping is made of, like the second
+derivative of its own tasks (:func:`coopqp.qp_law.equations.step_damping`).
 """
 
 from __future__ import annotations
@@ -62,6 +67,8 @@ class LaterLevel:
     Attributes:
         nothing_free: whether the levels before it decide all joints.
         level: its QP.
+        pull: sum of |y| L / sigma over the decided rows in the last tick, of the cost without its
+            damping.
     """
 
     def __init__(
@@ -79,6 +86,7 @@ class LaterLevel:
         self.nothing_free = rank == problem.chain.n
         rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(rank))
         self.level = Level(problem, tasks, rows, bounds, damping)
+        self.pull = 0.0
 
     def improve(
         self, state: State, bounds: Bounds, v: Array, status: Status, extra_damping: float
@@ -90,7 +98,11 @@ class LaterLevel:
         Q.dot(v, level.b)
         own = level.solve()
         if not own.usable:
+            self.pull = 0.0
             return Status.INACCURATE, v
+        # Damping pulls at the rows too; left in, it would feed itself.
+        y = level.solution.y + level.curvature * level.b
+        self.pull = float(np.abs(y).dot(self._decided.turns))
         return (status if own is Status.OPTIMAL else own), level.v
 
 
@@ -104,6 +116,8 @@ class Decided:
     Attributes:
         rank: how many of the rows are independent in general, so that a singular start leaves
             nothing undecided.
+        turns: how fast each row of the basis turns, L / sigma with L the largest second derivative
+            of the tasks; 0 for the loops' rows, shape (rank,).
     """
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
@@ -118,7 +132,8 @@ class Decided:
             rows = np.vstack([state.J_loop, *self._blocks])
             self.rank = max(self.rank, matrix_rank(rows))
         self.rank = min(self.rank, chain.n)
-        self._Q = np.zeros((self.rank, chain.n))
+        self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
+        self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)
 
     def basis(self, state: State) -> Array:
         """Q at a state for which the stacks are up to date, shape (rank, n).
@@ -131,19 +146,20 @@ class Decided:
         if not (np.isfinite(tasks).all() and np.isfinite(state.J_loop).all()):
             Q[:] = np.nan
             return Q
-        Q[:] = 0.0
-        loops = _directions(state.J_loop, RANK_TOLERANCE)
+        Q[:], self.turns[:] = 0.0, 0.0
+        loops, _ = _directions(state.J_loop, RANK_TOLERANCE)
         m = len(loops)
         Q[:m] = loops
-        added = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)[: self.rank - m]
-        Q[m : m + len(added)] = added
+        added, sizes = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)
+        end = min(m + len(added), self.rank)
+        Q[m:end], self.turns[m:end] = added[: end - m], self._lever / sizes[: end - m]
         return Q
 
 
-def _directions(rows: Array, least: float) -> Array:
-    """Orthonormal basis of the rows, without singular values up to ``least``."""
+def _directions(rows: Array, least: float) -> tuple[Array, Array]:
+    """Orthonormal basis of the rows with singular values above ``least``, and these values."""
     if not len(rows):
-        return rows
+        return rows, np.zeros(0)
     _, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    kept: Array = Vt[values > least]
-    return kept
+    kept = values > least
+    return Vt[kept], values[kept]

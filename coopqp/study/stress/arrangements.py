@@ -1,0 +1,90 @@
+"""Which arms hold the object how: robots and starts of the shipped scenarios, built once a process.
+
+An arrangement is a scenario's closed chain, firm or with passive joints in the hands. Those whose
+robots are not installed are left out, so the same seed draws the same on equal installations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import MissingDependencyError
+from coopqp.grasp import Grasp
+from coopqp.grasps import Revolute, Rigid, Spherical
+from coopqp.robots.example_robot import robots
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
+
+#: Scenario of each robot.
+OWN = {"nao_t14": "point_on_point", "planar_pair": "planar_pair", "yeo_4_5": "yeo_4_5"}
+INSTALLED = {
+    "two_pandas": "two_pandas", "baxter": "baxter_tray", "tiago": "tiago_torso",
+    "three_ur": "three_ur", "panda_free": "two_pandas",
+}  # fmt: skip
+#: In this one the second arm does not hold the object, so that it can move relative to it.
+RELEASED = {"panda_free": ("right/arm",)}
+#: The planar pair's hinges are normal to its plane; a ball would take the plate out of it.
+PLANAR = "planar_pair"
+#: What each hand may be; "one" is the first hand alone.
+GRASPS = ("rigid", "rigid", "revolute", "revolute one", "spherical one")
+HINGE_POINT = (0.0, 0.0, -0.05)  # of the grasp in the shipped scenarios [m]
+
+
+@cache
+def names() -> tuple[str, ...]:
+    """The arrangements that can be built here."""
+    try:
+        robots()
+    except MissingDependencyError:
+        return tuple(OWN)
+    return (*OWN, *INSTALLED)
+
+
+def grasps_of(name: str) -> tuple[str, ...]:
+    """How the object may be held in an arrangement."""
+    if name == "yeo_4_5":
+        return ("its own",)
+    if name in RELEASED:
+        return ("rigid",)
+    return tuple(g for g in GRASPS if name != PLANAR or not g.startswith("spherical"))
+
+
+@cache
+def chain(name: str, grasp: str) -> ClosedChain:
+    """The closed chain of an arrangement, at its scenario's start."""
+    scenario = _scenario(name)
+    held = scenario if grasp == "its own" else replace(scenario, grasps=_grasps(scenario, grasp))
+    if name not in RELEASED:
+        return held.chain
+    return held.chain.handed_over(held.chain.q_start, RELEASED[name])
+
+
+@cache
+def _scenario(name: str) -> Scenario:
+    return load({**OWN, **INSTALLED}[name])
+
+
+def _grasps(scenario: Scenario, grasp: str) -> Mapping[str, Grasp]:
+    """The scenario's grasps with passive joints in the hands."""
+    kind, _, only = grasp.partition(" ")
+    arms = [arm.name for arm in scenario.robot_model.arms]
+    return {
+        arm: _grasp(kind if not only or arm == arms[0] else "rigid", scenario, arm) for arm in arms
+    }
+
+
+def _grasp(kind: str, scenario: Scenario, arm: str) -> Grasp:
+    own = scenario.grasps[arm] if isinstance(scenario.grasps, Mapping) else scenario.grasps
+    pose = own.object_in_hand
+    if kind == "revolute" and scenario.name == PLANAR:
+        return Revolute(object_in_hand=pose, axis=(0.0, 0.0, 1.0), lower=-1.0, upper=1.0)
+    if kind == "revolute":
+        return Revolute(object_in_hand=pose, point=HINGE_POINT)
+    if kind == "spherical":
+        return Spherical(object_in_hand=pose, cone=float(np.radians(60.0)))
+    return Rigid(object_in_hand=pose)

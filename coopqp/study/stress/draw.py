@@ -1,0 +1,167 @@
+"""A whole random problem from one seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem, OnInfeasible
+from coopqp.limit import Limit
+from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
+from coopqp.rank import null_space
+from coopqp.solvers import Daqp
+from coopqp.state import State
+from coopqp.study.stress import arrangements, goals
+from coopqp.task import Task
+from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
+
+WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps ...
+FARTHER = 3  # ... so many times as many to get outside
+FARTHEST_OUTSIDE = 0.3  # [rad, m]
+OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
+PERIODS = (0.005, 0.01, 0.02)  # [s]
+KAPPAS = {"0": 0.0, "0.1/dt": 0.1, "1/dt": 1.0}  # times 1/dt
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A random problem.
+
+    Attributes:
+        robot, grasp: of the arrangement.
+        start: "inside" or "outside" the position limits.
+        limits: "tight" or "loose".
+        kappa: the drift correction's gain, in words.
+        tasks: their types and modes.
+        problem: all of it.
+    """
+
+    robot: str
+    grasp: str
+    start: str
+    limits: str
+    kappa: str
+    tasks: tuple[str, ...]
+    problem: ControlProblem
+
+
+def draw(seed: int) -> Draw:
+    """The problem that belongs to a seed."""
+    rng = np.random.default_rng(seed)
+    robot = str(rng.choice(arrangements.names()))
+    grasp = str(rng.choice(arrangements.grasps_of(robot)))
+    outside, tight = bool(rng.random() < 0.3), bool(rng.random() < 0.5)
+    first = arrangements.chain(robot, grasp)
+    chain = first.moved(walk(rng, first, outside=outside))
+    dt, kappa = float(rng.choice(PERIODS)), str(rng.choice(list(KAPPAS)))
+    tasks = _tasks(rng, chain, dt)
+    problem = ControlProblem(
+        chain=chain,
+        tasks=tasks,
+        secondary=_secondary(rng, chain, planar=robot == arrangements.PLANAR),
+        limits=_limits(rng, chain, dt, tight=tight),
+        dt=dt,
+        kappa=KAPPAS[kappa] / dt,
+        solver=Daqp(),
+        on_infeasible=_on_infeasible(rng),
+    )
+    return Draw(
+        robot,
+        grasp,
+        "inside" if chain.starts_inside else "outside",
+        "tight" if tight else "loose",
+        kappa,
+        tuple(f"{task.mode} {type(task).__name__}" for task in tasks),
+        problem,
+    )
+
+
+def walk(rng: np.random.Generator, chain: ClosedChain, *, outside: bool) -> Array:
+    """Where a random walk along the loops ends: inside the limits, or as soon as it is outside."""
+    state = State(chain)
+    direction = rng.normal(size=chain.n)
+    inside = state.q.copy()
+    for _ in range(FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))):
+        _step(state, direction)
+        if state.loop_position_error > OPEN or state.loop_orientation_error > OPEN:
+            return inside
+        beyond = np.maximum(chain.lower - state.q, state.q - chain.upper).max()
+        if beyond <= 0.0:
+            inside = state.q.copy()
+        elif not outside or beyond >= FARTHEST_OUTSIDE:
+            return inside
+        elif rng.random() < 0.5:
+            return state.q.copy()
+    return inside
+
+
+def _step(state: State, direction: Array) -> None:
+    basis = null_space(state.J_loop)
+    step = basis @ (basis.T @ direction)
+    state.q += WALK * step / max(float(np.linalg.norm(step)), 1e-9)
+    state.update()
+    state.close_loops(3)
+
+
+def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Task, ...]:
+    """One to four; in half of the draws all belong to one pose that the arms reach."""
+    kinds = [k for k in goals.BUILDERS if k != "relative_motion" or chain.holding < len(chain.arms)]
+    reach = rng.random() < 0.5
+    X = chain.object_pose(walk(rng, chain, outside=False))
+    tasks = []
+    for i in range(int(rng.integers(1, 5))):
+        aim = goals.random_aim(rng, X if reach else goals.anywhere(rng, chain))
+        build = goals.BUILDERS[str(rng.choice(kinds))]
+        tasks.append(build(aim, goals.common(rng, dt, f"t{i}")))
+    return tuple(tasks)
+
+
+def _secondary(rng: np.random.Generator, chain: ClosedChain, *, planar: bool) -> tuple[Task, ...]:
+    posture = chain.sample(rng, 1)[0].tolist()
+    choices: list[Task] = [
+        JointCentering(gain=0.5),
+        Posture(goal=posture, gain=1.0, profile=goals.profile(rng)),
+        MinimumVelocity(priority=int(rng.integers(0, 2))),
+        Manipulability(axes=("x", "y") if planar else ("x", "y", "z"), gain=0.5),
+    ]
+    return tuple(task for task in choices if rng.random() < 0.25)
+
+
+def _limits(
+    rng: np.random.Generator, chain: ClosedChain, dt: float, *, tight: bool
+) -> tuple[Limit, ...]:
+    margin = float(rng.uniform(0.0, 0.1)) if tight else 0.0
+    limits: list[Limit] = [
+        JointPosition(margin=margin),
+        JointVelocity(scale=float(rng.uniform(0.1, 0.4)) if tight else 1.0),
+    ]
+    if rng.random() < 0.35:
+        most = float(10.0 ** rng.uniform(0.7, 2.5))
+        limits.append(JointAcceleration(max=most, margin=margin))
+    if rng.random() < 0.25:
+        linear, angular = rng.uniform([0.02, 0.1], [0.5, 2.0]).tolist()
+        limits.append(ObjectSpeed(linear=linear, angular=angular))
+    if rng.random() < 0.25:
+        limits.append(_workspace(rng, chain, dt))
+    return tuple(limits)
+
+
+def _workspace(rng: np.random.Generator, chain: ClosedChain, dt: float) -> Workspace:
+    """A wall up to 10 cm from the object."""
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    X = chain.object_pose(chain.q_start)
+    size = np.array(chain.held.size)
+    depth = float(np.abs(X.rotation.T @ normal) @ size) / 2.0
+    through = X.translation - (depth + rng.uniform(0.0, 0.1)) * normal
+    gain = float(rng.uniform(2.0, 1.0 / dt))
+    return Workspace(normal=goals.vector(normal), through=goals.vector(through), gain=gain)
+
+
+def _on_infeasible(rng: np.random.Generator) -> OnInfeasible:
+    """Mostly scale."""
+    x = rng.random()
+    return "hold" if x < 0.1 else "stop" if x < 0.15 else "scale"

@@ -1,0 +1,171 @@
+"""Where a rollout ended, and why there.
+
+reached     every task within its tolerance
+blocked     loops or limits of place, by name, leave no motion along the tasks that are missed
+at rest     short of the goal, at a singular pose or between tasks that ask for different things
+moving      the tasks still get nearer when its time is up, or follow a twist
+recovering  a joint is still outside its limits
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.law import QPLaw
+from coopqp.rank import null_space
+from coopqp.state import State
+from coopqp.study.explanation import explain, record_tick
+from coopqp.study.stress import signs
+from coopqp.study.stress.signs import Record
+from coopqp.task import TaskStack
+
+INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]
+AT = 1e-4  # a joint this near its limit rests there [rad]
+SINGULAR = 0.05  # least motion of the object for a unit of joint motion [m/rad]
+OF_SPEED = ("limit.velocity", "limit.acceleration", "limit.object_speed")
+BEFORE, CHANGE = 50, 0.01  # a task whose error changes by less in so many ticks has come to rest
+OUTCOMES = ("reached", "blocked", "at rest", "moving", "recovering")
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a rollout ended.
+
+    Attributes:
+        outcome: one of ``OUTCOMES``.
+        reason: what blocked it, or why it rests.
+        frozen: it stands still, and nothing that has a name is in its way.
+        never_back: a joint is outside though it could come back.
+    """
+
+    outcome: str
+    reason: str = ""
+    frozen: bool = False
+    never_back: bool = False
+
+
+def ending(problem: ControlProblem, law: QPLaw, state: State, record: Record) -> Ending:
+    """Judge the end of a rollout.
+
+    Args:
+        problem: what was controlled.
+        law: with its last answer.
+        state: at the end.
+        record: of all ticks.
+    """
+    said = signs.names_of(record.causes[-1])
+    stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
+    asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
+    if stands and problem.on_infeasible == "stop":
+        return asked
+    if signs.beyond(record)[-1].max() > signs.EXCESS:
+        way = way_back(problem, state)
+        stuck = way > INWARD and signs.slowest(record) < signs.AT_REST
+        return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
+    if stands:
+        return asked
+    errors = part_errors(problem, state, record)
+    if errors.max() <= 1.0:
+        return Ending("reached")
+    speed = signs.slowest(record)
+    if signs.held_up(record) and speed < signs.AT_REST:
+        return Ending("at rest", said, frozen=True)
+    if speed > signs.AT_REST and _nears(errors, part_errors(problem, state, record, BEFORE)):
+        how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
+        return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
+    return _rest(problem, law, state, record)
+
+
+def _nears(errors: Array, before: Array) -> bool:
+    """Whether what is missed still changes."""
+    change = float(np.abs(errors - before).max())
+    return change > CHANGE * float(errors.max())
+
+
+def _rest(problem: ControlProblem, law: QPLaw, state: State, record: Record) -> Ending:
+    """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
+    tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))
+    why = explain(tick)
+    limits = [r.name for r in why.relaxations]
+    names = [name for name in limits if not name.startswith(OF_SPEED)]
+    names += [f"loops|{name}" for name in why.impossible]
+    if names:
+        return Ending("blocked", ", ".join(names))
+    held = _at_limits(problem, state)
+    if _near_singular(problem, state, list(held)):
+        return Ending("at rest", ", ".join(["singular pose", *held.values()]))
+    if limits:
+        still = signs.slowest(record) < signs.AT_REST
+        return Ending("at rest" if still else "blocked", ", ".join(limits))
+    return Ending("at rest", why.sentence, frozen=signs.slowest(record) < signs.STILL)
+
+
+def part_errors(problem: ControlProblem, state: State, record: Record, back: int = 0) -> Array:
+    """Error of each part of each task over its tolerance.
+
+    Args:
+        problem: with the tasks.
+        state: at the end.
+        record: of all ticks.
+        back: so many ticks before the end.
+    """
+    now = State(problem.chain, record.q[-1 - back], state.t - back * problem.dt)
+    tasks = TaskStack(problem.tasks, State(problem.chain))
+    tasks.update(now)
+    errors, at = [], 0
+    for task in problem.tasks:
+        for part in task.parts(problem.chain):
+            rows = slice(at, at + part.rows)
+            missed = tasks.J[rows] @ record.v[-1 - back] - tasks.rate[rows]
+            error = missed if task.asks_velocity else tasks.e[rows]
+            errors.append(float(np.linalg.norm(error)) / part.tolerance)
+            at += part.rows
+    return np.array(errors)
+
+
+def way_back(problem: ControlProblem, state: State) -> float:
+    """Fastest way inward of a joint outside, that loops and limits leave [rad/s, m/s].
+
+    A linear program of its own, that knows nothing of the QP law: most sum of inward speeds.
+    """
+    chain = problem.chain
+    kept = [limit for limit in problem.limits if not limit.sacrificed_first]
+    bounds = Bounds(chain, kept, State(chain), problem.dt)
+    bounds.update(state)
+    inward = (state.q < chain.lower).astype(float) - (state.q > chain.upper)
+    found = linprog(
+        -inward,
+        A_ub=bounds.G if len(bounds.G) else None,
+        b_ub=np.maximum(bounds.h, 0.0) if len(bounds.G) else None,
+        A_eq=state.J_loop,
+        b_eq=np.zeros(len(state.J_loop)),
+        bounds=list(zip(bounds.lb, bounds.ub, strict=True)),
+    )
+    return float((inward * found.x).max()) if found.success else 0.0
+
+
+def _at_limits(problem: ControlProblem, state: State) -> dict[int, str]:
+    """Joints that rest at a position limit, with the limit's name."""
+    chain = problem.chain
+    margin = max((getattr(limit, "margin", 0.0) for limit in problem.limits), default=0.0)
+    low, high = state.q - chain.lower < margin + AT, chain.upper - state.q < margin + AT
+    names = chain.joint_names
+    lowest = {i: f"limit.position[{names[i]}].lower" for i in np.flatnonzero(low).tolist()}
+    highest = {i: f"limit.position[{names[i]}].upper" for i in np.flatnonzero(high).tolist()}
+    return {**lowest, **highest}
+
+
+def _near_singular(problem: ControlProblem, state: State, held: list[int]) -> bool:
+    """Whether loops and joints at their limits leave a direction of the tasks next to nothing."""
+    tasks = TaskStack(problem.tasks, State(problem.chain))
+    tasks.update(state)
+    locked = np.eye(problem.chain.n)[held]
+    free: Array = null_space(np.vstack([state.J_loop, locked]))
+    values = np.linalg.svd(tasks.J @ free, compute_uv=False)
+    return len(values) < len(tasks.J) or bool(values.min(initial=np.inf) < SINGULAR)

@@ -1,0 +1,184 @@
+"""Random tasks of the catalogue, all from one seed.
+
+Each builder makes a task that an object pose fulfils; goals in reach come from a pose that a walk
+along the loops has found, so that several tasks can hold at once, and others from anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.checked import Pose as PoseValue
+from coopqp.closed_chain import ClosedChain
+from coopqp.profile import Profile
+from coopqp.task import Task
+from coopqp.tasks import (
+    Distance,
+    LineOnLine,
+    LineOnPlane,
+    Orientation,
+    PlaneOnPlane,
+    Pointing,
+    PointOnCircle,
+    PointOnLine,
+    PointOnPlane,
+    PointOnPoint,
+    Pose,
+    Prismatic,
+    RelativeMotion,
+    Revolute,
+    Twist,
+)
+
+Vector = tuple[float, float, float]
+
+FARTHEST = 0.4  # distance of a goal from the start, as a share of the arms' reach
+TURN = 1.0  # largest turn to a goal out of reach [rad]
+SPEED = 0.1  # of a twist, a share of the reach in a second [1/s], and [rad/s]
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where a task wants the object.
+
+    Attributes:
+        rng: for what the pose leaves open.
+        X: pose of the object in the world.
+        point: a point of the object, in the object frame [m].
+        axis, normal: unit vectors in the object frame, at right angles.
+    """
+
+    rng: np.random.Generator
+    X: pin.SE3
+    point: Vector
+    axis: Array
+    normal: Array
+
+    @property
+    def there(self) -> Vector:
+        """Where the point goes, in the world [m]."""
+        return vector(self.X.act(np.array(self.point)))
+
+    def seen(self, direction: Array) -> Vector:
+        """A direction of the object as it is to be in the world."""
+        return vector(self.X.rotation @ direction)
+
+    @property
+    def rpy(self) -> Vector:
+        """Orientation of the object [rad]."""
+        return vector(pin.rpy.matrixToRpy(self.X.rotation))
+
+
+Common = dict[str, Any]
+Build = Callable[[Aim, Common], Task]
+
+
+def _point_on_circle(aim: Aim, common: Common) -> Task:
+    radius = float(aim.rng.uniform(0.02, 0.2))
+    middle = np.array(aim.there) + radius * np.array(aim.seen(aim.normal))
+    return PointOnCircle(
+        center=vector(middle), normal=aim.seen(aim.axis), radius=radius, point=aim.point, **common
+    )
+
+
+def _distance(aim: Aim, common: Common) -> Task:
+    length = float(aim.rng.uniform(0.05, 0.4))
+    to = np.array(aim.there) + length * np.array(aim.seen(aim.axis))
+    return Distance(to=vector(to), length=length, point=aim.point, **common)
+
+
+def _twist(aim: Aim, common: Common) -> Task:
+    axes = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
+    some = aim.rng.choice(axes, size=int(aim.rng.integers(1, 4)), replace=False)
+    velocity: Any = {str(axis): float(aim.rng.uniform(-SPEED, SPEED)) for axis in some}
+    return Twist(velocity=velocity, point=aim.point, **common)
+
+
+def _relative_motion(aim: Aim, common: Common) -> Task:
+    goal = PoseValue(
+        position=vector(aim.rng.uniform(-0.1, 0.1, 3)), rpy=vector(aim.rng.uniform(-0.5, 0.5, 3))
+    )
+    return RelativeMotion(goal=goal, **common)
+
+
+BUILDERS: dict[str, Build] = {
+    "point_on_point": lambda a, c: PointOnPoint(goal=a.there, point=a.point, **c),
+    "point_on_plane": lambda a, c: PointOnPlane(
+        normal=a.seen(a.axis), through=a.there, point=a.point, **c
+    ),
+    "point_on_line": lambda a, c: PointOnLine(
+        direction=a.seen(a.axis), through=a.there, point=a.point, **c
+    ),
+    "point_on_circle": _point_on_circle,
+    "line_on_line": lambda a, c: LineOnLine(
+        direction=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
+    ),
+    "line_on_plane": lambda a, c: LineOnPlane(
+        normal=a.seen(a.normal), through=a.there, axis=vector(a.axis), point=a.point, **c
+    ),
+    "plane_on_plane": lambda a, c: PlaneOnPlane(
+        normal=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
+    ),
+    "revolute": lambda a, c: Revolute(
+        direction=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
+    ),
+    "prismatic": lambda a, c: Prismatic(
+        direction=a.seen(a.axis), through=a.there, point=a.point, rpy=a.rpy, **c
+    ),
+    "pointing": lambda a, c: Pointing(direction=a.seen(a.axis), axis=vector(a.axis), **c),
+    "orientation": lambda a, c: Orientation(rpy=a.rpy, **c),
+    "pose": lambda a, c: Pose(
+        goal=PoseValue(position=vector(a.X.translation), rpy=a.rpy), **c
+    ),
+    "distance": _distance,
+    "twist": _twist,
+    "relative_motion": _relative_motion,
+}  # fmt: skip
+
+
+def vector(numbers: Array) -> Vector:
+    """Three plain numbers."""
+    x, y, z = np.asarray(numbers, float).tolist()
+    return x, y, z
+
+
+def random_aim(rng: np.random.Generator, X: pin.SE3) -> Aim:
+    """A point and two directions of the object that shall be as the pose has them."""
+    axis, other = rng.normal(size=(2, 3))
+    axis /= np.linalg.norm(axis)
+    normal = np.cross(axis, other)
+    point = vector(rng.uniform(-0.04, 0.04, 3)) if rng.random() < 0.5 else (0.0, 0.0, 0.0)
+    return Aim(rng, X, point, axis, normal / np.linalg.norm(normal))
+
+
+def anywhere(rng: np.random.Generator, chain: ClosedChain) -> pin.SE3:
+    """A pose near the start, in reach or not."""
+    start = chain.object_pose(chain.q_start)
+    way, axis = rng.normal(size=(2, 3))
+    way *= rng.uniform(0.01, FARTHEST) * chain.reach / np.linalg.norm(way)
+    turn = pin.exp3(rng.uniform(0.0, TURN) * axis / np.linalg.norm(axis))
+    return pin.SE3(turn @ start.rotation, start.translation + way)
+
+
+def common(rng: np.random.Generator, dt: float, name: str) -> Common:
+    """Keys that every task has."""
+    return {
+        "name": name,
+        "mode": str(rng.choice(["soft", "soft", "soft", "hard", "scaled"])),
+        "priority": int(rng.integers(0, 3)),
+        "weight": float(10.0 ** rng.uniform(-2.0, 2.0)),
+        "gain": float(dt ** -rng.uniform(0.4, 1.0)),
+        "profile": profile(rng),
+    }
+
+
+def profile(rng: np.random.Generator) -> Profile:
+    """How a reference moves, often at once."""
+    kind: Any = str(rng.choice(["step", "constant_velocity", "trapezoid", "quintic"]))
+    return Profile(kind=kind, duration=float(rng.uniform(0.1, 0.7)))

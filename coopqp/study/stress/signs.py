@@ -1,0 +1,126 @@
+"""What a recorded rollout shows: promises kept, joints that rattle, joints that stand still.
+
+Letters: n joints, T ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.solver import Budget, Status
+
+EXCESS = 1e-9  # what a bound may be exceeded by, rounding [rad, rad/s]
+FLIP = 0.3  # a change of sign counts where both speeds are above this share of the limit
+RATTLING, RINGING = 0.1, 0.02  # share of the ticks of the second half in which one joint flips
+STILL = 1e-6  # a joint below this share of its speed limit does not move
+AT_REST = 1e-3  # ... and below this one it has arrived
+LATEST = 10  # ticks that tell how it ends
+SHORTENED = (Status.STEP_SHORTENED, Status.LOOP_BUDGET)
+
+
+@dataclass
+class Record:
+    """A rollout as it is driven.
+
+    Attributes:
+        lower, upper: position limits, shape (n,) [rad, m].
+        speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
+        q: configurations before each tick and at last, T + 1 of shape (n,).
+        v: commands, T of shape (n,).
+        causes: of each tick.
+        loop_position, loop_orientation: largest loop error [m], [rad].
+    """
+
+    lower: Array
+    upper: Array
+    speed: Array
+    q: list[Array] = field(default_factory=list)
+    v: list[Array] = field(default_factory=list)
+    causes: list[tuple[Status, ...]] = field(default_factory=list)
+    loop_position: float = 0.0
+    loop_orientation: float = 0.0
+
+    @property
+    def scale(self) -> Array:
+        """Speeds to compare with, shape (n,); without a limit it is the least of the others."""
+        limited = np.isfinite(self.speed)
+        least = self.speed[limited].min() if limited.any() else 1.0
+        return np.where(limited, self.speed, least)
+
+    def count(self, *statuses: Status) -> int:
+        """Ticks that say one of these."""
+        return sum(any(cause in statuses for cause in causes) for causes in self.causes)
+
+
+def beyond(record: Record) -> Array:
+    """How far each joint is outside its limits, shape (T + 1, n) [rad, m]."""
+    q = np.array(record.q)
+    out: Array = np.maximum(np.maximum(record.lower - q, q - record.upper), 0.0)
+    return out
+
+
+def position_excess(record: Record) -> float:
+    """Largest overrun: what is inside stays inside, what is outside may only come nearer."""
+    out = beyond(record)
+    nearest = np.minimum.accumulate(out, axis=0)
+    return float((out[1:] - nearest[:-1]).max(initial=0.0))
+
+
+def velocity_excess(record: Record) -> float:
+    """Largest overrun of a velocity limit [rad/s, m/s]."""
+    return max(0.0, float((np.abs(np.array(record.v)) - record.speed).max(initial=0.0)))
+
+
+def flips(record: Record) -> float:
+    """Share of the ticks of the second half in which the worst joint changes its sign at speed."""
+    return float(_flips(record, FLIP).max(initial=0.0))
+
+
+def trembles(record: Record) -> float:
+    """The same at any speed that is not rest."""
+    return float(_flips(record, AT_REST).max(initial=0.0))
+
+
+def _flips(record: Record, least: float) -> Array:
+    """Share of sign changes of each joint, shape (n,)."""
+    v = np.array(record.v[len(record.v) // 2 :]) / record.scale
+    before, after = v[:-1], v[1:]
+    turned = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > least)
+    shares: Array = turned.mean(axis=0) if len(turned) else np.zeros(v.shape[-1])
+    return shares
+
+
+def slowest(record: Record) -> float:
+    """Largest speed in the last ticks, as a share of the limit."""
+    v = np.abs(np.array(record.v[-LATEST:])) / record.scale
+    return float(v.max(initial=0.0))
+
+
+def held_up(record: Record) -> bool:
+    """Whether the loop budget has shortened every one of the last ticks."""
+    last = record.causes[-LATEST:]
+    return bool(last) and all(any(cause in SHORTENED for cause in causes) for causes in last)
+
+
+def overruns(record: Record, budget: Budget) -> Iterator[str]:
+    """Promises that no tick may break, in words."""
+    if not np.isfinite(np.array(record.v)).all():
+        yield "commanded NaN"
+        return
+    if position_excess(record) > EXCESS:
+        yield f"left a position limit by {position_excess(record):.2g} rad"
+    if velocity_excess(record) > EXCESS:
+        yield f"broke a velocity limit by {velocity_excess(record):.2g} rad/s"
+    if record.loop_position > budget.loop_position:
+        yield f"opened a loop by {1e3 * record.loop_position:.4g} mm"
+    if record.loop_orientation > budget.loop_orientation:
+        yield f"opened a loop by {record.loop_orientation:.4g} rad"
+
+
+def names_of(causes: Sequence[Status]) -> str:
+    """As the trace has them."""
+    return "+".join(cause.name for cause in causes)

@@ -1,0 +1,86 @@
+"""One line for each kind of rollout."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from coopqp.study.stress.trial import Rollout
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One line of the table: rollouts of one kind.
+
+    Attributes:
+        kind: such as "baxter", "outside" or "all".
+        count: of rollouts.
+        outcomes: by name.
+        frozen, rattling, never_back, ringing: rollouts that showed these signs.
+        broken: rollouts that broke a promise.
+        ticks, fallbacks, inaccurate: of all rollouts.
+        position_excess, velocity_excess, loop_position, loop_orientation: the worst of them.
+    """
+
+    kind: str
+    count: int
+    outcomes: dict[str, int]
+    frozen: int
+    rattling: int
+    never_back: int
+    ringing: int
+    broken: int
+    ticks: int
+    fallbacks: int
+    inaccurate: int
+    position_excess: float
+    velocity_excess: float
+    loop_position: float
+    loop_orientation: float
+
+
+def summarize(rollouts: list[Rollout]) -> list[Summary]:
+    """By robot, start, limits and drift correction, and all together."""
+    kinds: dict[str, list[Rollout]] = {}
+    drawn = [r for r in rollouts if r.robot]
+    for words in (_robot, _start, _limits, _kappa):
+        for r in sorted(drawn, key=words):
+            kinds.setdefault(words(r), []).append(r)
+    lines = [_summary(kind, of_kind) for kind, of_kind in kinds.items()]
+    return [*lines, _summary("all", rollouts)]
+
+
+def _robot(r: Rollout) -> str:
+    return r.robot
+
+
+def _start(r: Rollout) -> str:
+    return f"start {r.start}"
+
+
+def _limits(r: Rollout) -> str:
+    return f"{r.limits} limits"
+
+
+def _kappa(r: Rollout) -> str:
+    return f"kappa {r.kappa}"
+
+
+def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
+    return Summary(
+        kind,
+        len(rollouts),
+        dict(sorted(Counter(r.outcome or "raised" for r in rollouts).items())),
+        sum(r.frozen for r in rollouts),
+        sum(r.rattling for r in rollouts),
+        sum(r.never_back for r in rollouts),
+        sum(r.ringing for r in rollouts),
+        sum(bool(r.broken) for r in rollouts),
+        sum(r.ticks for r in rollouts),
+        sum(r.fallbacks for r in rollouts),
+        sum(r.inaccurate for r in rollouts),
+        max(r.position_excess for r in rollouts),
+        max(r.velocity_excess for r in rollouts),
+        max(r.loop_position for r in rollouts),
+        max(r.loop_orientation for r in rollouts),
+    )

@@ -1,0 +1,219 @@
+"""The stress test: a small share of it, and each of its detectors on a made-up rollout."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rich.console import Console
+
+from coopqp.qp_law.law import QPLaw
+from coopqp.report import table
+from coopqp.solver import Budget, Status
+from coopqp.state import State
+from coopqp.study.stress import arrangements, one_rollout, signs, stress, summarize
+from coopqp.study.stress.draw import draw
+from coopqp.study.stress.ending import ending, way_back
+from coopqp.study.stress.signs import Record
+from coopqp.study.stress.trial import DAMPING, MOST, drive_on, record_of
+
+Array = NDArray[np.float64]
+OK = (Status.OPTIMAL,)
+TICKS = 100
+
+
+@pytest.fixture(scope="module")
+def small() -> list:
+    return stress(60, seed=0, jobs=1)
+
+
+def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Record:
+    """One joint with limits of 1 rad and 1 rad/s that did what v says, at 10 ms a tick."""
+    one = np.ones(1)
+    q = np.concatenate([[q_0], q_0 + 0.01 * np.cumsum(v)])
+    return Record(-one, one, one, [one * x for x in q], [one * x for x in v], [causes] * len(v))
+
+
+# A small share of it.
+
+
+def test_a_small_share_breaks_no_promise(small: list) -> None:
+    assert [(r.seed, r.broken) for r in small if r.broken] == []
+    assert not any(r.frozen or r.rattling or r.never_back for r in small)
+    assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
+    assert all(r.reason for r in small if r.outcome != "reached")
+    assert sum(r.outcome == "reached" for r in small) >= 15
+
+
+def test_everything_follows_from_the_seed(small: list) -> None:
+    assert [one_rollout(r.seed) for r in small[:6]] == small[:6]
+    assert stress(6, seed=0, jobs=2) == small[:6]
+
+
+def test_draws_are_wide() -> None:
+    """Every arrangement, grasp, mode, drift correction and period comes up."""
+    drawn = [draw(seed) for seed in range(150)]
+    assert {d.robot for d in drawn} == set(arrangements.names())
+    assert {"rigid", "revolute"} <= {d.grasp for d in drawn}
+    assert {d.kappa for d in drawn} == {"0", "0.1/dt", "1/dt"}
+    assert {d.problem.dt for d in drawn} == {0.005, 0.01, 0.02}
+    assert 0.15 < np.mean([d.start == "outside" for d in drawn]) < 0.45
+    tasks = [task for d in drawn for task in d.problem.tasks]
+    assert {task.mode for task in tasks} == {"soft", "hard", "scaled"}
+    assert {task.priority for task in tasks} == {0, 1, 2}
+    assert len({type(task) for task in tasks}) >= 14
+    assert {len(d.problem.tasks) for d in drawn} == {1, 2, 3, 4}
+    assert all(task.gain * d.problem.dt <= 1.0 for d in drawn for task in d.problem.tasks)
+
+
+def test_every_start_has_its_loops_closed() -> None:
+    for seed in range(40):
+        state = State(draw(seed).problem.chain)
+        assert state.loop_position_error < 1e-6
+        assert state.loop_orientation_error < 1e-6
+
+
+# Detectors.
+
+
+def test_flips_are_counted_in_the_second_half_and_above_the_threshold() -> None:
+    swing = np.where(np.arange(TICKS) % 2, 1.0, -1.0)
+    assert signs.flips(made_up(0.5 * swing)) == 1.0
+    assert signs.flips(made_up(0.2 * swing)) == 0.0
+    assert signs.trembles(made_up(0.2 * swing)) == 1.0
+    early = np.where(np.arange(TICKS) < TICKS // 2, 0.5 * swing, 0.5)
+    assert signs.flips(made_up(early)) == 0.0
+    once = np.where(np.arange(TICKS) < 80, 0.5, -0.5)
+    assert 0.0 < signs.flips(made_up(once)) < signs.RATTLING
+
+
+def test_a_joint_without_a_speed_limit_rattles_too() -> None:
+    swing = np.where(np.arange(TICKS) % 2, 1.0, -1.0)
+    v = [np.array([0.0, s]) for s in swing]
+    both = Record(-np.ones(2), np.ones(2), np.array([1.0, np.inf]), [np.zeros(2)], v, [OK] * TICKS)
+    assert signs.flips(both) == 1.0
+
+
+def test_an_overrun_is_seen_and_a_way_back_is_none() -> None:
+    out = made_up(np.full(TICKS, 0.5), q_0=0.8)
+    assert signs.position_excess(out) == pytest.approx(0.3, abs=1e-12)
+    assert any("position limit" in words for words in signs.overruns(out, Budget()))
+    back = made_up(np.full(TICKS, -0.5), q_0=1.3)
+    assert list(signs.overruns(back, Budget())) == []
+    there_and_out = made_up(np.repeat([-0.5, 0.5], TICKS // 2), q_0=1.3)
+    assert signs.position_excess(there_and_out) == pytest.approx(0.25, abs=1e-12)
+
+
+def test_speed_loops_and_nan_are_promises() -> None:
+    words = list(signs.overruns(made_up(np.full(TICKS, -1.1), q_0=1.0), Budget()))
+    assert any("velocity limit by 0.1" in word for word in words)
+    wide = replace(made_up(np.zeros(TICKS)), loop_position=2e-3, loop_orientation=2e-2)
+    assert len(list(signs.overruns(wide, Budget()))) == 2
+    assert list(signs.overruns(made_up(np.full(TICKS, np.nan)), Budget())) == ["commanded NaN"]
+
+
+def test_loop_budget_that_stands_is_seen() -> None:
+    assert signs.held_up(made_up(np.zeros(TICKS), (Status.LOOP_BUDGET,)))
+    assert signs.held_up(made_up(np.zeros(TICKS), (Status.STEP_SHORTENED, Status.RECOVERING)))
+    assert not signs.held_up(made_up(np.zeros(TICKS)))
+
+
+def far_from_reached() -> tuple[QPLaw, State, Record]:
+    """A drawn problem whose arms have not moved: its record says so, in every tick."""
+    seed = next(
+        s for s in range(200)
+        if (d := draw(s)).start == "inside" and d.problem.on_infeasible == "scale"
+        and d.tasks == ("soft PointOnPoint",)
+    )  # fmt: skip
+    law = QPLaw(draw(seed).problem, DAMPING)
+    state = law.start()
+    record = record_of(law.problem)
+    zero = np.zeros(law.problem.chain.n)
+    record.q.extend([state.q.copy()] * (TICKS + 1))
+    record.v.extend([zero] * TICKS)
+    state.t = TICKS * law.problem.dt
+    return law, state, record
+
+
+@pytest.mark.parametrize("cause", [Status.LOOP_BUDGET, Status.STEP_SHORTENED])
+def test_standing_at_the_loop_budget_is_frozen(cause: Status) -> None:
+    law, state, record = far_from_reached()
+    record.causes.extend([(cause,)] * TICKS)
+    found = ending(law.problem, law, state, record)
+    assert found.frozen
+    assert cause.name in found.reason
+
+
+def test_standing_still_with_nothing_in_the_way_is_frozen() -> None:
+    """The record stands still; the law, asked again there, could go on."""
+    law, state, record = far_from_reached()
+    record.causes.extend([OK] * TICKS)
+    found = ending(law.problem, law, state, record)
+    assert found.frozen
+
+
+def test_standing_outside_with_a_way_back_is_never_back() -> None:
+    """The arms stand where they began, outside, while a linear program finds a way in."""
+    seed = next(
+        s for s in range(200)
+        if (d := draw(s)).start == "outside" and d.problem.on_infeasible == "scale"
+    )  # fmt: skip
+    law = QPLaw(draw(seed).problem, DAMPING)
+    state, record = law.start(), record_of(law.problem)
+    record.q.extend([state.q.copy()] * (TICKS + 1))
+    record.v.extend([np.zeros(law.problem.chain.n)] * TICKS)
+    record.causes.extend([(Status.RECOVERING,)] * TICKS)
+    found = ending(law.problem, law, state, record)
+    assert found.outcome == "recovering"
+    assert found.never_back
+    assert way_back(law.problem, state) > 0.01
+    # The law itself does come back.
+    state, record = law.start(), record_of(law.problem)
+    drive_on(law, state, record)
+    assert len(record.v) <= MOST
+    assert not ending(law.problem, law, state, record).never_back
+
+
+# What people see.
+
+
+def test_table_can_be_read_at_80_columns(small: list) -> None:
+    lines = summarize(small)
+    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(table.stress(lines))
+    console.file.close()
+    text = console.export_text()
+    assert "…" not in text
+    assert all(len(line.rstrip()) <= 80 for line in text.splitlines())
+    for words in ("frozen", "rattle", "never", "broken", "still", "INACCURATE", "baxter", "all"):
+        assert words in text or (words == "baxter" and words not in arrangements.names())
+
+
+def test_summary_counts_what_was_seen(small: list) -> None:
+    marked = [dataclasses.replace(small[0], frozen=True, broken=("froze",)), *small[1:]]
+    whole = summarize(marked)[-1]
+    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 60, 1, 1)
+    assert sum(whole.outcomes.values()) == 60
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_an_interrupt_ends_in_one_line() -> None:
+    words = [sys.executable, "-c", "from coopqp.cli import main; main()"]
+    process = subprocess.Popen(
+        [*words, "stress", "--rollouts", "100000", "--jobs", "2"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    time.sleep(4.0)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert out == ""
+    assert err.split() == ["Aborted!"]
