@@ -39,6 +39,12 @@ AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 #: Reach of a joint without limits when configurations are sampled [rad or m].
 UNLIMITED_SAMPLE = 1.0
 
+#: A walk along the loops: steps, their size [rad or m], Newton steps back, and what is closed.
+WALK, WALK_STEP, WALK_NEWTON, WALK_CLOSED = 6, 0.05, 20, 1e-10
+
+#: Singular values below this share are noise there: the walk is closed to rounding only.
+WALK_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True)
 class LoopRows:
@@ -278,7 +284,45 @@ class ClosedChain:
         # A row that is a fixed combination of others is so in all configurations side by side.
         kept = independent_rows(np.hstack(jacobians))
         rank = max(matrix_rank(J) for J in jacobians)
+        if matrix_rank(self.loop_jacobian(self.q_start)) < rank:
+            rank = self._rank_where_closed() or rank
         return LoopRows(rows=rows, closed=closed, kept=tuple(kept), rank=rank)
+
+    def _rank_where_closed(self) -> int:
+        """Rank on a walk with the loops closed; 0 where it cannot leave the start.
+
+        A paradoxical linkage, such as Bennett's, moves although configurations in which it is
+        grasped anew say that it cannot: where it is closed its rows depend on each other more.
+        """
+        rng, q, rank = np.random.default_rng(0), self.q_start.copy(), 0
+        for _ in range(WALK):
+            rows = np.linalg.svd(self.loop_jacobian(q))
+            free = rows[2][np.sum(rows[1] > WALK_TOLERANCE * rows[1][0]) :]
+            near = self._closed_near(q + WALK_STEP * free.T @ rng.normal(size=len(free)))
+            if near is None:
+                break
+            q, J = near, self.loop_jacobian(near)
+            rank = max(rank, int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)))
+        return rank
+
+    def _closed_near(self, q: Array) -> Array | None:
+        """The configuration with the loops closed that Newton's method finds; None if none."""
+        for _ in range(WALK_NEWTON):
+            gap = self._loop_error(q)
+            if np.linalg.norm(gap) < WALK_CLOSED:
+                return q
+            q = q - np.linalg.lstsq(self.loop_jacobian(q), gap, rcond=WALK_TOLERANCE)[0]
+        return None
+
+    def _loop_error(self, q: Array) -> Array:
+        """Positions and rotation vectors from how arm 0 to how the others carry it, (6 L,)."""
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, q)
+        X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
+        return np.concatenate(
+            [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
+             for X in others]
+        )  # fmt: skip
 
 
 def _mixing_matrix(alpha: Array) -> Array:

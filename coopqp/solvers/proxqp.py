@@ -25,8 +25,10 @@ class Proxqp(Solver):
     """Absolute tolerance on the residuals."""
     eps_primal_inf: Positive = 1e-8
     """Below its default of 1e-4: with small numbers, feasible problems were called infeasible."""
-    max_iter: int = 1_000
+    max_iter: int = 100
     """Most outer iterations."""
+    max_iter_in: int = 20
+    """Most inner iterations of each; its own 1,500 let one tick take half a minute."""
 
     def open(self, qp: QP, solution: Solution) -> Solve:
         """The warm start is the previous solution, which is all that is kept between ticks."""
@@ -35,6 +37,7 @@ class Proxqp(Solver):
         backend.settings.eps_rel = 0.0
         backend.settings.eps_primal_inf = self.eps_primal_inf
         backend.settings.max_iter = self.max_iter
+        backend.settings.max_iter_in = self.max_iter_in
         backend.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         unbounded = np.full(qp.p, -np.inf)
         backend.init(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
