@@ -38,6 +38,7 @@ def at(compared: Comparison, law: QPLaw, tick: int) -> State:
     state = law.start(trace.q[tick])
     state.t = float(trace.t[tick])
     state.v[:] = trace.v[tick - 1] if tick else 0.0
+    state.memory.numbers[:] = trace.memory[tick]
     return state
 
 

@@ -16,7 +16,7 @@ from coopqp.solver import Solution, Solve, Solver, Status
 #: Backends stop at loose tolerances by default, which the verification would refuse.
 TIGHT: dict[str, dict[str, float]] = {
     "osqp": {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 20_000},
-    "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100, "max_iter_in": 20},
+    "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100},
 }
 
 
