@@ -33,7 +33,6 @@ def test_a_million_ticks_do_not_grow(benchmark: BenchmarkFixture, scenario: Scen
         for k in range(count):
             if k % scenario.ticks == 0:
                 state.t = 0.0
-            state.update()
             plant.step(state, law.tick(state))
 
     ticks(WARM_UP)

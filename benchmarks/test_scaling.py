@@ -8,6 +8,7 @@ group; the last test takes turns, prints the ratios (``-s``) and holds us to the
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from functools import cache
 from statistics import median
@@ -32,6 +33,7 @@ from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files.mdh import MdhParameters, MdhRow, Tip, build_model
+from coopqp.rollout import drive
 from coopqp.solvers import Daqp
 from coopqp.tasks import PointOnPoint
 
@@ -116,10 +118,7 @@ def ours(count: int) -> Callable[[], float]:
 
     def motion() -> float:
         state = law.start()
-        for _ in range(TICKS):
-            state.update()
-            plant.step(state, law.tick(state))
-        state.update()
+        deque(drive(law, plant, state, TICKS), maxlen=0)
         return float(np.linalg.norm(state.p_WO - problem.tasks[0].goal))
 
     return motion

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -139,6 +138,7 @@ def mobility(
     """Tell what a scenario's grasp allows, before anything moves."""
     from coopqp.report import files, strict_json
     from coopqp.report import mobility as report
+    from coopqp.report.terminal import console
 
     asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
     study = report.study(_load(scenario, catalog, None), asked, phase=phase)
@@ -148,8 +148,8 @@ def mobility(
         click.echo(strict_json.text(report.as_json(study)))
         return
     for table in report.tables(study):
-        _console().print(table)
-    _console().print(study.mobility.verdict(), markup=False, highlight=False)
+        console().print(table)
+    console().print(study.mobility.verdict(), markup=False, highlight=False)
     if page:
         click.echo(f"wrote {page}")
 
@@ -204,6 +204,7 @@ def explain(
 @JSON
 def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> None:
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
+    from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study import explanation
 
@@ -217,7 +218,7 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
     if as_json:
         click.echo(strict_json.text({name: a.as_json() for name, a in answers.items()}))
         return
-    _console().print(table.replay(record, answers))
+    console().print(table.replay(record, answers))
 
 
 @main.command()
@@ -230,9 +231,10 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     from dataclasses import asdict
 
     from coopqp.report import strict_json
+    from coopqp.report.terminal import console, progress_bars
     from coopqp.study import stress as trial
 
-    with _progress(["rollouts"], rollouts) as progress:
+    with progress_bars(["rollouts"], rollouts) as progress:
         report = (lambda done: progress("rollouts", done)) if progress else None
         done = trial.stress(rollouts, seed=seed, jobs=jobs, progress=report)
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
@@ -242,7 +244,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     else:
         from coopqp.report import table
 
-        _console().print(table.stress(lines))
+        console().print(table.stress(lines))
         for r in broken[:20]:
             click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
     if broken:
@@ -260,10 +262,11 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     """
     from coopqp.report import strict_json
+    from coopqp.report.terminal import progress_bars
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
-    with _progress(["solving"], 1) as progress:
+    with progress_bars(["solving"], 1) as progress:
         report = (lambda done, total: progress("solving", done / total)) if progress else None
         found = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
@@ -298,6 +301,8 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
 @JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
+    from coopqp.report.terminal import console
+
     rows = {k: _help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
         click.echo(json.dumps(rows, indent=2))
@@ -312,7 +317,7 @@ def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
         table.add_row(f"{k}:", "")
         for name, text in lines.items():
             table.add_row(f"  {name}", escape(text))
-    _console().print(table)
+    console().print(table)
 
 
 @main.command()
@@ -345,17 +350,18 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     """Run, print the table or JSON, and write the report."""
     from coopqp.comparison import compare as run_all
     from coopqp.report import files, table
+    from coopqp.report.terminal import console, progress_bars
 
     _note(scenario)
     if out:
         files.check_folder(out)
-    with _progress(controllers, scenario.ticks) as progress:
+    with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
     written = files.write(comparison, out) if out else []
     if as_json:
         click.echo(files.metrics_json(comparison), nl=False)
         return
-    _console().print(table.summary(comparison))
+    console().print(table.summary(comparison))
     for path in written:
         click.echo(f"wrote {path}")
 
@@ -376,27 +382,3 @@ def _help_lines(kind: str, catalog: Any) -> dict[str, str]:
         others = (name for name in installed() if name not in lines)
         lines.update(dict.fromkeys(others, "Backend of qpsolvers, one cold call a tick."))
     return lines
-
-
-def _console() -> Any:
-    """A rich console; without a terminal it keeps a width that tables fit in."""
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=120)
-
-
-@contextmanager
-def _progress(names: list[str], ticks: int) -> Iterator[Callable[[str, float], None] | None]:
-    """A progress bar per controller on a terminal, nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield None
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        bars = {name: progress.add_task(name, total=ticks) for name in names}
-        yield lambda name, done: progress.update(bars[name], completed=done)

@@ -29,6 +29,9 @@ class Comparison:
     metrics: Mapping[str, Mapping[str, Any]]
     verdicts: Mapping[str, str]
 
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: {said}" for name, said in self.verdicts.items())
+
     def as_json(self) -> dict[str, Any]:
         """What ``metrics.json`` holds."""
         return {

@@ -109,6 +109,9 @@ class State:
         self._prepare_loop_rows()
         self.update()
 
+    def __repr__(self) -> str:
+        return f"State(t={self.t:g}, q={self.q}, v={self.v})"
+
     def update(self) -> None:
         """Compute everything that follows from q; a law does it at the start of each tick."""
         model, data = self._model, self._data

@@ -15,8 +15,9 @@ from coopqp.disturbance import Disturbance
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plants import Kinematic
+from coopqp.plants.kinematic import KinematicModel
 from coopqp.profile import Profile
-from coopqp.rollout import rollout
+from coopqp.rollout import drive, rollout
 from coopqp.solver import Budget, Status
 from coopqp.solvers import Daqp
 from coopqp.state import State
@@ -61,11 +62,9 @@ def step(state: State, v: Array, dt: float) -> None:
 
 def ticks(law: Law, state: State, count: int) -> Iterator[Command]:
     """Tick and step by turns; each command is given out before its step is made."""
-    for _ in range(count):
-        state.update()
-        yield law.tick(state)
-        step(state, law.command.v, law.problem.dt)
-    state.update()
+    plant = KinematicModel(law.problem.dt, law.problem.chain.n)
+    for command, _ in drive(law, plant, state, count):
+        yield command
 
 
 def run(controller: Controller, problem: ControlProblem, count: int) -> Trace:
