@@ -47,7 +47,7 @@ from coopqp.task import TaskStack
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
 MOST_HARD_DAMPING = 1.0  # that the multipliers of hard tasks may ask for
-MOST_LATER_DAMPING = 1e4  # that those of decided rows may; beyond it solvers see a wall
+MOST_DAMPING = 1e4  # that scaled tasks and decided rows may; beyond it solvers see a wall
 LEAST_WANTED = 1e-8  # square of the speed below which a scaled task counts as at rest
 
 
@@ -63,8 +63,9 @@ class QPLaw(Law):
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
         memory_sizes: "stopped" is 1 after a stop; "soft" is how long hard tasks stay soft [s];
-            "pull" the sum of the hard rows' multipliers in the last tick; "later pulls" that of the
-            rows decided before each later level, :attr:`LaterLevel.pull`.
+            "pull" the sum of the hard rows' multipliers in the last tick; "missing" what the share
+            of each scaled task lacked to 1; "later pulls" what each later level pulled at the rows
+            decided before it, :attr:`LaterLevel.pull`.
     """
 
     def __init__(
@@ -85,7 +86,10 @@ class QPLaw(Law):
                 break
             self._later.append(later)
         self._stacks = stacks[: len(self._later) + 1]
-        self.memory_sizes = {"stopped": 1, "soft": 1, "pull": 1, "later pulls": len(self._later)}
+        self.memory_sizes = {
+            "stopped": 1, "soft": 1, "pull": 1,
+            "missing": len(exact.scaled_names), "later pulls": len(self._later),
+        }  # fmt: skip
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
         self._probe = LoopProbe(problem)
@@ -150,14 +154,19 @@ class QPLaw(Law):
         return step_damping(tasks.bend(state.v), self.problem.dt, self._error_damping)
 
     def _exact_damping(self, state: State) -> float:
-        """The same for hard rows, which bend by their multipliers, and for scaled ones."""
+        """The same for hard rows, which bend by their multipliers, and for scaled ones.
+
+        The multiplier of a scaled task is SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
+        """
         share, scaled = self._error_damping * self.problem.dt, self._exact.scaled
         if not self._scales:
             hard: float = share * self._reach * state.memory["pull"][0]
             return min(hard, MOST_HARD_DAMPING)
-        wanted = float(scaled.wanted.dot(scaled.wanted)) + LEAST_WANTED
-        asked = scaled.bends(state.v)
-        return share * SCALE_WEIGHT * math.sqrt(asked.dot(asked)) / wanted
+        asked, pull = scaled.bends(state.v), 0.0
+        for part, missing in zip(scaled.slices, state.memory["missing"].tolist(), strict=True):
+            wanted = float(scaled.wanted[part].dot(scaled.wanted[part])) + LEAST_WANTED
+            pull += missing * math.sqrt(asked[part].dot(asked[part])) / wanted
+        return min(share * SCALE_WEIGHT * pull, MOST_DAMPING)
 
     def _solve_first(self, state: State) -> Status:
         """The first level's answer, unless its hard tasks were given up a moment ago."""
@@ -168,8 +177,9 @@ class QPLaw(Law):
             soft[0] -= self.problem.dt
             return Status.INFEASIBLE
         status = self.first.solve()
-        pull = self.first.solution.y[m:]
+        pull, shares = self.first.solution.y[m:], self.first.solution.v[self.problem.chain.n :]
         state.memory["pull"][0] = np.abs(pull).sum() if status.usable else 0.0
+        state.memory["missing"][:] = 1.0 - np.clip(shares, 0.0, 1.0) if status.usable else 0.0
         return status
 
     def _improve(self, state: State, status: Status) -> tuple[Array, tuple[Status, ...]]:
@@ -177,7 +187,7 @@ class QPLaw(Law):
         v, pulls = self.first.v, state.memory["later pulls"]
         for i, later in enumerate(self._later):
             pull = step_damping(pulls[i], self.problem.dt, self._error_damping)
-            extra = self._step_damping(later.level.tasks, state) + min(pull, MOST_LATER_DAMPING)
+            extra = self._step_damping(later.level.tasks, state) + min(pull, MOST_DAMPING)
             status, v = later.improve(state, self._bounds, v, status, extra)
             pulls[i] = later.pull
         return v, (status,)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.report import table
 from coopqp.solver import Budget, Status
 from coopqp.state import State
-from coopqp.study.stress import arrangements, one_rollout, signs, stress, summarize
+from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
 from coopqp.study.stress.draw import draw
 from coopqp.study.stress.ending import ending, way_back
 from coopqp.study.stress.signs import Record
@@ -31,7 +32,7 @@ TICKS = 100
 
 
 @pytest.fixture(scope="module")
-def small() -> list:
+def small() -> list[Rollout]:
     return stress(60, seed=0, jobs=1)
 
 
@@ -45,7 +46,7 @@ def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Reco
 # A small share of it.
 
 
-def test_a_small_share_breaks_no_promise(small: list) -> None:
+def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert [(r.seed, r.broken) for r in small if r.broken] == []
     assert not any(r.frozen or r.rattling or r.never_back for r in small)
     assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
@@ -53,7 +54,7 @@ def test_a_small_share_breaks_no_promise(small: list) -> None:
     assert sum(r.outcome == "reached" for r in small) >= 15
 
 
-def test_everything_follows_from_the_seed(small: list) -> None:
+def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
     assert [one_rollout(r.seed) for r in small[:6]] == small[:6]
     assert stress(6, seed=0, jobs=2) == small[:6]
 
@@ -79,6 +80,17 @@ def test_every_start_has_its_loops_closed() -> None:
         state = State(draw(seed).problem.chain)
         assert state.loop_position_error < 1e-6
         assert state.loop_orientation_error < 1e-6
+
+
+#: These rattled before each of the causes was damped: the curvature of circles and distances, rows
+#: decided by earlier levels, scaled twists, several scaled tasks, a steep manipulability.
+RATTLED = (51, 78, 479, 487, 517, 596, 739, 1237, 1744, 1831, 1882, 5780, 8421, 8951, 9537)
+
+
+@pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
+@pytest.mark.parametrize("seed", RATTLED)
+def test_rollouts_that_rattled_do_not_any_more(seed: int) -> None:
+    assert not one_rollout(seed).rattling
 
 
 # Detectors.
@@ -129,7 +141,7 @@ def test_loop_budget_that_stands_is_seen() -> None:
 def far_from_reached() -> tuple[QPLaw, State, Record]:
     """A drawn problem whose arms have not moved: its record says so, in every tick."""
     seed = next(
-        s for s in range(200)
+        s for s in range(2000)
         if (d := draw(s)).start == "inside" and d.problem.on_infeasible == "scale"
         and d.tasks == ("soft PointOnPoint",)
     )  # fmt: skip
@@ -163,7 +175,7 @@ def test_standing_still_with_nothing_in_the_way_is_frozen() -> None:
 def test_standing_outside_with_a_way_back_is_never_back() -> None:
     """The arms stand where they began, outside, while a linear program finds a way in."""
     seed = next(
-        s for s in range(200)
+        s for s in range(2000)
         if (d := draw(s)).start == "outside" and d.problem.on_infeasible == "scale"
     )  # fmt: skip
     law = QPLaw(draw(seed).problem, DAMPING)
@@ -185,7 +197,7 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
 # What people see.
 
 
-def test_table_can_be_read_at_80_columns(small: list) -> None:
+def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
     lines = summarize(small)
     console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
     console.print(table.stress(lines))
@@ -197,21 +209,27 @@ def test_table_can_be_read_at_80_columns(small: list) -> None:
         assert words in text or (words == "baxter" and words not in arrangements.names())
 
 
-def test_summary_counts_what_was_seen(small: list) -> None:
+def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
     marked = [dataclasses.replace(small[0], frozen=True, broken=("froze",)), *small[1:]]
     whole = summarize(marked)[-1]
     assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 60, 1, 1)
     assert sum(whole.outcomes.values()) == 60
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
 def test_an_interrupt_ends_in_one_line() -> None:
-    words = [sys.executable, "-c", "from coopqp.cli import main; main()"]
+    """As from a terminal: every process of the group gets it."""
+    program = "from coopqp.cli import main; main()"
     process = subprocess.Popen(
-        [*words, "stress", "--rollouts", "100000", "--jobs", "2"],
+        [sys.executable, "-c", program, "stress", "--rollouts", "100000", "--jobs", "2"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    time.sleep(4.0)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    for _ in range(600):
+        if len(children.read_text().split()) == 2:
+            break
+        time.sleep(0.1)
+    time.sleep(0.5)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 1
