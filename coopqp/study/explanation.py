@@ -215,6 +215,7 @@ def record_tick(
     memory = state.memory.numbers.tolist()
     command = law.tick(state)
     first_answer = law.solution.v.tolist()
+    state.memory.numbers[:] = memory  # as the tick had it
     law.assemble(state)
     qp, problem = law.first.qp, law.problem
     shares = qp.rows.variables[problem.chain.n :]
