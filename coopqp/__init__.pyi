@@ -25,6 +25,14 @@ from coopqp.held_object import HeldObject as HeldObject
 from coopqp.limit import Limit as Limit
 from coopqp.limit import LimitRows as LimitRows
 from coopqp.limit import Tighten as Tighten
+from coopqp.mark import CircleMark as CircleMark
+from coopqp.mark import LineMark as LineMark
+from coopqp.mark import Mark as Mark
+from coopqp.mark import PlaneMark as PlaneMark
+from coopqp.mark import PointMark as PointMark
+from coopqp.mark import PoseMark as PoseMark
+from coopqp.mark import SphereMark as SphereMark
+from coopqp.mark import TrackedMark as TrackedMark
 from coopqp.metric import Metric as Metric
 from coopqp.plant import Plant as Plant
 from coopqp.plant import PlantModel as PlantModel

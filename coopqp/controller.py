@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
-from coopqp.checked import overshoot, spec, taken_names, type_name
+from coopqp.checked import finite, overshoot, spec, taken_names, type_name, vector
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
@@ -178,7 +178,8 @@ class Law(ABC):
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
         if q_measured is not None:
-            state.q[:] = q_measured
+            n = self.problem.chain.n
+            state.q[:] = finite("q_measured", vector("q_measured", q_measured, n))
             state.q_measured = state.q.copy()
             self._observer.begin(state)
         return state
@@ -188,12 +189,34 @@ class Law(ABC):
 
         Computes the kinematics of q first, so that they are never those of another q.
         """
+        if not self._fits(state):
+            return self._refuse(Status.WRONG_STATE)
+        if not math.isfinite(state.q.dot(state.q) + state.v.dot(state.v) + state.t):
+            return self._refuse(Status.NOT_FINITE)
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
-        self._observer.update(state)
+        wrong = [] if self._observer.update(state) else [Status.NOT_MEASURED]
+        if state.overwritten:
+            wrong.append(Status.OVERWRITTEN)
         command = self.decide(state)
+        if wrong:
+            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
+        return command
+
+    def _fits(self, state: State) -> bool:
+        """Whether a state is one of this law's chain."""
+        n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
+        return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
+
+    def _refuse(self, why: Status) -> Command:
+        """Stand still at a state from which nothing can be decided."""
+        command = self.command
+        command.v[:] = 0.0
+        if command.tau is not None:
+            command.tau[:] = 0.0
+        command.say(why)
         return command
 
     @abstractmethod

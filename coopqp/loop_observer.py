@@ -51,18 +51,21 @@ class LoopObserver:
         _bound(state.gap)
         state.update()
 
-    def update(self, state: State) -> None:
-        """Follow the measured configuration, where there is one."""
-        if state.q_measured is None or state.corrected < 1.0:
-            return
-        measured = self._measured
-        measured.q[:] = state.q_measured
-        if not np.isfinite(measured.q).all():
-            return  # a sensor that says nothing teaches nothing
+    def update(self, state: State) -> bool:
+        """Follow the measured configuration, where there is one; False where it is none."""
+        if state.q_measured is None:
+            return True
+        measured, found = self._measured, np.asarray(state.q_measured)
+        if found.shape != measured.q.shape or not np.isfinite(found).all():
+            return False  # a sensor that says nothing teaches nothing
+        if state.corrected < 1.0:
+            return True
+        measured.q[:] = found
         measured.update_poses()
         state.gap += self._share * (measured.loop_error - state.loop_error)
         _bound(state.gap)
         state.update_drift()
+        return True
 
 
 def _bound(gap: Array) -> None:

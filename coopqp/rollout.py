@@ -92,7 +92,8 @@ class _Recorder:
         n, rows = problem.chain.n, ticks + 1
         self._law, self._plant = law, plant
         # Its own stack, so that a controller without tasks inside is measured alike.
-        self._tasks = TaskStack(problem.tasks, start)
+        # A start of its own: a task may keep its arrays.
+        self._tasks = TaskStack(problem.tasks, State(problem.chain, start.q, start.t))
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))

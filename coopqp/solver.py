@@ -38,7 +38,7 @@ class Status(enum.Enum):
     UNBOUNDED = "the solver found the problem unbounded"
     ITERATION_LIMIT = "the solver ran out of iterations"
     SOLVER_ERROR = "the solver reported a numerical error"
-    NOT_FINITE = "the answer has NaN or infinite values"
+    NOT_FINITE = "the state or the answer has NaN or infinite values"
     EQUALITY_RESIDUAL = "the answer breaks the loop closure"
     BOUND_RESIDUAL = "the answer breaks a limit"
     TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
@@ -51,6 +51,9 @@ class Status(enum.Enum):
     )
     STEP_SHORTENED = "the step was shortened: it would have opened a loop too far", True, True
     LOOP_BUDGET = "stands still: the loop budget is used up"
+    WRONG_STATE = "the state belongs to a chain with other joints or arms"
+    OVERWRITTEN = "state.q is not what was commanded; write measurements to q_measured", True
+    NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 

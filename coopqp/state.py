@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -38,6 +39,10 @@ class Memory:
             name: self.numbers[a:b]
             for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
         }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies of views are no views: a copy is made anew.
+        return _memory, (self.sizes, self.numbers)
 
     def __getitem__(self, name: str) -> Array:
         """The numbers of one name; a view, to be written to."""
@@ -98,6 +103,7 @@ class State:
         self.J_task, self.J_rel = self.J_ext[:6], self.J_ext[6:]
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
+        self._commanded = np.zeros(n)  # no configuration yet
         self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
@@ -108,6 +114,11 @@ class State:
         self._bind_frames()
         self._prepare_loop_rows()
         self.update()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
+        own = (self.v, self.gap, self.q_measured, self.corrected, self._commanded)
+        return _state, (self.chain, self.q, self.t, self.memory, own)
 
     def __repr__(self) -> str:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
@@ -135,6 +146,14 @@ class State:
         self.q += dt * v
         self.v[:] = v
         self.t += dt
+        self._commanded[:] = self.q
+
+    @property
+    def overwritten(self) -> bool:
+        """Whether q, with sensors that measure another, is not what :meth:`advance` has left."""
+        if self.q_measured is None or not self._commanded.any():
+            return False
+        return not np.array_equal(self.q, self._commanded)
 
     def update_poses(self) -> None:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
@@ -265,6 +284,27 @@ class State:
             self.J_loop[:], self.e_loop[:] = 0.0, 0.0
         self.J_loop[: len(rows)] = self.J_rel[rows]
         self.e_loop[: len(rows)] = self.drift[rows]
+
+
+def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
+    """A memory from what a copy is made of."""
+    memory = Memory(sizes)
+    memory.numbers[:] = numbers
+    return memory
+
+
+def _state(
+    chain: ClosedChain,
+    q: Array,
+    t: float,
+    memory: Memory,
+    own: tuple[Array, Array, Array | None, float, Array],
+) -> State:
+    """A state from what a copy is made of."""
+    state = State(chain, q, t, memory)
+    state.v[:], state.gap[:], state.q_measured, state.corrected, state._commanded[:] = own
+    state.update()
+    return state
 
 
 class PointOfObject:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.trace import Trace
 
@@ -14,6 +15,12 @@ from coopqp.trace import Trace
 WORTH_SAYING = (1e-3, 5e-3)
 #: Beyond one of these the model should be calibrated [m], [rad].
 WORTH_CALIBRATING = (5e-3, 20e-3)
+#: What a run that gave something up has done, by cause.
+GIVEN_UP = {
+    "TASKS_GIVEN_UP": "gives up hard or scaled tasks",
+    "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
+}
+
 #: A limit overrun below this is rounding [rad, rad/s].
 ROUNDING = 1e-9
 
@@ -32,11 +39,14 @@ def _arrival(trace: Trace) -> str:
     missed = [
         (task, error)
         for task, error in zip(trace.tasks, trace.final_error, strict=True)
-        if error > task.tolerance
+        if not error <= task.tolerance  # a NaN has reached nothing
     ]
     if not missed:
         return "reaches the goal"
-    task, error = max(missed, key=lambda pair: pair[1] / pair[0].tolerance)
+    shares = [error / task.tolerance for task, error in missed]
+    task, error = missed[int(np.argmax(shares))]  # which takes a NaN for the largest
+    if np.isnan(error):
+        return f"loses '{task.name}': its error is no number"
     far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
     at_limit = _joints_at_limit(trace)
     why = f", held back by {at_limit}" if at_limit else ""
@@ -52,12 +62,24 @@ def _joints_at_limit(trace: Trace) -> str:
 
 
 def _limits(trace: Trace) -> str:
-    beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper).max(axis=0)
+    outside = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+    beyond = outside.max(axis=0)
     worst = int(beyond.argmax())
     if beyond[worst] <= ROUNDING:
         return "keeps every joint inside its limits"
+    if beyond[worst] <= outside[0, worst] + ROUNDING:
+        return _way_back(trace, outside.max(axis=1), worst)
     far = f"{_round(beyond[worst])} {trace.units[worst]}"
     return f"drives {trace.joints[worst]} {far} beyond its limit"
+
+
+def _way_back(trace: Trace, outside: Array, worst: int) -> str:
+    """Of a run that starts outside, and goes no farther out."""
+    start = f"starts {_round(outside[0])} {trace.units[worst]} outside the limits"
+    if outside[-1] > ROUNDING:
+        return f"{start} and is still outside at the end"
+    back = float(trace.t[1 + int(np.flatnonzero(outside > ROUNDING)[-1])] - trace.t[0])
+    return f"{start}, is inside after {back:.2g} s and stays there"
 
 
 def _speed(trace: Trace) -> str:
@@ -96,4 +118,11 @@ def _round(value: float) -> str:
 
 def _ticks(metrics: Mapping[str, Any]) -> str:
     failed = metrics["failed_ticks"]
-    return f"holds still in {failed} of {metrics['ticks']} ticks" if failed else ""
+    said = [f"holds still in {failed} of {metrics['ticks']} ticks"] if failed else []
+    given_up = metrics["fallback_ticks"]
+    said += [
+        f"{words} in {given_up[cause]} of {metrics['ticks']} ticks"
+        for cause, words in GIVEN_UP.items()
+        if cause in given_up
+    ]
+    return "; ".join(said)

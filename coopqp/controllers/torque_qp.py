@@ -38,6 +38,9 @@ from coopqp.row import Row
 from coopqp.solver import Solution, Verifier
 from coopqp.state import State
 
+#: Ticks in which a motion may die out, or a joint brake, at the fastest.
+LEAST_TICKS = 4
+
 
 class TorqueQpLaw(Law):
     """The QP of one problem; x = [a; tau of the motors; lambda]; memory: that of ReferenceModel.
@@ -201,8 +204,19 @@ class TorqueQp(Controller):
         name = self.name or "torque_qp"
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)
+        self._require_times(problem.dt, name)
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)
+
+    def _require_times(self, dt: float, name: str) -> None:
+        """What dies out or brakes within a tick or two overshoots, and passes the stop."""
+        for key in ("damping_time", "brake_time"):
+            found = getattr(self, key)
+            if found < LEAST_TICKS * dt:
+                raise InvalidValueError(
+                    f"{name}.{key}: found {found:g} s, needs at least {LEAST_TICKS} ticks, "
+                    f"{LEAST_TICKS * dt:g} s"
+                )
 
     def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
         dt = problem.dt

@@ -9,6 +9,13 @@ import numpy as np
 
 from coopqp.checked import Array
 
+#: Cost of a missing share of what may be done in part, far above any soft task.
+SCALE_WEIGHT = 1e3
+#: A share of the drift correction from here on is all of it.
+ALL_OF_IT = 1.0 - 1e-6
+#: Speed below which what is scaled counts as at rest [m/s, rad/s].
+LEAST_SPEED = 1e-4
+
 
 def normal_equations(J: Array, w: Array, wanted: Array, damping: float, P: Array, q: Array) -> None:
     """Write sum_i w_i (J_i v - wanted_i)^2 + damping |v|^2 as 1/2 v' P v + q' v, halved.
@@ -48,6 +55,26 @@ def step_damping(bend: float, dt: float, share: float) -> float:
         share: of the damping that rules out any overshoot.
     """
     return share * dt * bend
+
+
+def drift_damping(drift: Array, kappa: float, dt: float, reach: float, corrected: float) -> float:
+    """Damping with which a drift correction that is done in part does not overshoot.
+
+    Its share has the cost w (1 - s)^2. Near a singular pose what is left of a millimetre would ask
+    for full speed, and for full speed back in the next tick. By the argument of
+    :func:`step_damping` dt w L / |kappa e| is enough for one arm, twice that for two.
+
+    Args:
+        drift: e, shape (m,).
+        kappa: its gain [1/s].
+        dt: control period [s].
+        reach: L of the arms [m].
+        corrected: share that the last tick did; nothing is added where it did all.
+    """
+    if corrected >= ALL_OF_IT:
+        return 0.0
+    wanted = kappa * float(np.sqrt(drift.dot(drift)))
+    return 2.0 * dt * SCALE_WEIGHT * reach / max(wanted, LEAST_SPEED)
 
 
 def loop_rows(J_loop: Array, drift: Array, kappa: float, A: Array, b: Array) -> None:

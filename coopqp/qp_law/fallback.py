@@ -9,15 +9,18 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import loop_rows, slowed_loop_rows, step_damping
+from coopqp.qp_law.equations import (
+    ALL_OF_IT,
+    drift_damping,
+    loop_rows,
+    slowed_loop_rows,
+    step_damping,
+)
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.recovery import Recovery
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import TaskStack
-
-#: A share of the drift correction below this is as good as none.
-ALL_OF_IT = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Fallback:
         every_limit = Bounds(chain, limits, start, problem.dt)
         rows = chain.loops.solver_rows
         self._tasks = tasks = TaskStack(problem.tasks, start)
-        self._dt, self._error_damping = problem.dt, error_damping
+        self._dt, self._error_damping, self._reach = problem.dt, error_damping, chain.reach
         self._attempts = []
         if any(task.mode != "soft" for task in problem.tasks):
             soft = Level(problem, tasks, rows, every_limit, damping)
@@ -106,6 +109,7 @@ class Fallback:
         """
         self._tasks.update(state)
         extra = step_damping(self._tasks.bend(state.v), self._dt, self._error_damping)
+        extra += drift_damping(drift, kappa, self._dt, self._reach, state.corrected)
         conflict, given_up = failed is Status.INFEASIBLE, list[Status]()
         for attempt in self._attempts:
             given_up.append(attempt.gives_up)

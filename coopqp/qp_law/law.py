@@ -33,10 +33,10 @@ from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp import QP
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import loop_rows, step_damping
+from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT, loop_rows, step_damping
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.fallback import Fallback
-from coopqp.qp_law.level import SCALE_WEIGHT, Level
+from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel, groups
 from coopqp.qp_law.recovery import Recovery
 from coopqp.qp_law.safety import LoopProbe
@@ -48,7 +48,6 @@ ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
 MOST_HARD_DAMPING = 1.0  # that the multipliers of hard tasks may ask for
 MOST_DAMPING = 1e4  # that scaled tasks and decided rows may; beyond it solvers see a wall
-LEAST_WANTED = 1e-8  # square of the speed below which a scaled task counts as at rest
 
 
 class QPLaw(Law):
@@ -62,10 +61,11 @@ class QPLaw(Law):
     Attributes:
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
-        memory_sizes: "stopped" is 1 after a stop; "soft" is how long hard tasks stay soft [s];
-            "pull" the sum of the hard rows' multipliers in the last tick; "missing" what the share
-            of each scaled task lacked to 1; "later pulls" what each later level pulled at the rows
-            decided before it, :attr:`LaterLevel.pull`.
+        memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
+            soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
+            of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
+            "later pulls" what each later level pulled at the rows decided before it,
+            :attr:`LaterLevel.pull`.
     """
 
     def __init__(
@@ -87,15 +87,16 @@ class QPLaw(Law):
             self._later.append(later)
         self._stacks = stacks[: len(self._later) + 1]
         self.memory_sizes = {
-            "stopped": 1, "soft": 1, "pull": 1,
+            "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
             "missing": len(exact.scaled_names), "later pulls": len(self._later),
         }  # fmt: skip
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
         self._probe = LoopProbe(problem)
-        self._recovery = None if chain.starts_inside else Recovery(problem, start)
+        self._recovery = None if chain.starts_inside else Recovery(problem, start, error_damping)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
+        self._soft_ticks = round(SOFT_FOR / problem.dt)
 
     @property
     def qp(self) -> QP:
@@ -126,6 +127,7 @@ class QPLaw(Law):
                 state.memory["stopped"][0] = 1.0
         if self._recovery and self._recovery.active:
             v, causes = self._recovery.rescue(v, causes)
+            command.drift = min(command.drift, self._recovery.share)
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
@@ -140,6 +142,7 @@ class QPLaw(Law):
         if self._recovery:
             self._recovery.decide(state, self._bounds, state.e_loop, kappa)
             self._recovery.tighten(self._bounds)
+            kappa = self._probe.kappa(state, self._recovery.share)
         for stack in self._stacks:
             stack.update(state)
         extra = self._step_damping(first.tasks, state)
@@ -164,7 +167,7 @@ class QPLaw(Law):
             return min(hard, MOST_HARD_DAMPING)
         asked, pull = scaled.bends(state.v), 0.0
         for part, missing in zip(scaled.slices, state.memory["missing"].tolist(), strict=True):
-            wanted = float(scaled.wanted[part].dot(scaled.wanted[part])) + LEAST_WANTED
+            wanted = float(scaled.wanted[part].dot(scaled.wanted[part])) + LEAST_SPEED**2
             pull += missing * math.sqrt(asked[part].dot(asked[part])) / wanted
         return min(share * SCALE_WEIGHT * pull, MOST_DAMPING)
 
@@ -174,9 +177,11 @@ class QPLaw(Law):
             return self.first.solve()
         soft, m = state.memory["soft"], len(state.e_loop)
         if soft[0] > 0.0:
-            soft[0] -= self.problem.dt
+            soft[0] -= 1.0
             return Status.INFEASIBLE
         status = self.first.solve()
+        if status is Status.INFEASIBLE and self.problem.on_infeasible == "scale":
+            soft[0] = self._soft_ticks
         pull, shares = self.first.solution.y[m:], self.first.solution.v[self.problem.chain.n :]
         state.memory["pull"][0] = np.abs(pull).sum() if status.usable else 0.0
         state.memory["missing"][:] = 1.0 - np.clip(shares, 0.0, 1.0) if status.usable else 0.0
@@ -196,8 +201,6 @@ class QPLaw(Law):
         """The answer of a smaller problem."""
         kappa = self._probe.kappa(state)
         outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self._recovery)
-        if Status.TASKS_GIVEN_UP in outcome.causes and state.memory["soft"][0] <= 0.0:
-            state.memory["soft"][0] = SOFT_FOR
         self.command.scale = 0.0 if self._scales else 1.0
         self.command.drift = outcome.drift
         return outcome.v, outcome.causes

@@ -9,13 +9,10 @@ import numpy as np
 from coopqp.controller import ControlProblem
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import normal_equations
+from coopqp.qp_law.equations import SCALE_WEIGHT, normal_equations
 from coopqp.row import Row, joint_rows
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.task import TaskStack
-
-#: Cost of a scaled task's missing share, far above any soft task.
-SCALE_WEIGHT = 1e3
 
 
 class Level:

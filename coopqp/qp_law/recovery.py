@@ -16,7 +16,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import add_damping, slowed_loop_rows
+from coopqp.qp_law.equations import add_damping, drift_damping, slowed_loop_rows, step_damping
 from coopqp.qp_law.level import Level
 from coopqp.solver import Status
 from coopqp.state import State
@@ -36,14 +36,17 @@ class Recovery:
     Args:
         problem: what to control.
         start: a state.
+        error_damping: share of the damping that rules out any overshoot.
 
     Attributes:
         active: whether a joint was outside in the last tick.
+        share: of the drift correction that the way back leaves room for, in the last tick.
         v: the way back, when there was one in the last tick.
     """
 
-    def __init__(self, problem: ControlProblem, start: State) -> None:
+    def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         chain = problem.chain
+        self._reach, self._dt, self._share = chain.reach, problem.dt, error_damping
         self._lower, self._upper, self._rate = chain.lower, chain.upper, 1.0 / problem.dt
         bounds = Bounds(chain, problem.limits, start, problem.dt)
         rows = chain.loops.solver_rows
@@ -51,7 +54,7 @@ class Recovery:
             problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
         )
         self._low, self._high = np.zeros(chain.n, bool), np.zeros(chain.n, bool)
-        self.active = False
+        self.active, self.share = False, 1.0
         self.v: Array | None = None
 
     def decide(self, state: State, bounds: Bounds, drift: Array, kappa: float) -> None:
@@ -66,19 +69,26 @@ class Recovery:
         np.less(state.q, self._lower, out=self._low)
         np.greater(state.q, self._upper, out=self._high)
         outside = self._low | self._high
-        self.active, self.v = bool(outside.any()), None
+        self.active, self.v, self.share = bool(outside.any()), None, 1.0
         if not self.active:
             return
         back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) * self._rate, LEAST_RECOVERY)
         wish = np.minimum(np.maximum(wish, bounds.lb), bounds.ub)
         level = self._level
-        level.assemble(bounds)
+        # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
+        # the shorter its steps.
+        pull = state.memory["recovery"]
+        extra = step_damping(self._reach * pull[0], self._dt, self._share)
+        extra += drift_damping(drift, kappa, self._dt, self._reach, state.corrected)
+        level.assemble(bounds, extra)
         add_damping(level.P, outside.astype(float))
         np.multiply(wish, -1.0 * outside, out=level.q)
         slowed_loop_rows(state.J_loop, drift, kappa, level.qp.A, level.b)
+        pull[0] = 0.0
         if level.solve().usable:
-            self.v = level.v.copy()
+            self.v, self.share = level.v.copy(), level.scale
+            pull[0] = np.abs(level.solution.y).sum()
 
     def tighten(self, bounds: Bounds) -> None:
         """Let nobody take the way back away."""

@@ -60,12 +60,16 @@ class LoopProbe:
         if share < 1.0:
             command.say(Status.STEP_SHORTENED, *_not_ordinary(command.causes))
 
-    def kappa(self, state: State) -> float:
+    def kappa(self, state: State, share: float = 1.0) -> float:
         """Gain of the drift correction: the problem's, or more where the budget is half used up.
 
         With the paper's kappa = 0 nothing else would ever close a loop again.
+
+        Args:
+            state: of the tick.
+            share: of the problem's gain that is wanted.
         """
-        slow, most = self._kappa, self._rate
+        slow, most = share * self._kappa, self._rate
         if slow >= most or not self._others:
             return slow
         error = state.closed_error.reshape(-1, 2, 3)
