@@ -75,9 +75,10 @@ def _limits(trace: Trace) -> str:
 
 def _way_back(trace: Trace, outside: Array, worst: int) -> str:
     """Of a run that starts outside, and goes no farther out."""
-    start = f"starts {_round(outside[0])} {trace.units[worst]} outside the limits"
+    far = f"{_round(outside[0])} {trace.units[worst]}"
+    start = f"starts with {trace.joints[worst]} {far} beyond its limit"
     if outside[-1] > ROUNDING:
-        return f"{start} and is still outside at the end"
+        return f"{start} and ends outside"
     back = float(trace.t[1 + int(np.flatnonzero(outside > ROUNDING)[-1])] - trace.t[0])
     return f"{start}, is inside after {back:.2g} s and stays there"
 

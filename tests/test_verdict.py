@@ -23,7 +23,6 @@ def test_the_verdict_blames_a_limit_of_the_phase_that_missed(tmp_path: Path) -> 
     assert "held back by" not in verdict
 
 
-@pytest.mark.xfail(strict=True, reason="NaN is not above the tolerance, and so counts as reached")
 def test_the_verdict_reaches_no_goal_with_an_error_that_is_not_a_number(tmp_path: Path) -> None:
     made = phased(tmp_path)
     trace = run(made, controller="qp")
