@@ -19,7 +19,8 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import explain, record_tick
+from coopqp.study.explanation import explain
+from coopqp.study.tick_record import record_tick
 
 TICKS = 300
 TURNS = 61

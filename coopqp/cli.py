@@ -207,8 +207,9 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study import explanation
+    from coopqp.study.tick_record import TickRecord
 
-    record = explanation.TickRecord.read(file)
+    record = TickRecord.read(file)
     answers = {
         name: explanation.replay(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)

@@ -15,7 +15,7 @@ from coopqp.controllers import QPController
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Budget
 from coopqp.state import State
-from coopqp.study.explanation import TickRecord, record_tick
+from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.task import Task
 from coopqp.tasks import Pose
 

@@ -10,8 +10,9 @@ from rich.text import Text
 
 from coopqp.comparison import Comparison
 from coopqp.report.cells import Cell, cells
-from coopqp.study.explanation import Replay, TickRecord
+from coopqp.study.explanation import Replay
 from coopqp.study.stress import Summary
+from coopqp.study.tick_record import TickRecord
 
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
 SHOWN = {

@@ -10,7 +10,7 @@ from pathlib import Path
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import TickRecord, record_tick
+from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
 
 

@@ -22,7 +22,7 @@ from coopqp.report import files
 from coopqp.report.mobility import study
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import TickRecord
+from coopqp.study.tick_record import TickRecord
 from coopqp.trace import Trace
 
 ALONE, AGAIN = 60, 120  # first ticks of the later phases

@@ -20,7 +20,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import TickRecord
+from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
 
 

@@ -20,9 +20,10 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
 from coopqp.rank import null_space
 from coopqp.state import State
-from coopqp.study.explanation import explain, record_tick
+from coopqp.study.explanation import explain
 from coopqp.study.stress import signs
 from coopqp.study.stress.signs import Record
+from coopqp.study.tick_record import record_tick
 from coopqp.task import TaskStack
 
 INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]

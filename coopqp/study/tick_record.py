@@ -1,0 +1,215 @@
+"""One tick of a QP controller, whole, so that it can be saved, explained and solved again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, with_config
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.errors import CoopqpError
+from coopqp.limit import bound_rows
+from coopqp.qp import QP, Rows
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.law import QPLaw
+from coopqp.row import Row, Side
+from coopqp.solver import Budget, written
+from coopqp.state import State
+from coopqp.task import TaskStack
+
+
+@with_config(ConfigDict(extra="forbid", strict=True))
+@dataclass(frozen=True)
+class TickRecord:
+    """One tick of a QP controller, whole: it can be saved, explained and solved again.
+
+    Attributes:
+        scenario, controller, tick: where it is from.
+        t, q, v, memory: the state that the tick began with.
+        dt: control period [s].
+        damping: least curvature of the cost.
+        budget: what an answer may be off by.
+        P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`.
+        inequalities: number of rows of G in C.
+        variables, inequality_rows, equality_rows: what they are.
+        lb_rows, ub_rows: the limit that each bound on v comes from.
+        J, wanted, task_rows: rows of all tasks.
+        answer, status: what the controller made of it, all levels included.
+        first_answer: what its solver made of this QP.
+    """
+
+    scenario: str
+    controller: str
+    tick: int
+    t: float
+    q: list[float]
+    v: list[float]
+    memory: list[float]
+    dt: float
+    damping: float
+    budget: Budget
+    P: list[list[float]]
+    q_cost: list[float]
+    C: list[list[float]]
+    lower: list[float]
+    upper: list[float]
+    inequalities: int
+    variables: list[Row]
+    inequality_rows: list[Row]
+    equality_rows: list[Row]
+    lb_rows: list[Row]
+    ub_rows: list[Row]
+    J: list[list[float]]
+    wanted: list[float]
+    task_rows: list[Row]
+    answer: list[float]
+    first_answer: list[float]
+    status: str
+
+    def text(self) -> str:
+        """As JSON; infinite bounds as 1e30."""
+        return json.dumps(asdict(self), indent=1) + "\n"
+
+    def save(self, path: Path) -> None:
+        """Write :meth:`text`."""
+        path.write_text(self.text(), encoding="utf-8")
+
+    @staticmethod
+    def read(path: Path) -> TickRecord:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            CoopqpError: no such file, or not a saved tick.
+        """
+        try:
+            text = path.read_text(encoding="utf-8")
+            record = _RECORD.validate_json(text)
+            if not record.fits():
+                raise ValueError("shapes")
+            return record
+        except OSError as error:
+            raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
+        except (ValueError, TypeError):
+            raise CoopqpError(f"{path}: is not a tick saved by 'coopqp explain --save'") from None
+
+    def fits(self) -> bool:
+        """Whether all shapes belong together."""
+        n, p, m = len(self.variables), len(self.inequality_rows), len(self.equality_rows)
+        k = len(self.task_rows)
+        shapes = (
+            (self.P, (n, n)), (self.q_cost, (n,)), (self.lower, (n + p + m,)),
+            (self.upper, (n + p + m,)),
+            (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
+        )  # fmt: skip
+        tables = ((self.C, p + m), (self.J, k))
+        return (
+            all(np.shape(values) == shape for values, shape in shapes)
+            and all(np.shape(rows) == (count, n) for rows, count in tables if count)
+            and self.inequalities == p
+            and len(self.lb_rows) == len(self.ub_rows) == n
+        )
+
+    def qp(self) -> QP:
+        """The program, in arrays."""
+        qp = QP(Rows(tuple(self.variables), tuple(self.inequality_rows), tuple(self.equality_rows)))
+        qp.P[:], qp.q[:] = self.P, self.q_cost
+        if self.C:
+            qp.C[:] = self.C
+        qp.lower[:], qp.upper[:] = _infinite(self.lower), _infinite(self.upper)
+        return qp
+
+
+_RECORD = TypeAdapter(TickRecord)
+
+
+def record_tick(
+    law: QPLaw, state: State, *, scenario: str, controller: str, tick: int
+) -> TickRecord:
+    """Keep the tick that a law would do at a state.
+
+    Args:
+        law: the controller, built for the scenario.
+        state: updated; its memory is the law's.
+        scenario: its name, for the record.
+        controller: likewise.
+        tick: likewise.
+    """
+    memory = state.memory.numbers.tolist()
+    command = law.tick(state)
+    first_answer = law.solution.v.tolist()
+    state.memory.numbers[:] = memory  # as the tick had it
+    law.assemble(state)
+    qp, problem = law.first.qp, law.problem
+    shares = qp.rows.variables[problem.chain.n :]
+    pad = ((0, 0), (0, len(shares)))
+    below = [*bounding(problem, state, "lower"), *(_share_bound(s, "lower") for s in shares)]
+    above = [*bounding(problem, state, "upper"), *(_share_bound(s, "upper") for s in shares)]
+    tasks = TaskStack(problem.tasks, State(problem.chain))
+    tasks.update(state)
+    return TickRecord(
+        scenario=scenario,
+        controller=controller,
+        tick=tick,
+        t=state.t,
+        q=state.q.tolist(),
+        v=state.v.tolist(),
+        memory=memory,
+        dt=problem.dt,
+        damping=law.first.curvature,
+        budget=problem.budget,
+        P=qp.P.tolist(),
+        q_cost=qp.q.tolist(),
+        C=qp.C.tolist(),
+        lower=_finite(qp.lower),
+        upper=_finite(qp.upper),
+        inequalities=qp.p,
+        variables=list(qp.rows.variables),
+        inequality_rows=list(qp.rows.inequalities),
+        equality_rows=list(qp.rows.equalities),
+        lb_rows=below,
+        ub_rows=above,
+        J=np.pad(tasks.J, pad).tolist(),
+        wanted=tasks.wanted.tolist(),
+        task_rows=list(tasks.rows),
+        answer=command.v.tolist() + [command.scale] * len(shares),
+        first_answer=first_answer,
+        status=written(command.causes),
+    )
+
+
+def bounding(problem: ControlProblem, state: State, side: Side) -> list[Row]:
+    """The limit that each joint's lower or upper bound on v comes from."""
+    chain = problem.chain
+    tightest = np.full(chain.n, np.inf)
+    found = [
+        Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
+        for joint in chain.joint_names
+    ]
+    for limit in problem.limits:
+        alone = Bounds(chain, [limit], state, problem.dt)
+        alone.update(state)
+        bound = -alone.lb if side == "lower" else alone.ub
+        for i, row in enumerate(bound_rows(limit, chain, side)):
+            if bound[i] < tightest[i]:
+                tightest[i], found[i] = bound[i], row
+    return found
+
+
+def _share_bound(share: Row, side: Side) -> Row:
+    return replace(share, name=f"scale.{side}", side=side)
+
+
+def _finite(values: Array) -> list[float]:
+    clipped: list[float] = np.clip(values, -1e30, 1e30).tolist()
+    return clipped
+
+
+def _infinite(values: Sequence[float]) -> Array:
+    array = np.array(values, float)
+    array[np.abs(array) >= 1e30] *= np.inf
+    return array
