@@ -90,6 +90,27 @@ def test_joints_that_start_outside_come_back_before_any_task(name: str) -> None:
         assert Status.RECOVERING in causes_of(status)
 
 
+@pytest.mark.parametrize("name", ["outside_yaw", "outside_roll"])
+def test_joints_that_cannot_come_back_do_not_rattle(name: str) -> None:
+    """Both arms alike, so that the loops leave hardly a way: at first order, none."""
+    trace = ran(name)
+    assert flips(trace, 0.3) == 0.0
+    assert trace.usable.mean() > 0.99
+    assert (np.diff(outside(trace)) <= 1e-12).all()
+    assert trace.loop_position.max() <= 1e-3
+
+
+def test_a_hard_task_that_was_given_up_is_tried_again(chain: ClosedChain) -> None:
+    """On the way a joint comes to its limit; at the goal nothing is in the way any more."""
+    reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), mode="hard")
+    law = QPController().build(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
+    state = law.start()
+    seen = [command.status for command in ticks(law, state, 300)]
+    assert seen.count(Status.TASKS_GIVEN_UP) % 21 == 0
+    assert 0 < seen.count(Status.TASKS_GIVEN_UP) < 100
+    assert seen[-50:] == [Status.OPTIMAL] * 50
+
+
 def test_what_else_was_given_up_is_said_while_joints_come_back() -> None:
     causes = {cause for status in ran("recover_stall_hard").status for cause in causes_of(status)}
     assert Status.RECOVERING in causes
