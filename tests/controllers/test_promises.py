@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import get_args
 
 import numpy as np
@@ -36,6 +37,7 @@ LIMITS: dict[str, Limit] = {
 HELD = {"joint_velocity": 2e-5, "object_speed": 2e-5, "workspace": 2e-5, "joint_acceleration": 5e-2}
 
 
+@cache
 def carried(*limits: Limit) -> Trace:
     """Two seconds of the torque QP on rigid bodies."""
     scenario = coopqp.load("passive_grasp_pose")
