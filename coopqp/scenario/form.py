@@ -73,7 +73,7 @@ class _Spelling:
             return {"qpsolvers": {"backend": name}}
         if name not in self.names:
             words = unknown_name(self.kind, str(name), [*self.names, *self.aliases])
-            raise ValueError(f"{words}. Those of your own need --plugins FOLDER")
+            raise ValueError(f"{words}; those of your own need --plugins FOLDER")
         return {name: {} if options is None else options}
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:

@@ -113,7 +113,7 @@ def _shelves(folder: Path, package: str | None) -> Iterator[Shelf | Fault]:
     for found in inside:
         if found.name not in COLLECTIONS:
             words = unknown_name("collection", found.name, COLLECTIONS)
-            yield Fault(str(found), f"{words} Other folders' names begin with _")
+            yield Fault(str(found), f"{words}; names of other folders begin with _")
             continue
         yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
 
