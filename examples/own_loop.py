@@ -36,14 +36,14 @@ def main() -> None:
         kappa=1.0 / DT,
     )
     law = QPController().build(problem)
-    state = law.start()  # on a robot: law.start(q_measured=robot.read())
+    state = law.start(q_measured=chain.q_start)  # robot.read()
     for _ in range(300):
         command = law.tick(state)
         if not command.status.usable:
             print(command.status.value)
-        # robot.send(command.v) goes here
-        state.advance(command.v, DT)
-        # and state.q_measured[:] = robot.read() here; state.q is what was commanded
+        # your robot.send(command.v) goes here
+        state.advance(command.v, DT)  # state.q is what was commanded ...
+        state.q_measured = state.q.copy()  # ... and this what robot.read() says
     state.update()
     print("object at", np.round(state.p_WO, 4), "m; loop error", state.loop_position_error, "m")
 
