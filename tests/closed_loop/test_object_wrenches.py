@@ -54,6 +54,18 @@ def object_motion(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Arr
     return force, torque, now.rotation
 
 
+def hand_torques(chain: ClosedChain, q: Array, v: Array, a: Array, by_arm: Array) -> Array:
+    """What the joints must bring when the arms move alone and feel the hands' wrenches [N m]."""
+    data = chain.model.createData()
+    torques = pin.rnea(chain.model, data, q, v, a)
+    pin.computeJointJacobians(chain.model, data, q)
+    pin.updateFramePlacements(chain.model, data)
+    for frame, wrench in zip(chain.frames, by_arm, strict=True):
+        J = pin.getFrameJacobian(chain.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        torques = torques + J.T @ wrench
+    return torques
+
+
 @pytest.mark.parametrize("shares", SHARES)
 def test_wrench_on_the_object_is_what_its_motion_needs(
     box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
@@ -78,9 +90,7 @@ def test_each_arm_feels_the_wrench_of_its_hand(
     box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
 ) -> None:
     """The arms without the object obey A a + H = tau - sum J_i' wrench_i."""
-    dynamics, bare = ClosedLoopDynamics(box_chain, shares=shares), box_chain.model
-    data = bare.createData()
-    some = states[:20]
+    dynamics, some = ClosedLoopDynamics(box_chain, shares=shares), states[:20]
     for (q, v), (tau, a) in zip(some, accelerations(dynamics, some), strict=True):
         dynamics.update(q, v)
         for used, wrench in (
@@ -88,12 +98,7 @@ def test_each_arm_feels_the_wrench_of_its_hand(
             (dynamics.inverse(a).tau, dynamics.inverse(a).wrench),
         ):
             wrenches = dynamics.object_wrenches(a, wrench)
-            moved = pin.rnea(bare, data, q, v, a)
-            pin.computeJointJacobians(bare, data, q)
-            pin.updateFramePlacements(bare, data)
-            for frame, by_hand in zip(box_chain.frames, wrenches.by_arm, strict=True):
-                J = pin.getFrameJacobian(bare, data, frame, pin.LOCAL_WORLD_ALIGNED)
-                moved = moved + J.T @ by_hand
+            moved = hand_torques(box_chain, q, v, a, wrenches.by_arm)
             np.testing.assert_allclose(moved, used, atol=1e-8)
 
 
@@ -102,8 +107,8 @@ def test_hands_need_not_bring_what_pushes_from_outside(
     box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
 ) -> None:
     """With a push on the object each arm still feels the wrench of its hand and no more."""
-    dynamics, bare = ClosedLoopDynamics(box_chain, shares=shares), box_chain.model
-    data, push = bare.createData(), np.array([3.0, -2.0, 5.0, 0.1, 0.3, -0.2])
+    dynamics = ClosedLoopDynamics(box_chain, shares=shares)
+    push = np.array([3.0, -2.0, 5.0, 0.1, 0.3, -0.2])
     for q, v in states[:10]:
         dynamics.update(q, v)
         tau = np.linspace(-1, 1, 10)
@@ -112,12 +117,7 @@ def test_hands_need_not_bring_what_pushes_from_outside(
         alone = dynamics.object_wrenches(result.a, result.wrench).needed
         np.testing.assert_allclose(wrenches.needed + push, alone, atol=1e-12)
         np.testing.assert_allclose(wrenches.by_arm.sum(axis=0), wrenches.needed, atol=1e-9)
-        moved = pin.rnea(bare, data, q, v, result.a)
-        pin.computeJointJacobians(bare, data, q)
-        pin.updateFramePlacements(bare, data)
-        for frame, by_hand in zip(box_chain.frames, wrenches.by_arm, strict=True):
-            J = pin.getFrameJacobian(bare, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            moved = moved + J.T @ by_hand
+        moved = hand_torques(box_chain, q, v, result.a, wrenches.by_arm)
         np.testing.assert_allclose(moved, tau, atol=1e-8)
 
 
@@ -137,20 +137,14 @@ def test_hand_wrenches_do_not_depend_on_where_the_mass_is_counted(
 def test_wrenches_of_three_arms_sum_to_what_the_object_needs() -> None:
     chain = ring(3, 6)
     shares = {"a": 0.2, "b": 0.5, "c": 0.3}
-    dynamics, bare = ClosedLoopDynamics(chain, shares=shares), chain.model
-    data, some = bare.createData(), closed_states(chain, 5)
+    dynamics, some = ClosedLoopDynamics(chain, shares=shares), closed_states(chain, 5)
     for (q, v), (tau, a) in zip(some, accelerations(dynamics, some), strict=True):
         dynamics.update(q, v)
         result = dynamics.direct(tau)
         wrenches = dynamics.object_wrenches(result.a, result.wrench)
         np.testing.assert_allclose(wrenches.by_arm.sum(axis=0), wrenches.needed, atol=1e-8)
         np.testing.assert_allclose(wrenches.internal.sum(axis=0), 0, atol=1e-8)
-        moved = pin.rnea(bare, data, q, v, a)
-        pin.computeJointJacobians(bare, data, q)
-        pin.updateFramePlacements(bare, data)
-        for frame, wrench in zip(chain.frames, wrenches.by_arm, strict=True):
-            J = pin.getFrameJacobian(bare, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            moved = moved + J.T @ wrench
+        moved = hand_torques(chain, q, v, a, wrenches.by_arm)
         np.testing.assert_allclose(moved, tau, atol=1e-7)
 
 
