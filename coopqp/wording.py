@@ -42,12 +42,10 @@ def faults(
         instead: of a class met on the way, the type whose keys count.
     """
     details = error.errors(include_url=False, include_context=False)
-    found: list[tuple[Location, str]] = [
-        _fault(detail, data, model, instead or {})
-        for detail in details
-        if not _follows(detail, details)
-    ]
-    return list(dict.fromkeys(found))
+    found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
+    places = [place for _, place, _ in found]
+    kept = [(place, words) for kind, place, words in found if not _follows(kind, place, places)]
+    return list(dict.fromkeys(kept))
 
 
 def raised(error: Exception, file: str | None = None) -> str:
@@ -63,11 +61,13 @@ def raised(error: Exception, file: str | None = None) -> str:
     return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _follows(detail: ErrorDetails, others: list[ErrorDetails]) -> bool:
-    """Whether a list counts as too short only because one of its values is wrong."""
-    place = detail["loc"]
-    return detail["type"] == "too_short" and any(
-        other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in others
+def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
+    """Whether a value is faulted only because one inside it is wrong.
+
+    A list then counts as too short, and, where other types would do as well, as none of those.
+    """
+    return (kind == "too_short" or kind.endswith("_type")) and any(
+        other[: len(place)] == place and len(other) > len(place) for other in places
     )
 
 

@@ -27,6 +27,7 @@ FAULTS = [
     ("dt: 0.01", "dt: .nan", "dt: found NaN; needs a finite number"),
     ("dt: 0.01", "dt: '0.01'", "dt: found \"0.01\"; needs a valid number"),
     ("0.7, -0.2, 1.2", "0.7, -0.2, 3.2", "start.right[2]: RElbowYaw starts at 3.2 rad, outside"),
+    ("right: [0.7, ", "right: [.nan, ", "start.right[0]: found NaN; needs a finite number"),
     ("[0.7, -0.2", "[0.1, 0.7, -0.2", "right: found 6 numbers, needs 5: RShoulderPitch"),
     ("  right:", "  rihgt:", "unknown arm or joint 'rihgt'; did you mean 'right'?"),
     ("duration: 2.0", "duration: 20.0", "arrives at 20 s, after the end at 3 s"),
