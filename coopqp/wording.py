@@ -64,9 +64,9 @@ def raised(error: Exception, file: str | None = None) -> str:
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
     """Whether a value is faulted only because one inside it is wrong.
 
-    A list then counts as too short, and, where other types would do as well, as none of those.
+    A list then counts as too short, and, where a number would do as well, as no number.
     """
-    return (kind == "too_short" or kind.endswith("_type")) and any(
+    return kind in ("too_short", "float_type") and any(
         other[: len(place)] == place and len(other) > len(place) for other in places
     )
 
