@@ -9,6 +9,7 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows
 from coopqp.limits import (
+    FollowingError,
     JointAcceleration,
     JointPosition,
     JointVelocity,
@@ -27,6 +28,7 @@ EXAMPLES: tuple[Limit, ...] = (
     ObjectSpeed(linear=0.15, angular=1.0),
     TABLE,
     SelfCollision(),
+    FollowingError(),
 )
 #: What a limit may be off by after a step: second order in the step for curved things.
 TOLERANCE = {"table": 1e-6, "self_collision": 1e-6, "object_speed": 1e-6, "acceleration": 1e-6}

@@ -1,0 +1,61 @@
+"""Commanded joints stay near the measured ones: no command runs away from arms that are held up.
+
+With the following error f = q - q_measured of each driven joint, as drives define it,
+
+    (-max - f)/dt <= v <= (max - f)/dt,   both cut so that v = 0 is allowed
+
+so that a command leads its joint by ``max`` at most, and comes back freely where it leads by more.
+Without it the command of an arm that is stopped by a wall, a hand or a motor at its limit goes on
+to its goal, pulls with all its torque, and jumps there when it is let go. Where nothing is measured
+there is no such limit.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.checked import Array, Positive, spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.state import State
+
+
+@spec
+class FollowingError(Limit):
+    """A leash between commanded and measured joints."""
+
+    bounds_position: ClassVar[bool] = True
+
+    max: Positive = 0.025
+    """How far a commanded joint may lead its measured one, or lag behind it [rad, m].
+
+    With a servo of stiffness K, max K is the largest torque that an error of position asks for; the
+    default is half a motor's torque with the servos of ``rigid_body`` and ``mujoco``. It has to be
+    more than the way of a joint during the delay of commands."""
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """Bounds on the driven joints; what is not measured, or no number, bounds nothing."""
+        driven = ~np.isin(np.arange(chain.n), chain.passive)
+        lead, rate = np.zeros(chain.n), 1.0 / dt
+        below, above = np.zeros((2, chain.n))
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            measured = state.q_measured
+            if measured is None or np.shape(measured) != lead.shape:
+                return
+            np.subtract(state.q, measured, lead)
+            known = driven & np.isfinite(lead)
+            _room(-self.max - lead, rate, below, np.minimum)
+            _room(self.max - lead, rate, above, np.maximum)
+            np.maximum(rows.lb, below, out=rows.lb, where=known)
+            np.minimum(rows.ub, above, out=rows.ub, where=known)
+
+        return tighten
+
+
+def _room(room: Array, rate: float, bound: Array, cut: np.ufunc) -> None:
+    """The speed that uses a room up in a tick, cut so that standing still is allowed."""
+    np.multiply(room, rate, bound)
+    cut(bound, 0.0, out=bound)
