@@ -10,7 +10,8 @@ it vanishes where the *command* carries the model's error. Hence
 
 A correction that pulled e_m, or all of e_c, to zero would integrate b without end, until the motors
 saturate. The observer is stable for every delay while the compliance of the grasp is part of the
-whole (small gain); ``time`` is long enough for the resonances of servos and grasps.
+whole (small gain); ``time`` is long enough for the resonances of servos and grasps, which need
+0.1 s, and not longer, since the squeeze of a motion grows with it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.state import State
 
 #: Time constant, at least so long and at least so many ticks [s].
-TIME, TICKS = 0.3, 10
+TIME, TICKS = 0.15, 10
 #: A gap beyond this is no model's error any more [m], [rad]. Encoders that are 5 mrad off put the
 #: hands of three UR arms 11 mm and 22 mrad apart; what is cut off here is pulled at.
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
