@@ -51,7 +51,7 @@ def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
             "one pose right, and does not tell whether the hands or the arms are wrong."
         )
     elif found.explains:
-        yield f"What the first half of the way tells leaves {_both(found.predicted)} in the second."
+        yield f"What the ticks near the start tell leaves {_both(found.predicted)} far from it."
     else:
         wrong, rest = (
             ("Object and encoders do not explain the run", "links")
@@ -59,8 +59,8 @@ def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
             else ("The object's place in the hands does not explain the run", "links or encoders")
         )
         yield (
-            f"warning: {wrong}: what the first half of the way tells leaves "
-            f"{_both(found.predicted)} in the second. The rest is of the arms themselves, {rest}"
+            f"warning: {wrong}: what the ticks near the start tell leaves "
+            f"{_both(found.predicted)} far from it. The rest is of the arms themselves, {rest}"
             f"{'' if encoders else ' (try --encoders)'}, or the object has slipped."
         )
     if found.hidden:

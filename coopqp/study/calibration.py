@@ -38,7 +38,7 @@ STEPS = 5
 #: What an offset must be known to [m, rad]; what the motion shows less well stays zero.
 SIZE = 5e-3
 #: Standard deviation of a row at first, and least [m, rad].
-FIRST, LEAST = np.array([1e-3, 5e-3]), np.array([1e-8, 1e-7])
+FIRST, LEAST = np.array([1e-4, 1e-3]), np.array([1e-8, 1e-7])
 #: Share of a parameter in what is not shown, above which it is not shown itself.
 SHARE = 0.1
 #: Joints that move less than this stand still [rad, m].
@@ -46,6 +46,7 @@ STILL = 0.02
 #: A fit leaves more than noise where it leaves so many times as much, and more than a share of
 #: the error, and more than this [m, rad].
 TIMES, LEFT, WORTH = 3.0, 0.1, np.array([1e-4, 5e-4])
+WORLD = pin.LOCAL_WORLD_ALIGNED
 #: Newton steps to the start with the new loops closed.
 NEWTON = 20
 
@@ -79,8 +80,8 @@ class Calibration:
         before, after: what the loops are open by, root of the mean square of the largest one:
             position, orientation [m, rad], without the offsets and with them.
         noise: the same of what jumps from tick to tick.
-        predicted: the same in the second half of the way, with the offsets that the first half
-            alone tells; and ``unfitted``, with none. None where the joints stand still.
+        predicted: the same in the ticks far from the start, with the offsets that those near it
+            alone tell; and ``unfitted``, with none. None where the joints stand still.
         hidden: how many combinations of offsets the motion does not show.
         ticks: how many were used.
         travel: how far the joint went that went farthest [rad, m].
@@ -130,16 +131,16 @@ def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibr
     solution = fit.solve(every)
     after = fit.errors(every, solution.x)
     travel = np.ptp(every, axis=0)
-    first, second = _halves(every)
-    moved = bool(travel.max() > STILL) and len(first) >= FEWEST
+    near, far = _near_and_far(every)
+    moved = bool(travel.max() > STILL) and len(q) >= 2 * FEWEST
     return Calibration(
         chain=_recalibrated(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x)),
         offsets=fit.offsets(solution),
         before=_size(before),
         after=_size(after),
         noise=_noise(after),
-        predicted=_size(fit.errors(second, fit.solve(first).x)) if moved else None,
-        unfitted=_size(fit.errors(second, nothing)) if moved else None,
+        predicted=_size(fit.errors(far, fit.solve(near).x)) if moved else None,
+        unfitted=_size(fit.errors(far, nothing)) if moved else None,
         hidden=solution.hidden.shape[1],
         ticks=len(every),
         travel=float(travel.max()),
@@ -231,8 +232,10 @@ class _Fit:
                     J[k, i, 0, :, 6 * i : 6 * i + 3] = X.rotation
                     J[k, i, 1, :, 6 * i + 3 : 6 * i + 6] = X_i.rotation
             if slopes and len(self._motors):
-                of_q = self.chain.loop_jacobian(row - offsets)[:, self._motors]
-                J[k, ..., 6 * loops :] = -of_q.reshape(loops, 2, 3, -1)
+                pin.computeJointJacobians(model, data, row - offsets)
+                J_0, *J_arms = (pin.getFrameJacobian(model, data, f, WORLD) for f in frames)
+                of_q = (J_0 - np.array(J_arms))[:, :, self._motors]
+                J[k, ..., 6 * loops :] = of_q.reshape(loops, 2, 3, -1)
         return e, J
 
 
@@ -243,10 +246,10 @@ def _step(e: Array, J: Array, sigma: Array, x: Array) -> _Solution:
     U, values, Vt = np.linalg.svd(rows, full_matrices=False)
     shown = values > max(RANK_TOLERANCE * values[0], 1.0)
     along = Vt[shown].T / values[shown]
-    step = -along @ (U[:, shown].T @ (weight * e).reshape(-1))
+    wanted = rows @ (x / SIZE) - (weight * e).reshape(-1)
     freedom = len(rows) - len(x)
     deviations = SIZE * np.linalg.norm(along, axis=1) if freedom else np.full(len(x), np.nan)
-    return _Solution(x + SIZE * step, deviations, Vt[~shown].T)
+    return _Solution(SIZE * along @ (U[:, shown].T @ wanted), deviations, Vt[~shown].T)
 
 
 def _pose(xi: Array) -> pin.SE3:
@@ -261,11 +264,13 @@ def _recalibrated(chain: ClosedChain, q: Array) -> ClosedChain:
     return chain.moved(state.q)
 
 
-def _halves(q: Array) -> tuple[Array, Array]:
-    """The ticks before the joints have first gone half of their farthest way, and the others."""
+def _near_and_far(q: Array) -> tuple[Array, Array]:
+    """The ticks less than half as far from the first as the farthest one is, and the others."""
     way = np.linalg.norm(q - q[0], axis=1)
-    middle = int(np.argmax(way >= 0.5 * way.max()))
-    return q[:middle], q[middle:]
+    near = int(np.sum(way < 0.5 * way.max()))
+    cut = max(FEWEST, min(near, len(q) - FEWEST))
+    order = np.argsort(way)
+    return q[order[:cut]], q[order[cut:]]
 
 
 def _size(errors: Array) -> Array:
