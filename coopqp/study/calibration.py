@@ -220,7 +220,7 @@ class _Fit:
         moved = [_pose(x[6 * i : 6 * i + 6]) for i in range(loops)]
         e = np.zeros((len(q), loops, 2, 3))
         J = np.zeros((len(q) if slopes else 0, loops, 2, 3, len(x)))
-        frames = self.chain.frames[: loops + 1]
+        frames, levers = self.chain.frames[: loops + 1], np.zeros((loops, 3, 3))
         for k, row in enumerate(q):
             pin.framesForwardKinematics(model, data, row - offsets)
             X_0, *others = (data.oMf[frame] for frame in frames)
@@ -231,11 +231,14 @@ class _Fit:
                     # Of the first order; the turn's own offset turns what comes after it.
                     J[k, i, 0, :, 6 * i : 6 * i + 3] = X.rotation
                     J[k, i, 1, :, 6 * i + 3 : 6 * i + 6] = X_i.rotation
+                    levers[i] = pin.skew(X_i.translation - X.translation)
             if slopes and len(self._motors):
                 pin.computeJointJacobians(model, data, row - offsets)
                 J_0, *J_arms = (pin.getFrameJacobian(model, data, f, WORLD) for f in frames)
-                of_q = (J_0 - np.array(J_arms))[:, :, self._motors]
-                J[k, ..., 6 * loops :] = of_q.reshape(loops, 2, 3, -1)
+                of_q = (J_0 - np.array(J_arms))[:, :, self._motors].reshape(loops, 2, 3, -1)
+                for i, J_i in enumerate(J_arms):  # of the object where it has been moved to
+                    of_q[i, 0] += levers[i] @ J_i[3:, self._motors]
+                J[k, ..., 6 * loops :] = of_q
         return e, J
 
 
