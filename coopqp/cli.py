@@ -178,11 +178,8 @@ def explain(
     from coopqp.report import files, strict_json
     from coopqp.study import explanation
     from coopqp.study.recorded_tick import recorded_tick
-    from coopqp.study.trace_file import controllers_of
 
-    path = trace / "trace.csv" if trace.is_dir() else trace
-    controllers_of(path)  # a trace that is missing is said before its scenario is
-    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
+    path, scenario = _recorded(trace, catalog)
     record = recorded_tick(path, scenario, controller, tick)
     found = explanation.explain(record)
     if save:
@@ -195,6 +192,38 @@ def explain(
     click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
     if save:
         click.echo(f"wrote {save}")
+
+
+@main.command()
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option("--controller", help="Whose; the first with measured joints if omitted.")
+@click.option("--encoders", is_flag=True, help="Look for offsets of the encoders as well.")
+@catalogued
+@JSON
+def calibrate(
+    trace: Path, controller: str | None, encoders: bool, catalog: Any, as_json: bool
+) -> None:
+    """Find from a run where the object really is in the hands; print lines for the scenario.
+
+    TRACE is a trace.csv with measured joints, or its folder, written by 'coopqp compare --out'.
+    """
+    from coopqp.report import calibration as report
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console
+    from coopqp.study.calibration import calibrate as find
+    from coopqp.study.recorded_run import measured_run
+
+    path, scenario = _recorded(trace, catalog)
+    name, q = measured_run(path, scenario, controller)
+    held = scenario.held_by(name)
+    found = find(held.chain, q, encoders=encoders)
+    if as_json:
+        click.echo(strict_json.text(report.as_json(found)))
+        return
+    console().print(report.table(found))
+    for sentence in report.sentences(found, encoders=encoders):
+        click.echo(sentence)
+    click.echo(f"\n{report.yaml_text(found, held)}", nl=False)
 
 
 @main.command()
@@ -302,23 +331,14 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
 @JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
+    from coopqp.report import names
     from coopqp.report.terminal import console
 
-    rows = {k: _help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
+    rows = {k: names.help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
         click.echo(json.dumps(rows, indent=2))
         return
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for k, lines in rows.items():
-        table.add_row(f"{k}:", "")
-        for name, text in lines.items():
-            table.add_row(f"  {name}", escape(text))
-    console().print(table)
+    console().print(names.table(rows))
 
 
 @main.command()
@@ -337,6 +357,15 @@ def _load(name: str, catalog: Any, solver: str | None) -> Any:
     for line in loaded.robot_model.warnings:
         click.echo(f"warning: {line}", err=True)
     return with_solver(loaded, solver) if solver else loaded
+
+
+def _recorded(trace: Path, catalog: Any) -> tuple[Path, Any]:
+    """A written trace, from its own or its folder's path, and the scenario beside it."""
+    from coopqp.study.trace_file import controllers_of
+
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    controllers_of(path)  # a trace that is missing is said before its scenario is
+    return path, _load(str(path.parent / "scenario.yaml"), catalog, None)
 
 
 def _note(scenario: Any) -> None:
@@ -365,21 +394,3 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     console().print(table.summary(comparison))
     for path in written:
         click.echo(f"wrote {path}")
-
-
-def _help_lines(kind: str, catalog: Any) -> dict[str, str]:
-    """A line of help for each name of a collection."""
-    if kind == "scenarios":
-        from coopqp.scenario.loader import shipped
-        from coopqp.scenario.yaml import read_yaml
-
-        return {
-            name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
-        }
-    lines = {name: e.help for name, e in catalog.entries(kind).items()}
-    if kind == "solvers":
-        from coopqp.solvers.qpsolvers import installed
-
-        others = (name for name in installed() if name not in lines)
-        lines.update(dict.fromkeys(others, "Backend of qpsolvers, one cold call a tick."))
-    return lines

@@ -98,6 +98,7 @@ class _Recorder:
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
         self.commanded, self.gap = np.zeros((ticks, n)), np.zeros((ticks, len(start.gap)))
+        self.measured = np.full((ticks, n), np.nan)
         self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
         self._remembered = start.memory.numbers.copy()
         self._parts = _parts(problem.tasks, problem.chain)
@@ -142,6 +143,9 @@ class _Recorder:
         """Keep what the law decided in tick k, and from what."""
         closed = len(state.closed_error)
         self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
+        measured = state.q if command.tau is not None else state.q_measured
+        if measured is not None:
+            self.measured[k] = measured
         self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
         if command.causes != (Status.OPTIMAL,):
@@ -185,6 +189,7 @@ class _Recorder:
             q=self.q,
             v=self.v,
             commanded=self.commanded,
+            measured=self.measured,
             gap=self.gap,
             memory=self.memory,
             position=self.position,

@@ -181,6 +181,8 @@ class Trace:
             (T, n) [rad/s or m/s].
         commanded: the configuration from which each tick decided: the integral of the commands,
             or what was measured when torques were commanded, shape (T, n).
+        measured: where the sensors said that the joints are when each tick decided, shape (T, n);
+            NaN where they said nothing, as where joints do exactly as told.
         gap: the part of the loop error that each tick took for the model's own, loop by loop in
             the order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
         memory: what the law remembered when each tick began, zero beyond what it remembers, shape
@@ -217,6 +219,7 @@ class Trace:
     q: Array = field(metadata={"join": _instants})
     v: Array = field(metadata={"join": _ticks})
     commanded: Array = field(metadata={"join": _ticks})
+    measured: Array = field(metadata={"join": _ticks})
     gap: Array = field(metadata={"join": _ticks})
     memory: Array = field(metadata={"join": _memories})
     position: Array = field(metadata={"join": _instants})

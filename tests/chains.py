@@ -123,13 +123,13 @@ def closed_states(chain: ClosedChain, count: int, seed: int = 11) -> list[Closed
     while len(found) < count:
         before = state.q.copy()
         free = scipy.linalg.null_space(state.J_rel, rcond=1e-8)
-        state.q += STEP * free @ rng.normal(size=free.shape[1])
+        state.q += STEP * free @ (free.T @ rng.normal(size=chain.n))  # whatever the basis
         state.update()
         state.close_loops(6)
         inside = np.all((chain.lower < state.q) & (state.q < chain.upper))
         if inside and np.abs(state.loop_error).max() < 1e-13:
             free = scipy.linalg.null_space(state.J_rel, rcond=1e-8)
-            found.append((state.q.copy(), free @ rng.normal(size=free.shape[1])))
+            found.append((state.q.copy(), free @ (free.T @ rng.normal(size=chain.n))))
         else:
             state.q[:] = before
             state.update()

@@ -12,6 +12,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
+from coopqp.rank import null_space
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.state import State
@@ -69,9 +70,9 @@ def closed_loop_walk(rng: np.random.Generator) -> Walk:
 def _random_self_motion(state: State, rng: np.random.Generator) -> None:
     """Move along the null space of J_c and back onto the loop; stay if that leaves the limits."""
     chain, before = state.chain, state.q.copy()
-    _, sizes, rows = np.linalg.svd(state.J_rel)
-    free = rows[np.sum(sizes > SINGULAR * sizes[0]) :]
-    state.q += STEP * rng.normal(size=len(free)) @ free
+    # Projected, so that the step does not depend on the basis, which every processor chooses anew.
+    free = null_space(state.J_rel)
+    state.q += STEP * free @ (free.T @ rng.normal(size=chain.n))
     if not (_close(state) and np.all((chain.lower < state.q) & (state.q < chain.upper))):
         state.q[:] = before
         state.update()

@@ -86,7 +86,8 @@ def trace_csv(comparison: Comparison) -> str:
 
     The last row of a controller is the end of its run, after which there is no command. Columns
     are empty where a controller has nothing to say: ``commanded`` where the joints do exactly as
-    told, ``gap`` where the model has no error, ``memory`` where the law remembers nothing.
+    told, ``measured`` where no sensor says otherwise, ``gap`` where the model has no error,
+    ``memory`` where the law remembers nothing.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -116,6 +117,7 @@ def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
         *(f"q[{joint}]" for joint in joints),
         *(f"v[{joint}]" for joint in joints),
         *(f"commanded[{joint}]" for joint in joints),
+        *(f"measured[{joint}]" for joint in joints),
         *(f"gap[{loop + 1}].{axis}" for loop in range(trace.gap.shape[1] // 6) for axis in AXES),
         *(f"memory[{i}]" for i in range(memory)),
         *(f"tau[{joint}]" for joint in joints),
@@ -154,12 +156,15 @@ def _known(trace: Trace, joints: list[str], memory: int) -> list[list[Any]]:
     """What each tick decided from, beside time, joints and their velocity."""
     told = not np.array_equal(trace.commanded, trace.q[:-1])
     commanded = _by_joint(trace.commanded if told else trace.commanded[:, :0], trace, joints)
+    sensed = np.isfinite(trace.measured).any()
+    measured = _by_joint(trace.measured if sensed else trace.measured[:, :0], trace, joints)
     rows = []
     for values, width in ((trace.gap, trace.gap.shape[1]), (trace.memory, memory)):
         empty = width - values.shape[1] if values.any() else width
         shown: list[list[Any]] = values[:, : width - empty].tolist()
         rows.append([[*row, *[""] * empty] for row in shown])
-    return [[*c, *g, *m] for c, g, m in zip(commanded, *rows, strict=True)]
+    known = zip(commanded, measured, *rows, strict=True)
+    return [[value for part in parts for value in part] for parts in known]
 
 
 def _errors(trace: Trace) -> list[list[Any]]:

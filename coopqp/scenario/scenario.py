@@ -193,6 +193,15 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     return own, passive
 
 
+def by_arm(robot: RobotModel, value: Mapping[str, float]) -> dict[str, float | list[float]]:
+    """A start by arm, and by name for joints of no arm and passive ones, from one by joint."""
+    start: dict[str, float | list[float]] = {
+        arm.name: [value[joint] for joint in robot.arm_joints(arm)] for arm in robot.arms
+    }
+    moved = {joint for arm in robot.arms for joint in robot.arm_joints(arm)}
+    return start | {name: x for name, x in value.items() if name not in moved}
+
+
 def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
     """A start in radians and metres from one in degrees and metres.
 

@@ -33,6 +33,7 @@ from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_pas
 from coopqp.qp import QP, Rows
 from coopqp.robot import RobotModel
 from coopqp.row import joint_rows
+from coopqp.scenario.scenario import by_arm
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 
@@ -113,9 +114,9 @@ def solve_start(
             it gets.
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
-    by_arm = grasp_of_each(robot, grasps)
-    _check_known(by_arm, held)
-    problem = _Problem(robot, by_arm, held)
+    grasp_of = grasp_of_each(robot, grasps)
+    _check_known(grasp_of, held)
+    problem = _Problem(robot, grasp_of, held)
     groups = _groups(problem.columns)
     q, rng = problem.middle.copy(), seeded(seed)
     tries, total = 0, TRIES * len(groups)
@@ -143,12 +144,15 @@ def solve_start(
 
 def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
-    room = (
-        f"{solution.margin:.3g} rad or m inside the limits" if solution.margin < np.inf
-        else "no limits"
-    )  # fmt: skip
-    lines = [f"start:   # rad, m; {room}, the best of {solution.found} found"]
-    for name, value in solution.start.items():
+    inside = f"{solution.margin:.3g} rad or m inside the limits"
+    room = inside if solution.margin < np.inf else "no limits"
+    return start_text(solution.start, f"{room}, the best of {solution.found} found")
+
+
+def start_text(start: Mapping[str, float | list[float]], remark: str) -> str:
+    """A start as a scenario file has it, with a comment."""
+    lines = [f"start:   # rad, m; {remark}"]
+    for name, value in start.items():
         rounded = np.round(np.atleast_1d(np.asarray(value)), DIGITS) + 0.0  # no minus zero
         numbers = [f"{x:.{DIGITS}f}" for x in rounded]
         text = f"[{', '.join(numbers)}]" if isinstance(value, list) else numbers[0]
@@ -238,14 +242,10 @@ class _Problem:
         model, robot = self.model, self.robot
         value = {name: float(q[model.idx_qs[model.getJointId(name)]]) for name in model.names[1:]}
         passive = {name: x for name, x in value.items() if name not in robot.joint_names}
-        start: dict[str, float | list[float]] = {}
-        start.update({a.name: [value[j] for j in robot.arm_joints(a)] for a in robot.arms})
-        moved = {j for arm in robot.arms for j in robot.arm_joints(arm)}
-        start.update({name: x for name, x in value.items() if name not in moved})
         return StartSolution(
             q=np.array([value[name] for name in robot.joint_names]),
             passive=passive,
-            start=start,
+            start=by_arm(robot, value),
             margin=self.margin(q, range(len(q))),
             tries=tries,
             found=found,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
+
+import numpy as np
 
 from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
@@ -60,6 +62,39 @@ def _read(row: Mapping[str, str], start: str, numbers: Array) -> None:
     """Numbers from the columns whose names start so; nothing where they are empty."""
     found = [text for key, text in row.items() if key.startswith(start) and text]
     numbers[: len(found)] = [float(text) for text in found[: len(numbers)]]
+
+
+def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: float) -> Array:
+    """Where the sensors said that the joints are, tick by tick, shape (T, n) [rad, m].
+
+    Ticks in which they said nothing are left out.
+
+    Args:
+        path: of ``trace.csv``.
+        controller: whose.
+        joints: names, shape (n,).
+        ticks: only those before this one.
+
+    Raises:
+        CoopqpError: no such file or controller; the trace is of other joints.
+    """
+    if controller not in controllers_of(path):
+        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
+    columns, found = [f"measured[{joint}]" for joint in joints], []
+    with _open(path) as stream:
+        reader = csv.DictReader(stream)
+        for column in columns:
+            if column not in (reader.fieldnames or ()):
+                raise CoopqpError(
+                    f"{path}: has no column '{column}'; it is of another scenario than the one "
+                    "beside it, or was written before traces had measured joints: run it again"
+                )
+        for row in reader:
+            told = row["controller"] == controller and all(row[column] for column in columns)
+            if told and int(row["tick"]) < ticks:
+                found.append([float(row[column]) for column in columns])
+    values: Array = np.array(found, float).reshape(-1, len(columns))
+    return np.asarray(values[np.isfinite(values).all(axis=1)], float)
 
 
 def blocked_tick(path: Path, controller: str) -> int:

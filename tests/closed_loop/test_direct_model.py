@@ -12,6 +12,7 @@ import scipy.linalg
 from chains import BOX, Closed, closed_states, heavy, planar_pair, ring, spherical_pair, three_arms
 from dynamics_by_hand import SHARES, Oracle, PinocchioOracle, accelerations, relative
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 
@@ -27,23 +28,15 @@ def test_random_states_are_closed(box_chain: ClosedChain, states: list[Closed]) 
         np.testing.assert_allclose(box_chain.loop_jacobian(q) @ v, 0, atol=1e-12)
 
 
-def test_direct_model_solves_the_kkt_system(box_chain: ClosedChain, states: list[Closed]) -> None:
-    oracle, worst = Oracle(box_chain), 0.0
-    found = accelerations(ClosedLoopDynamics(box_chain), states)
-    for (q, v), (tau, a) in zip(states, found, strict=True):
-        oracle.update(q, v)
-        worst = max(worst, relative(a, oracle.by_kkt(tau)))
-    assert worst <= 1e-9
-
-
-def test_direct_model_is_the_projection_on_the_free_motions(
-    box_chain: ClosedChain, states: list[Closed]
+@pytest.mark.parametrize("by", [Oracle.by_kkt, Oracle.by_projection])
+def test_direct_model_is_the_kkt_system_and_the_projection_on_the_free_motions(
+    by: Callable[[Oracle, Array], Array], box_chain: ClosedChain, states: list[Closed]
 ) -> None:
     oracle, worst = Oracle(box_chain), 0.0
     found = accelerations(ClosedLoopDynamics(box_chain), states)
     for (q, v), (tau, a) in zip(states, found, strict=True):
         oracle.update(q, v)
-        worst = max(worst, relative(a, oracle.by_projection(tau)))
+        worst = max(worst, relative(a, by(oracle, tau)))
     assert worst <= 1e-9
 
 

@@ -194,7 +194,7 @@ def test_torques_for_a_motion_are_those_of_mujoco(
     for q, v in closed_states(chain, 20):
         dynamics.update(q, v)
         N = dynamics.null_space()
-        a = 5.0 * N @ rng.normal(size=N.shape[1]) - np.linalg.pinv(dynamics.J) @ dynamics.drift
+        a = 5.0 * N @ (N.T @ rng.normal(size=len(N))) - np.linalg.pinv(dynamics.J) @ dynamics.drift
         tau = dynamics.inverse(a).tau
         work = twin.work(q, v, a)
         np.testing.assert_allclose(work.motions.T @ tau, work.done, rtol=1e-4, atol=1e-5)

@@ -23,7 +23,7 @@ def test_a_step_that_passes_leaves_the_loops_within_the_budget(
     passed = refused = 0
     for _ in range(600):
         basis = null_space(state.J_loop)
-        v = basis @ rng.normal(size=basis.shape[1]) * 10.0 ** rng.uniform(-1.0, 1.5)
+        v = basis @ (basis.T @ rng.normal(size=len(basis))) * 10.0 ** rng.uniform(-1.0, 2.0)
         after.q[:] = state.q + problem.dt * v
         after.update()
         if probe.within(state, v):
@@ -36,8 +36,7 @@ def test_a_step_that_passes_leaves_the_loops_within_the_budget(
         state.update()
         state.close_loops(2)
     assert passed > 100
-    if name != "planar_pair":
-        assert refused > 0
+    assert refused > 10
 
 
 def test_a_step_is_not_refused_for_a_loop_that_it_closes(rng: np.random.Generator) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
 from coopqp.comparison import summarize
@@ -20,41 +21,19 @@ from coopqp.study.recorded_tick import recorded_tick
 WRONG = Disturbance(
     grasp_offset=2e-3, encoder_offset=5e-3, noise_position=1e-4, delay=2, slip=Slip(at=0.5, by=5e-3)
 )
-PHASES = """
-robot: nao_t14
-object: {size: [0.08, 0.19, 0.08], mass: 0.2}
-start: {right: [0.7, -0.2, 1.2, 0.9, 0.1], left: [0.7, 0.2, -1.2, -0.9, -0.1]}
-phases:
-  - name: carry
-    duration: 0.6
-    tasks:
-      - point_on_point: {name: reach, goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.4}}
-  - name: alone
-    duration: 0.4
-    released: [left]
-    tasks:
-      - point_on_point: {name: stay, goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.1}}
-  - name: again
-    duration: 0.4
-    tasks:
-      - point_on_point: {name: up, goal: [0.17, 0.01, 0.07], gain: 5, mode: scaled,
-                         profile: {duration: 0.3}}
-controllers: [qp]
-dt: 0.01
-"""
+SCALED = (HEAD + PHASES + TAIL).replace("{name: up,", "{name: up, mode: scaled,")
 
 
 @pytest.mark.parametrize("plant", [Kinematic(), RigidBody(), Mujoco()], ids=repr)
 def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
     if isinstance(plant, Mujoco):
         pytest.importorskip("mujoco")
-    (tmp_path / "s.yaml").write_text(PHASES, encoding="utf-8")
     wrong = WRONG.kinematic if isinstance(plant, Kinematic) else WRONG
-    scenario = replace(coopqp.load(tmp_path / "s.yaml"), plant=plant, disturbance=wrong)
+    scenario = replace(phased(tmp_path, SCALED), plant=plant, disturbance=wrong)
     trace = coopqp.run(scenario, controller="qp")
     files.write(summarize(scenario, {"qp": trace}), tmp_path / "out")
     assert np.abs(trace.v).max() > 0.05
-    for tick in (0, 1, 30, 55, 59, 60, 61, 99, 100, 101, 120, 139):
+    for tick in (0, 1, 30, 55, 59, 60, 61, 119, 120, 121, 140, 169):
         record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
         np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
         np.testing.assert_array_equal(record.q, trace.commanded[tick])

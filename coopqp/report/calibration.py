@@ -1,0 +1,161 @@
+"""What a calibration says: a table, sentences, and lines to paste into the scenario."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from rich import box
+from rich.table import Table
+
+from coopqp.checked import Array
+from coopqp.grasp import Grasp
+from coopqp.hold import with_passive_joints
+from coopqp.scenario.scenario import Scenario, by_arm
+from coopqp.scenario.start_solver import DIGITS, start_text
+from coopqp.study.calibration import Calibration, Offset, not_shown
+
+
+def table(found: Calibration) -> Table:
+    """One row an offset; fits 80 columns."""
+    out = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
+    for heading in ("offset", "", "standard deviation", ""):
+        out.add_column(heading, justify="right" if heading else "left")
+    for offset in found.offsets:
+        unit = f" m{offset.unit}"
+        out.add_row(offset.name, f"{1e3 * offset.value:.3f}{unit}", *_deviation(offset, unit))
+    return out
+
+
+def _deviation(offset: Offset, unit: str) -> tuple[str, str]:
+    if np.isinf(offset.deviation):
+        return "not shown", ""
+    return (
+        ("one tick", "") if np.isnan(offset.deviation) else (f"{1e3 * offset.deviation:.3f}", unit)
+    )
+
+
+def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
+    """What was found, and how far it can be believed."""
+    yield (
+        f"The hands were {_both(found.before)} apart from what the model says (root mean square, "
+        f"{found.ticks} tick{'s' * (found.ticks > 1)}); with these offsets {_both(found.after)}"
+        + (f", of which noise is {_both(found.noise)}." if found.ticks > 1 else ".")
+    )
+    if found.predicted is None:
+        yield (
+            f"warning: the joints moved by {1e3 * found.travel:.2g} mrad or mm at most: this makes "
+            "one pose right, and does not tell whether the hands or the arms are wrong."
+        )
+    elif found.explains:
+        yield f"What the ticks near the start tell leaves {_both(found.predicted)} far from it."
+    else:
+        wrong, rest = (
+            ("Object and encoders do not explain the run", "links")
+            if encoders
+            else ("The object's place in the hands does not explain the run", "links or encoders")
+        )
+        yield (
+            f"warning: {wrong}: what the ticks near the start tell leaves "
+            f"{_both(found.predicted)} far from it. The rest is of the arms themselves, {rest}"
+            f"{'' if encoders else ' (try --encoders)'}, or the object has slipped."
+        )
+    if found.hidden:
+        yield (
+            f"The motion does not show {found.hidden} combination{'s' * (found.hidden > 1)} of "
+            f"{', '.join(not_shown(found.offsets))}; taken for zero."
+        )
+    chain = found.chain
+    for i in chain.passive:
+        yield (
+            f"{chain.joint_names[i]}: its reading is taken for true; its own zero cannot be told "
+            "from the object's place along or about it."
+        )
+    if encoders:
+        yield "Subtract the encoders' offsets from what they say; the lines below count on it."
+
+
+def as_json(found: Calibration) -> dict[str, Any]:
+    """All numbers of it; what is not shown is null."""
+    return {
+        "offsets": [dataclasses.asdict(offset) for offset in found.offsets],
+        "object_in_hand": {
+            arm: _pose(_object_in_hand(found, arm)) for arm in found.chain.hold.holders
+        },
+        "start": dict(zip(found.chain.joint_names, found.chain.q_start.tolist(), strict=True)),
+        "before": found.before.tolist(),
+        "after": found.after.tolist(),
+        "noise": found.noise.tolist(),
+        "predicted": None if found.predicted is None else found.predicted.tolist(),
+        "explains": found.explains,
+        "hidden": found.hidden,
+        "ticks": found.ticks,
+    }
+
+
+def yaml_text(found: Calibration, scenario: Scenario) -> str:
+    """The grasps and the start of the scenario, corrected.
+
+    Args:
+        found: the offsets.
+        scenario: as the controller holds the object.
+    """
+    chain = found.chain
+    lines = ["grasps:   # instead of grasp, grasps and grasp_of"]
+    for arm in chain.robot.arms:
+        grasp = chain.grasps[arm.name]
+        entries = scenario.catalog.entries("grasps").items()
+        name = next(name for name, entry in entries if entry.cls is type(grasp))
+        settings = _settings(grasp)
+        if arm.name in chain.hold.holders or grasp.object_in_hand:
+            settings["object_in_hand"] = _pose(_object_in_hand(found, arm.name))
+        lines.append(f"  {arm.name}: {{{name}: {_flow(settings)}}}")
+    if scenario.held.pose:
+        pose = _flow(_pose(chain.object_pose(chain.q_start)))
+        lines += ["object:   # beside what is there, instead of its pose", f"  pose: {pose}"]
+    value = dict(zip(chain.joint_names, chain.q_start.tolist(), strict=True))
+    remark = "instead of start and start_deg"
+    return "\n".join([*lines, start_text(by_arm(chain.robot, value), remark)])
+
+
+def _settings(grasp: Grasp) -> dict[str, Any]:
+    """What a grasp has been told."""
+    return {
+        field.name: getattr(grasp, field.name)
+        for field in dataclasses.fields(grasp)
+        if field.name != "object_in_hand" and getattr(grasp, field.name) != field.default
+    }
+
+
+def _object_in_hand(found: Calibration, arm: str) -> pin.SE3:
+    """Pose of the object in the tip's frame, with passive joints at zero."""
+    hold = found.chain.hold
+    model, ends = with_passive_joints(hold.robot, hold.passive)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(pin.neutral(model)))
+    tip = next(a.tip for a in hold.robot.arms if a.name == arm)
+    X_TE = data.oMf[model.getFrameId(tip)].actInv(data.oMf[model.getFrameId(ends[arm])])
+    return X_TE * hold.X_EO[arm]
+
+
+def _pose(X: pin.SE3) -> dict[str, Any]:
+    rounded = [
+        np.round(part, DIGITS) + 0.0 for part in (X.translation, pin.rpy.matrixToRpy(X.rotation))
+    ]
+    return dict(zip(("position", "rpy"), (part.tolist() for part in rounded), strict=True))
+
+
+def _flow(value: Any) -> str:
+    """A value in one line of YAML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(v)}" for key, v in value.items()) + "}"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return f"{value:.{DIGITS}f}" if isinstance(value, float) else str(value)
+
+
+def _both(sizes: Array) -> str:
+    return f"{1e3 * sizes[0]:.2g} mm and {1e3 * sizes[1]:.2g} mrad"
