@@ -21,7 +21,7 @@ def state_from_trace(
 ) -> State:
     """The state that a tick of a written trace decided from; the law's tick repeats it.
 
-    What the observer had made of the measured joints is in the gap, so that there is no q_measured.
+    The gap is what the observer had made of the measured joints already, so it learns nothing more.
 
     Args:
         path: of ``trace.csv``.
@@ -51,6 +51,10 @@ def state_from_trace(
                 key = "commanded" if told else "q"
                 state.q[:] = [float(row[f"{key}[{joint}]"]) for joint in joints]
                 _read(row, "gap[", state.gap)
+                if row.get(f"measured[{joints[0]}]"):
+                    measured = [float(row[f"measured[{joint}]"]) for joint in joints]
+                    state.q_measured = np.array(measured)
+                    state.corrected = 0.0
                 _read(row, "memory[", state.memory.numbers)
             elif role == "before":
                 state.v[:] = [float(row[f"v[{joint}]"]) for joint in joints]

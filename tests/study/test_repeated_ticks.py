@@ -13,6 +13,7 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 import coopqp
 from coopqp.comparison import summarize
 from coopqp.disturbance import Disturbance, Slip
+from coopqp.limits import FollowingError, JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.report import files
@@ -37,6 +38,24 @@ def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
         record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
         np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
         np.testing.assert_array_equal(record.q, trace.commanded[tick])
+
+
+def test_ticks_on_a_leash_can_be_repeated(tmp_path: Path) -> None:
+    scenario = replace(
+        coopqp.load("two_pandas"),
+        plant=RigidBody(),
+        disturbance=WRONG,
+        limits=(JointPosition(), JointVelocity(), FollowingError(max=0.001)),
+        duration=0.5,
+    )
+    free = coopqp.run(replace(scenario, limits=scenario.limits[:2]), controller="qp")
+    trace = coopqp.run(scenario, controller="qp")
+    assert np.abs(trace.commanded - trace.measured).max() < 1.6e-3  # with noise
+    assert np.abs(free.v - trace.v).max() > 1e-3
+    files.write(summarize(scenario, {"qp": trace}), tmp_path / "out")
+    for tick in (0, 1, 20, 35, 49):
+        record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
+        np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
 
 
 def test_columns_are_empty_where_there_is_nothing_to_say(tmp_path: Path) -> None:
