@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.solver import Budget, Status
@@ -20,6 +21,8 @@ STILL = 1e-6  # a joint below this share of its speed limit does not move
 AT_REST = 1e-3  # ... and below this one it has arrived
 LATEST = 10  # ticks that tell how it ends
 SHORTENED = (Status.STEP_SHORTENED, Status.LOOP_BUDGET)
+
+Flags = NDArray[np.bool_]
 
 
 @dataclass
@@ -33,6 +36,9 @@ class Record:
         v: commands, T of shape (n,).
         causes: of each tick.
         loop_position, loop_orientation: largest loop error [m], [rad].
+        forces: largest internal force of a hand after each tick and at first, where the plant has
+            masses, T + 1 numbers [N].
+        saturated: which motors were at their limits then, T + 1 of shape (n,).
     """
 
     lower: Array
@@ -43,6 +49,8 @@ class Record:
     causes: list[tuple[Status, ...]] = field(default_factory=list)
     loop_position: float = 0.0
     loop_orientation: float = 0.0
+    forces: list[float] = field(default_factory=list)
+    saturated: list[Flags] = field(default_factory=list)
 
     @property
     def scale(self) -> Array:
