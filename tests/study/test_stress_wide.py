@@ -22,9 +22,9 @@ from coopqp.solver import Budget, Status
 from coopqp.state import State
 from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
 from coopqp.study.stress.draw import draw
+from coopqp.study.stress.driving import DAMPING, MOST, drive_on, record_of
 from coopqp.study.stress.ending import ending, way_back
 from coopqp.study.stress.signs import Record
-from coopqp.study.stress.trial import DAMPING, MOST, drive_on, record_of
 
 Array = NDArray[np.float64]
 OK = (Status.OPTIMAL,)

@@ -71,7 +71,8 @@ def judged(seed: int, drawn: Draw, law: QPLaw, state: State, record: Record) -> 
     """Judge a rollout whose time is up.
 
     Args:
-        seed, drawn: what was done.
+        seed: of it.
+        drawn: the problem.
         law: with its last answer.
         state: at the end.
         record: of all ticks.

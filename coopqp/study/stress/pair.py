@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant
 from coopqp.plants._dynamic import DynamicModel
@@ -15,11 +13,12 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.study.stress.driving import DAMPING, drive_for, note, record_of
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import DrawWithMasses
-from coopqp.study.stress.signs import Record
+from coopqp.study.stress.signs import Flags
 from coopqp.study.stress.squeeze import Squeeze, squeeze
 
 DURATION, END = 4.0, 0.5  # of a rollout, and of what counts as its end [s]
 FOR_GOOD = 0.1  # share of the ticks of the last quarter in which a motor is at its limit
+RESTS = 0.01  # slower than this share of the speed limits all through the end
 MORE = 1.1  # what the force may be times more than it is without errors, or explained
 DEVIATIONS = 3.0  # of noise
 LEAST = 0.02  # a difference that says nothing [N]
@@ -32,14 +31,18 @@ class _Run:
     Attributes:
         rollout: judged as on joints that do as told.
         force: in the mean of the end [N].
-        squeeze: what the statics say of it.
-        saturated: share of the ticks of the last quarter with each motor at its limit, (n,).
+        rests: whether the commands do, all through the end.
+        squeeze: what the statics say of where it is.
+        saturated: motors that are at their limit for good, shape (n,).
+        overloaded: motors that the statics ask for more than they have, shape (n,).
     """
 
     rollout: Rollout
     force: float
+    rests: bool
     squeeze: Squeeze
-    saturated: Array
+    saturated: Flags
+    overloaded: Flags
 
 
 def run_pair(drawn: DrawWithMasses, plant: Plant, seed: int) -> Rollout:
@@ -53,37 +56,39 @@ def run_pair(drawn: DrawWithMasses, plant: Plant, seed: int) -> Rollout:
     Returns:
         The run with errors, and what either of the two broke.
     """
-    clean = _run(drawn, plant, seed, drawn.without_errors)
-    if drawn.disturbance == drawn.without_errors:
-        run, others = clean, ()
-    else:
+    clean = run = _run(drawn, plant, seed, drawn.without_errors)
+    broken: tuple[str, ...] = ()
+    if drawn.errors != "none":
         run = _run(drawn, plant, seed, drawn.disturbance)
-        others = tuple(f"without errors: {words}" for words in clean.rollout.broken)
-    motors = [
-        name
-        for name, now, then in zip(
-            drawn.problem.chain.joint_names, run.saturated, clean.saturated, strict=True
-        )
-        if now > FOR_GOOD >= then
-    ]
-    most = MORE * max(clean.force, run.squeeze.weight) + DEVIATIONS * run.squeeze.noise + LEAST
-    squeezed = not run.force <= most
-    words = (*_words(motors), *([f"squeezes with {run.force:.3g} N, {most:.3g} N"] * squeezed))
+        broken = tuple(f"without errors: {words}" for words in clean.rollout.broken)
+    motors = _saturated(drawn, run, clean)
+    squeezes = _squeezes(run, clean)
     return replace(
         run.rollout,
         goal=drawn.goal,
         errors=drawn.errors,
-        broken=(*others, *run.rollout.broken, *words),
+        broken=(*broken, *run.rollout.broken, *motors, *squeezes),
         saturated=bool(motors),
-        squeezed=squeezed,
+        squeezed=bool(squeezes),
         force=run.force,
         explained=run.squeeze.weight,
     )
 
 
-def _words(motors: list[str]) -> Iterator[str]:
-    if motors:
-        yield f"saturated for good: {', '.join(motors)}"
+def _saturated(drawn: DrawWithMasses, run: _Run, clean: _Run) -> tuple[str, ...]:
+    """Motors at their limits by the errors' doing, in words: the statics do not ask for it."""
+    which = np.flatnonzero(run.saturated & ~run.overloaded & ~clean.saturated)
+    names = [drawn.problem.chain.joint_names[i] for i in which.tolist()]
+    return (f"saturated for good: {', '.join(names)}",) if names else ()
+
+
+def _squeezes(run: _Run, clean: _Run) -> tuple[str, ...]:
+    """More internal force than without errors and than the statics explain, in words."""
+    most = MORE * max(clean.force, run.squeeze.weight) + DEVIATIONS * run.squeeze.noise + LEAST
+    if not (run.rests or clean.rests) or run is clean or run.force <= most:
+        return ()
+    words = "" if run.rests else " and does not rest"
+    return (f"squeezes with {run.force:.3g} N, more than {most:.3g} N{words}",)
 
 
 def _run(drawn: DrawWithMasses, plant: Plant, seed: int, disturbance: Disturbance) -> _Run:
@@ -95,17 +100,13 @@ def _run(drawn: DrawWithMasses, plant: Plant, seed: int, disturbance: Disturbanc
     drive_for(round(DURATION / problem.dt), law, model, state, record)
     note(record, model, state)
     rollout = judged(seed, drawn, law, state, record)
-    last = round(END / problem.dt)
+    last, limit = round(END / problem.dt), model.servo.effort
+    found = squeeze(model, problem.dt)
     return _Run(
-        rollout,
-        float(np.mean(record.forces[-last:])),
-        squeeze(model, problem.dt),
-        _shares(record),
+        rollout=rollout,
+        force=float(np.mean(record.forces[-last:])),
+        rests=bool((np.abs(record.v[-last:]) < RESTS * record.scale).all()),
+        squeeze=found,
+        saturated=np.mean(record.saturated[-(len(record.saturated) // 4) :], axis=0) > FOR_GOOD,
+        overloaded=np.abs(found.tau) > limit,
     )
-
-
-def _shares(record: Record) -> Array:
-    """How much of the last quarter each motor was at its limit."""
-    last = record.saturated[-(len(record.saturated) // 4) :]
-    shares: Array = np.mean(last, axis=0)
-    return shares

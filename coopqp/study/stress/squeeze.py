@@ -1,4 +1,4 @@
-"""The internal force that is left where arms with masses rest, as the statics tell it.
+"""What squeezes and loads arms with masses where they rest, as the statics tell it.
 
 With delta = q_c - q, from where the joints are to where they were told to be, servos of stiffness K
 and feed-forward F hold arms of weight Gamma against the wrench lambda between the hands, while the
@@ -26,15 +26,17 @@ from coopqp.plants._servo import fair_shares
 
 @dataclass(frozen=True)
 class Squeeze:
-    """Largest internal force of a hand [N].
+    """Largest internal force of a hand, and the motors' torques.
 
     Attributes:
-        weight: by the feed-forward's error.
-        noise: root mean square of what noise adds.
+        weight: force by the feed-forward's error [N].
+        noise: root mean square of what noise adds to it [N].
+        tau: K delta + F, were the motors strong enough, shape (n,) [N m].
     """
 
     weight: float
     noise: float
+    tau: Array
 
 
 def squeeze(plant: DynamicModel, dt: float) -> Squeeze:
@@ -53,12 +55,13 @@ def squeeze(plant: DynamicModel, dt: float) -> Squeeze:
     dynamics.update(true.q, rest)
     true.update()
     J = true.J_rel[: chain.loops.closed]
-    missing = dynamics.gravity(true.q) - servo.weight(true.q)
+    forward = servo.weight(true.q)
     matrix = np.block([[np.diag(servo.stiffness), J.T], [J, np.zeros((len(J),) * 2)]])
     rhs = np.zeros((n + len(J), n + 1))
-    rhs[:n, 0], rhs[n:, 1:] = missing, J
+    rhs[:n, 0], rhs[n:, 1:] = dynamics.gravity(true.q) - forward, J
+    found = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
     wrenches: Array = np.zeros((len(true.J_rel), n + 1))
-    wrenches[: len(J)] = np.linalg.lstsq(matrix, rhs, rcond=None)[0][n:]
+    wrenches[: len(J)] = found[n:]
     # What the hands do to the object is linear in the wrenches but for its weight, which cancels.
     forces = np.stack(
         [dynamics.object_wrenches(rest, column).internal[:, :3] for column in wrenches.T], axis=2
@@ -68,4 +71,5 @@ def squeeze(plant: DynamicModel, dt: float) -> Squeeze:
     return Squeeze(
         weight=float(np.linalg.norm(forces[:, :, 0], axis=1).max()),
         noise=float(passed * np.sqrt((forces[:, :, 1:] ** 2).sum(axis=(1, 2)).max())),
+        tau=servo.stiffness * found[:n, 0] + forward,
     )

@@ -16,10 +16,11 @@ class Summary:
         kind: such as "baxter", "outside" or "all".
         count: of rollouts.
         outcomes: by name.
-        frozen, rattling, never_back, saturated, squeezed, ringing: rollouts that showed these signs.
+        frozen, rattling, never_back, ringing: rollouts that showed these signs.
+        saturated, squeezed: the same on plants with masses.
         broken: rollouts that broke a promise.
         ticks, fallbacks, inaccurate: of all rollouts.
-        position_excess, velocity_excess, loop_position, loop_orientation: the worst of them.
+        position_excess, velocity_excess, loop_position, loop_orientation, force: the worst of them.
     """
 
     kind: str
@@ -39,6 +40,7 @@ class Summary:
     velocity_excess: float
     loop_position: float
     loop_orientation: float
+    force: float
 
 
 def summarize(rollouts: list[Rollout]) -> list[Summary]:
@@ -62,7 +64,7 @@ def _grasp(r: Rollout) -> str:
 
 
 def _goal(r: Rollout) -> str:
-    return r.goal and f"goal {r.goal}"
+    return r.goal
 
 
 def _start(r: Rollout) -> str:
@@ -100,4 +102,5 @@ def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
         max(r.velocity_excess for r in rollouts),
         max(r.loop_position for r in rollouts),
         max(r.loop_orientation for r in rollouts),
+        max(r.force for r in rollouts),
     )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 
+from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant
+from coopqp.plants.kinematic import Kinematic
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Solver
 from coopqp.study.stress.draw import DAQP, Draw, draw
@@ -17,6 +18,8 @@ from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import draw_with_masses
 from coopqp.study.stress.pair import run_pair
 
+JOINTS = Kinematic()
+
 
 def stress(
     count: int,
@@ -24,7 +27,7 @@ def stress(
     seed: int = 0,
     jobs: int = 0,
     solver: Solver = DAQP,
-    plant: Plant | None = None,
+    plant: Plant = JOINTS,
     progress: Callable[[int], None] | None = None,
 ) -> list[Rollout]:
     """Run many rollouts on all cores.
@@ -34,9 +37,11 @@ def stress(
         seed: of the first; the others count up.
         jobs: processes; all cores when 0.
         solver: of the programs; it changes nothing of what is drawn.
-        plant: with masses, on which each is run without and with errors of the model; joints that
-            do as told when omitted.
+        plant: one with masses has its own draws, each run without and with errors of the model.
         progress: called with the number done.
+
+    Raises:
+        MissingDependencyError: solver or plant needs a package that is not installed.
     """
     seeds = range(seed, seed + count)
     done: list[Rollout] = []
@@ -49,11 +54,12 @@ def stress(
 
 
 def _all(one: Callable[[int], Rollout], seeds: range, jobs: int) -> Iterator[Rollout]:
-    if jobs == 1 or len(seeds) == 1:
-        yield from map(one, seeds)
+    here = len(seeds) if jobs == 1 else 1  # what is not installed shows in the first
+    yield from map(one, seeds[:here])
+    if here == len(seeds):
         return
-    with multiprocessing.Pool(min(jobs, len(seeds)), _leave_interrupts) as pool:
-        yield from pool.imap_unordered(one, seeds, chunksize=8)
+    with multiprocessing.Pool(min(jobs, len(seeds) - 1), _leave_interrupts) as pool:
+        yield from pool.imap_unordered(one, seeds[here:], chunksize=8)
 
 
 def _leave_interrupts() -> None:
@@ -61,12 +67,18 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant | None = None) -> Rollout:
-    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised."""
+def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:
+    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised.
+
+    Raises:
+        MissingDependencyError: as for :func:`stress`.
+    """
     try:
-        if plant:
+        if plant.takes_torques:
             return run_pair(draw_with_masses(seed, solver), plant, seed)
         return _run(draw(seed, solver), seed)
+    except MissingDependencyError:
+        raise
     except Exception as error:  # noqa: BLE001 - this is what the stress test looks for
         return Rollout(seed, broken=(f"raised {type(error).__name__}: {error}",))
 
