@@ -232,7 +232,6 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
 def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
-    from functools import partial
 
     from coopqp.report import strict_json
     from coopqp.report.terminal import console, progress_bars
@@ -241,14 +240,10 @@ def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json
     from coopqp.study import stress as trial
 
     catalog = Catalog()
-    run = partial(
-        trial.stress,
-        solver=solver_by_name(solver, catalog),
-        plant=plant_by_name(plant, catalog),
-    )
+    asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
     with progress_bars(["rollouts"], rollouts) as progress:
         report = (lambda done: progress("rollouts", done)) if progress else None
-        done = run(rollouts, seed=seed, jobs=jobs, progress=report)
+        done = trial.stress(rollouts, *asked, seed=seed, jobs=jobs, progress=report)
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}

@@ -23,21 +23,21 @@ JOINTS = Kinematic()
 
 def stress(
     count: int,
+    solver: Solver = DAQP,
+    plant: Plant = JOINTS,
     *,
     seed: int = 0,
     jobs: int = 0,
-    solver: Solver = DAQP,
-    plant: Plant = JOINTS,
     progress: Callable[[int], None] | None = None,
 ) -> list[Rollout]:
     """Run many rollouts on all cores.
 
     Args:
         count: how many.
-        seed: of the first; the others count up.
-        jobs: processes; all cores when 0.
         solver: of the programs; it changes nothing of what is drawn.
         plant: one with masses has its own draws, each run without and with errors of the model.
+        seed: of the first; the others count up.
+        jobs: processes; all cores when 0.
         progress: called with the number done.
 
     Raises:
