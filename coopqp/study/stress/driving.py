@@ -23,7 +23,7 @@ def record_of(problem: ControlProblem) -> Record:
     """An empty record for a problem."""
     chain = problem.chain
     scale = min(k.scale for k in problem.limits if isinstance(k, JointVelocity))
-    return Record(chain.lower, chain.upper, scale * chain.velocity)
+    return Record(chain.lower, chain.upper, scale * chain.velocity, chain.joint_units)
 
 
 def drive_on(law: QPLaw, state: State, record: Record) -> None:

@@ -32,6 +32,7 @@ class Record:
     Attributes:
         lower, upper: position limits, shape (n,) [rad, m].
         speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
+        units: "rad" or "m" of each joint.
         q: configurations before each tick and at last, T + 1 of shape (n,).
         v: commands, T of shape (n,).
         causes: of each tick.
@@ -44,6 +45,7 @@ class Record:
     lower: Array
     upper: Array
     speed: Array
+    units: tuple[str, ...]
     q: list[Array] = field(default_factory=list)
     v: list[Array] = field(default_factory=list)
     causes: list[tuple[Status, ...]] = field(default_factory=list)
@@ -54,10 +56,14 @@ class Record:
 
     @property
     def scale(self) -> Array:
-        """Speeds to compare with, shape (n,); without a limit it is the least of the others."""
-        limited = np.isfinite(self.speed)
-        least = self.speed[limited].min() if limited.any() else 1.0
-        return np.where(limited, self.speed, least)
+        """Speeds to compare with, shape (n,); without a limit it is the least of its own unit."""
+        scale, units = self.speed.copy(), np.array(self.units)
+        for unit in self.units:
+            same = units == unit
+            limits = self.speed[same & np.isfinite(self.speed)]
+            scale[same & np.isinf(self.speed)] = limits.min(initial=np.inf)
+        scale[np.isinf(scale)] = 1.0  # nothing to compare with
+        return scale
 
     def count(self, *statuses: Status) -> int:
         """Ticks that say one of these."""
