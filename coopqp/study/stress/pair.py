@@ -61,8 +61,10 @@ def run_pair(drawn: DrawWithMasses, plant: Plant, seed: int) -> Rollout:
     if drawn.errors != "none":
         run = _run(drawn, plant, seed, drawn.disturbance)
         broken = tuple(f"without errors: {words}" for words in clean.rollout.broken)
-    motors = _saturated(drawn, run, clean)
-    squeezes = _squeezes(run, clean)
+    # Who moves may need all of its torque, and lags behind.
+    rests = run.rests or clean.rests
+    motors = _saturated(drawn, run, clean) if rests else ()
+    squeezes = _squeezes(run, clean) if rests else ()
     return replace(
         run.rollout,
         goal=drawn.goal,
@@ -85,7 +87,7 @@ def _saturated(drawn: DrawWithMasses, run: _Run, clean: _Run) -> tuple[str, ...]
 def _squeezes(run: _Run, clean: _Run) -> tuple[str, ...]:
     """More internal force than without errors and than the statics explain, in words."""
     most = MORE * max(clean.force, run.squeeze.weight) + DEVIATIONS * run.squeeze.noise + LEAST
-    if not (run.rests or clean.rests) or run is clean or run.force <= most:
+    if run is clean or run.force <= most:
         return ()
     words = "" if run.rests else " and does not rest"
     return (f"squeezes with {run.force:.3g} N, more than {most:.3g} N{words}",)
