@@ -255,18 +255,24 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
 @click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
 @click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
+@click.option("--plant", default="kinematic", help="With masses: each with and without errors.")
 @JSON
-def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
+def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
 
     from coopqp.report import strict_json
     from coopqp.report.terminal import console, progress_bars
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.loader import plant_by_name, solver_by_name
     from coopqp.study import stress as trial
 
+    catalog = Catalog()
+    asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
     with progress_bars(["rollouts"], rollouts) as progress:
         report = (lambda done: progress("rollouts", done)) if progress else None
-        done = trial.stress(rollouts, seed=seed, jobs=jobs, progress=report)
+        done = trial.stress(rollouts, *asked, seed=seed, jobs=jobs, progress=report)
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
@@ -274,7 +280,7 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
     else:
         from coopqp.report import table
 
-        console().print(table.stress(lines))
+        console().print(table.stress(lines, plant))
         for r in broken[:20]:
             click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
     if broken:

@@ -127,6 +127,8 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
         (["replay", "OUT/metrics.json"], "is not a tick saved by"),
         (["replay", "/no/such"], "cannot be read"),
         (["stress", "--rollouts", "0"], "is not in the range"),
+        (["stress", "--solver", "osqq"], "unknown solver 'osqq'; did you mean 'osqp'?"),
+        (["stress", "--plant", "mujocoo"], "unknown plant 'mujocoo'; did you mean 'mujoco'?"),
     ],
 )
 def test_explain_replay_and_stress_refuse_in_words(

@@ -48,6 +48,7 @@ class ServoLaw:
         tau: torques as of the last :meth:`torque`, shape (n,) [N m].
         effort: their limits, zero for passive joints, shape (n,) [N m].
         asked: the same torques before they were limited.
+        stiffness: K, zero for passive joints, shape (n,) [N m/rad].
         follows: whether the last command was a velocity, or there was none.
     """
 
@@ -57,7 +58,7 @@ class ServoLaw:
         motors[self._model.actuated] = True
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
         self._rest = np.zeros(chain.n)
-        self._stiffness = full_effort(chain) / servo.saturation_angle
+        self.stiffness = full_effort(chain) / servo.saturation_angle
         self._ratio = servo.damping_ratio
         self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
@@ -85,10 +86,10 @@ class ServoLaw:
         self._model.update(q, self._rest)
         self._update_damping()
         if self._compensate:
-            self._forward[:] = self._weight(q)
+            self._forward[:] = self.weight(q)
 
-    def _weight(self, q: Array) -> Array:
-        """Motor torques that hold arms and object."""
+    def weight(self, q: Array) -> Array:
+        """Motor torques that hold the modelled arms and object at q, shape (n,) [N m]."""
         model = self._model
         Gamma = model.gravity(q)
         passive = model.passive
@@ -99,7 +100,7 @@ class ServoLaw:
         return Gamma
 
     def _update_damping(self) -> None:
-        np.sqrt(self._stiffness * inertia_seen(self._model), out=self._damping)
+        np.sqrt(self.stiffness * inertia_seen(self._model), out=self._damping)
         self._damping *= 2.0 * self._ratio
 
     def advance(self, h: float) -> None:
@@ -112,7 +113,7 @@ class ServoLaw:
         asked = self.asked
         asked[:] = self._forward
         if self.follows:
-            asked += self._stiffness * (self._q_d - q) + self._damping * (self._v_d - v)
+            asked += self.stiffness * (self._q_d - q) + self._damping * (self._v_d - v)
         np.minimum(np.maximum(asked, -self.effort, out=self.tau), self.effort, out=self.tau)
         return self.tau
 

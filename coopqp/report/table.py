@@ -36,6 +36,13 @@ SIGNS = {
     "never\nback": "never_back",
     "broken": "broken",
 }
+#: The same on plants with masses.
+OUTCOMES_WITH_MASSES = {k: v for k, v in OUTCOMES.items() if v != "recovering"}
+SIGNS_WITH_MASSES = {
+    "satu-\nrated": "saturated",
+    "squee-\nzed": "squeezed",
+    **{k: v for k, v in SIGNS.items() if v != "never_back"},
+}
 COLORS = {None: "", True: "red", False: "green"}
 
 
@@ -74,33 +81,36 @@ def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:
     return table
 
 
-def stress(lines: Sequence[Summary]) -> Table:
+def stress(lines: Sequence[Summary], plant: str = "kinematic") -> Table:
     """One row a kind of rollout; fits 80 columns."""
-    whole = lines[-1]
+    masses = plant != "kinematic"
     table = Table(
-        title="random rollouts of the QP law",
+        title=f"random rollouts on {plant}" if masses else "random rollouts of the QP law",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         padding=0,
         show_edge=False,
-        caption=_worst(whole),
+        caption=_worst(lines[-1], masses=masses),
         caption_justify="left",
     )
+    outcomes = OUTCOMES_WITH_MASSES if masses else OUTCOMES
+    signs = SIGNS_WITH_MASSES if masses else SIGNS
     table.add_column("rollouts", no_wrap=True)
-    for heading in ("number", *OUTCOMES, *SIGNS):
+    for heading in ("number", *outcomes, *signs):
         table.add_column(heading, justify="right", no_wrap=True)
     for x in lines:
-        counts = (x.outcomes.get(outcome, 0) for outcome in OUTCOMES.values())
-        signs = (getattr(x, sign) for sign in SIGNS.values())
-        table.add_row(x.kind, *(str(count) for count in (x.count, *counts, *signs)))
+        counts = (x.outcomes.get(outcome, 0) for outcome in outcomes.values())
+        seen = (getattr(x, sign) for sign in signs.values())
+        table.add_row(x.kind, *(str(count) for count in (x.count, *counts, *seen)))
     return table
 
 
-def _worst(x: Summary) -> Text:
-    """The worst of everything, in four lines."""
+def _worst(x: Summary, *, masses: bool) -> Text:
+    """The worst of everything, a line each."""
+    squeeze = f"\nlargest internal force at the end: {x.force:.2f} N" if masses else ""
     return Text(
         f"worst overrun: {x.position_excess:.1e} rad, {x.velocity_excess:.1e} rad/s\n"
         f"widest loop: {1e3 * x.loop_position:.3f} mm, {1e3 * x.loop_orientation:.2f} mrad\n"
         f"of {x.ticks} ticks {x.fallbacks} gave something up, {x.inaccurate} were INACCURATE\n"
-        f"ringing (flips in more than 2 % of the ticks): {x.ringing}"
+        f"ringing (flips in more than 2 % of the ticks): {x.ringing}{squeeze}"
     )

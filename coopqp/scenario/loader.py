@@ -15,6 +15,7 @@ from coopqp.controller import TELL_APART, Controller, problem_faults
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
+from coopqp.plant import Plant
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen, file_model
@@ -122,6 +123,20 @@ def solver_by_name(name: str, catalog: Catalog) -> Solver:
     chosen = entries[name].cls() if name in entries else qpsolvers.Qpsolvers(backend=name)
     assert isinstance(chosen, Solver)  # what the catalogue holds there
     return chosen
+
+
+def plant_by_name(name: str, catalog: Catalog) -> Plant:
+    """A plant of the catalogue with its defaults.
+
+    Raises:
+        UnknownNameError: no such plant; names the nearest.
+    """
+    entries = catalog.entries("plants")
+    if name not in entries:
+        raise UnknownNameError("plant", name, entries)
+    plant = entries[name].cls()
+    assert isinstance(plant, Plant)  # what the catalogue holds there
+    return plant
 
 
 def solver_names(catalog: Catalog) -> tuple[str, ...]:

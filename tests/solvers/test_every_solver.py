@@ -222,9 +222,6 @@ def test_solver_out_of_iterations_says_so(rng: np.random.Generator) -> None:
         assert checked(solver, random_qp(rng))[1] is Status.ITERATION_LIMIT
 
 
-@pytest.mark.xfail(
-    strict=True, reason="without equality rows, as for one arm alone, OSQP's polishing prints"
-)
 def test_osqp_says_nothing_when_no_row_is_active(capfd: pytest.CaptureFixture[str]) -> None:
     qp = empty_qp(2, 0, 0)
     qp.lb[:], qp.ub[:] = -1.0, 1.0

@@ -22,9 +22,9 @@ from coopqp.solver import Budget, Status
 from coopqp.state import State
 from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
 from coopqp.study.stress.draw import draw
+from coopqp.study.stress.driving import DAMPING, MOST, drive_on, record_of
 from coopqp.study.stress.ending import ending, way_back
 from coopqp.study.stress.signs import Record
-from coopqp.study.stress.trial import DAMPING, MOST, drive_on, record_of
 
 Array = NDArray[np.float64]
 OK = (Status.OPTIMAL,)
@@ -40,7 +40,9 @@ def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Reco
     """One joint with limits of 1 rad and 1 rad/s that did what v says, at 10 ms a tick."""
     one = np.ones(1)
     q = np.concatenate([[q_0], q_0 + 0.01 * np.cumsum(v)])
-    return Record(-one, one, one, [one * x for x in q], [one * x for x in v], [causes] * len(v))
+    return Record(
+        -one, one, one, ("rad",), [one * x for x in q], [one * x for x in v], [causes] * len(v)
+    )
 
 
 # A small share of it.
@@ -110,8 +112,18 @@ def test_flips_are_counted_in_the_second_half_and_above_the_threshold() -> None:
 def test_a_joint_without_a_speed_limit_rattles_too() -> None:
     swing = np.where(np.arange(TICKS) % 2, 1.0, -1.0)
     v = [np.array([0.0, s]) for s in swing]
-    both = Record(-np.ones(2), np.ones(2), np.array([1.0, np.inf]), [np.zeros(2)], v, [OK] * TICKS)
+    both = Record(
+        -np.ones(2), np.ones(2), np.array([1.0, np.inf]), ("rad", "rad"),
+        [np.zeros(2)], v, [OK] * TICKS,
+    )  # fmt: skip
     assert signs.flips(both) == 1.0
+
+
+def test_a_hinge_without_a_speed_limit_is_compared_with_what_turns() -> None:
+    """Not with a slide's metres a second."""
+    speed = np.array([0.07, 2.0, np.inf])
+    record = Record(-np.ones(3), np.ones(3), speed, ("m", "rad", "rad"))
+    assert record.scale.tolist() == [0.07, 2.0, 2.0]
 
 
 def test_an_overrun_is_seen_and_a_way_back_is_none() -> None:

@@ -3,13 +3,19 @@
 arrangements  which arms hold the object how, from the shipped scenarios
 goals         random tasks
 draw          a whole random problem from one seed
+masses        the same for plants with masses, with errors of the model
+driving       runs a law and keeps what happens
 signs         what a recorded rollout shows: rattling, standing still, an overrun
 ending        where it ended, and why there
+judgement     how one rollout went
+squeeze       the internal force that the servos' gravity feed-forward explains
+pair          a rollout on a plant with masses, without and with errors of the model
 trial         the rollouts, on all cores
 summary       one line a kind
 """
 
+from coopqp.study.stress.judgement import Rollout
 from coopqp.study.stress.summary import Summary, summarize
-from coopqp.study.stress.trial import Rollout, one_rollout, stress
+from coopqp.study.stress.trial import one_rollout, stress
 
 __all__ = ["Rollout", "Summary", "one_rollout", "stress", "summarize"]

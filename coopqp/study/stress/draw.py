@@ -12,7 +12,8 @@ from coopqp.controller import ControlProblem, OnInfeasible
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
 from coopqp.rank import null_space
-from coopqp.solvers import Daqp
+from coopqp.solver import Solver
+from coopqp.solvers.daqp import Daqp
 from coopqp.state import State
 from coopqp.study.stress import arrangements, goals
 from coopqp.task import Task
@@ -23,6 +24,7 @@ FARTHER = 3  # ... so many times as many to get outside
 FARTHEST_OUTSIDE = 0.3  # [rad, m]
 OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
 PERIODS = (0.005, 0.01, 0.02)  # [s]
+DAQP = Daqp()
 KAPPAS = {"0": 0.0, "0.1/dt": 0.1, "1/dt": 1.0}  # times 1/dt
 
 
@@ -48,8 +50,8 @@ class Draw:
     problem: ControlProblem
 
 
-def draw(seed: int) -> Draw:
-    """The problem that belongs to a seed."""
+def draw(seed: int, solver: Solver = DAQP) -> Draw:
+    """The problem that belongs to a seed, the same for every solver."""
     rng = np.random.default_rng(seed)
     robot = str(rng.choice(arrangements.names()))
     grasp = str(rng.choice(arrangements.grasps_of(robot)))
@@ -65,7 +67,7 @@ def draw(seed: int) -> Draw:
         limits=_limits(rng, chain, dt, tight=tight),
         dt=dt,
         kappa=KAPPAS[kappa] / dt,
-        solver=Daqp(),
+        solver=solver,
         on_infeasible=_on_infeasible(rng),
     )
     return Draw(

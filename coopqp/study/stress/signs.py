@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.solver import Budget, Status
@@ -21,6 +22,8 @@ AT_REST = 1e-3  # ... and below this one it has arrived
 LATEST = 10  # ticks that tell how it ends
 SHORTENED = (Status.STEP_SHORTENED, Status.LOOP_BUDGET)
 
+Flags = NDArray[np.bool_]
+
 
 @dataclass
 class Record:
@@ -29,27 +32,38 @@ class Record:
     Attributes:
         lower, upper: position limits, shape (n,) [rad, m].
         speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
+        units: "rad" or "m" of each joint.
         q: configurations before each tick and at last, T + 1 of shape (n,).
         v: commands, T of shape (n,).
         causes: of each tick.
         loop_position, loop_orientation: largest loop error [m], [rad].
+        forces: largest internal force of a hand after each tick and at first, where the plant has
+            masses, T + 1 numbers [N].
+        saturated: which motors were at their limits then, T + 1 of shape (n,).
     """
 
     lower: Array
     upper: Array
     speed: Array
+    units: tuple[str, ...]
     q: list[Array] = field(default_factory=list)
     v: list[Array] = field(default_factory=list)
     causes: list[tuple[Status, ...]] = field(default_factory=list)
     loop_position: float = 0.0
     loop_orientation: float = 0.0
+    forces: list[float] = field(default_factory=list)
+    saturated: list[Flags] = field(default_factory=list)
 
     @property
     def scale(self) -> Array:
-        """Speeds to compare with, shape (n,); without a limit it is the least of the others."""
-        limited = np.isfinite(self.speed)
-        least = self.speed[limited].min() if limited.any() else 1.0
-        return np.where(limited, self.speed, least)
+        """Speeds to compare with, shape (n,); without a limit it is the least of its own unit."""
+        scale, units = self.speed.copy(), np.array(self.units)
+        for unit in self.units:
+            same = units == unit
+            limits = self.speed[same & np.isfinite(self.speed)]
+            scale[same & np.isinf(self.speed)] = limits.min(initial=np.inf)
+        scale[np.isinf(scale)] = 1.0  # nothing to compare with
+        return scale
 
     def count(self, *statuses: Status) -> int:
         """Ticks that say one of these."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from coopqp.study.stress.trial import Rollout
+from coopqp.study.stress.judgement import Rollout
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,10 @@ class Summary:
         count: of rollouts.
         outcomes: by name.
         frozen, rattling, never_back, ringing: rollouts that showed these signs.
+        saturated, squeezed: the same on plants with masses.
         broken: rollouts that broke a promise.
         ticks, fallbacks, inaccurate: of all rollouts.
-        position_excess, velocity_excess, loop_position, loop_orientation: the worst of them.
+        position_excess, velocity_excess, loop_position, loop_orientation, force: the worst of them.
     """
 
     kind: str
@@ -28,6 +29,8 @@ class Summary:
     frozen: int
     rattling: int
     never_back: int
+    saturated: int
+    squeezed: int
     ringing: int
     broken: int
     ticks: int
@@ -37,15 +40,17 @@ class Summary:
     velocity_excess: float
     loop_position: float
     loop_orientation: float
+    force: float
 
 
 def summarize(rollouts: list[Rollout]) -> list[Summary]:
-    """By robot, start, limits and drift correction, and all together."""
+    """By robot and by what else was drawn, and all together."""
     kinds: dict[str, list[Rollout]] = {}
     drawn = [r for r in rollouts if r.robot]
-    for words in (_robot, _start, _limits, _kappa):
+    for words in (_robot, _grasp, _goal, _start, _limits, _kappa, _errors):
         for r in sorted(drawn, key=words):
-            kinds.setdefault(words(r), []).append(r)
+            if kind := words(r):
+                kinds.setdefault(kind, []).append(r)
     lines = [_summary(kind, of_kind) for kind, of_kind in kinds.items()]
     return [*lines, _summary("all", rollouts)]
 
@@ -54,16 +59,28 @@ def _robot(r: Rollout) -> str:
     return r.robot
 
 
+def _grasp(r: Rollout) -> str:
+    return r.errors and ("firm" if r.grasp == "rigid" else "hinged")
+
+
+def _goal(r: Rollout) -> str:
+    return r.goal
+
+
 def _start(r: Rollout) -> str:
-    return f"start {r.start}"
+    return r.start and f"start {r.start}"
 
 
 def _limits(r: Rollout) -> str:
-    return f"{r.limits} limits"
+    return r.limits and f"{r.limits} limits"
 
 
 def _kappa(r: Rollout) -> str:
-    return f"kappa {r.kappa}"
+    return r.kappa and f"kappa {r.kappa}"
+
+
+def _errors(r: Rollout) -> str:
+    return r.errors and f"errors {r.errors}"
 
 
 def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
@@ -74,6 +91,8 @@ def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
         sum(r.frozen for r in rollouts),
         sum(r.rattling for r in rollouts),
         sum(r.never_back for r in rollouts),
+        sum(r.saturated for r in rollouts),
+        sum(r.squeezed for r in rollouts),
         sum(r.ringing for r in rollouts),
         sum(bool(r.broken) for r in rollouts),
         sum(r.ticks for r in rollouts),
@@ -83,4 +102,5 @@ def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
         max(r.velocity_excess for r in rollouts),
         max(r.loop_position for r in rollouts),
         max(r.loop_orientation for r in rollouts),
+        max(r.force for r in rollouts),
     )

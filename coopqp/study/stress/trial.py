@@ -5,95 +5,61 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-
-from coopqp.controller import ControlProblem
-from coopqp.limits import JointVelocity
-from coopqp.plants.kinematic import KinematicModel
+from coopqp.errors import MissingDependencyError
+from coopqp.plant import Plant
+from coopqp.plants.kinematic import Kinematic
 from coopqp.qp_law.law import QPLaw
-from coopqp.rollout import drive
-from coopqp.solver import Status
-from coopqp.state import State
-from coopqp.study.stress import signs
-from coopqp.study.stress.draw import Draw, draw
-from coopqp.study.stress.ending import Ending, ending, part_errors
-from coopqp.study.stress.signs import Record
+from coopqp.solver import Solver
+from coopqp.study.stress.draw import DAQP, Draw, draw
+from coopqp.study.stress.driving import DAMPING, drive_on, record_of
+from coopqp.study.stress.judgement import Rollout, judged
+from coopqp.study.stress.masses import draw_with_masses
+from coopqp.study.stress.pair import run_pair
 
-ROUND, FEWEST, MOST = 100, 200, 500  # ticks; after each round it is asked whether it has ended
-DAMPING = 1e-6  # as the controller qp has it
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """How one rollout went.
-
-    Attributes:
-        seed: from which it can be repeated.
-        robot, grasp, start, limits, kappa, tasks: as drawn.
-        outcome: how it ended; empty when it raised.
-        reason: why there.
-        broken: promises that were broken, in words.
-        frozen, rattling, never_back: signs that were seen; each is a broken promise too.
-        ringing: a joint flips in more than 2 % of the ticks; for information.
-        ticks: how many.
-        position_excess: largest overrun of a position limit that held before [rad].
-        velocity_excess: of a velocity limit [rad/s].
-        loop_position, loop_orientation: largest loop error [m], [rad].
-        fallbacks: ticks that gave something up or held still.
-        inaccurate: ticks that were not optimal to the declared accuracy.
-    """
-
-    seed: int
-    robot: str = ""
-    grasp: str = ""
-    start: str = ""
-    limits: str = ""
-    kappa: str = ""
-    tasks: tuple[str, ...] = ()
-    outcome: str = ""
-    reason: str = ""
-    broken: tuple[str, ...] = ()
-    frozen: bool = False
-    rattling: bool = False
-    never_back: bool = False
-    ringing: bool = False
-    ticks: int = 0
-    position_excess: float = 0.0
-    velocity_excess: float = 0.0
-    loop_position: float = 0.0
-    loop_orientation: float = 0.0
-    fallbacks: int = 0
-    inaccurate: int = 0
+JOINTS = Kinematic()
 
 
 def stress(
-    count: int, *, seed: int = 0, jobs: int = 0, progress: Callable[[int], None] | None = None
+    count: int,
+    solver: Solver = DAQP,
+    plant: Plant = JOINTS,
+    *,
+    seed: int = 0,
+    jobs: int = 0,
+    progress: Callable[[int], None] | None = None,
 ) -> list[Rollout]:
     """Run many rollouts on all cores.
 
     Args:
         count: how many.
+        solver: of the programs; it changes nothing of what is drawn.
+        plant: one with masses has its own draws, each run without and with errors of the model.
         seed: of the first; the others count up.
         jobs: processes; all cores when 0.
         progress: called with the number done.
+
+    Raises:
+        MissingDependencyError: solver or plant needs a package that is not installed.
     """
     seeds = range(seed, seed + count)
     done: list[Rollout] = []
-    for rollout in _all(seeds, jobs or multiprocessing.cpu_count()):
+    one = partial(one_rollout, solver=solver, plant=plant)
+    for rollout in _all(one, seeds, jobs or multiprocessing.cpu_count()):
         done.append(rollout)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda rollout: rollout.seed)
 
 
-def _all(seeds: range, jobs: int) -> Iterator[Rollout]:
-    if jobs == 1 or len(seeds) == 1:
-        yield from map(one_rollout, seeds)
+def _all(one: Callable[[int], Rollout], seeds: range, jobs: int) -> Iterator[Rollout]:
+    here = len(seeds) if jobs == 1 else 1  # what is not installed shows in the first
+    yield from map(one, seeds[:here])
+    if here == len(seeds):
         return
-    with multiprocessing.Pool(min(jobs, len(seeds)), _leave_interrupts) as pool:
-        yield from pool.imap_unordered(one_rollout, seeds, chunksize=8)
+    with multiprocessing.Pool(min(jobs, len(seeds) - 1), _leave_interrupts) as pool:
+        yield from pool.imap_unordered(one, seeds[here:], chunksize=8)
 
 
 def _leave_interrupts() -> None:
@@ -101,11 +67,18 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def one_rollout(seed: int) -> Rollout:
-    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised."""
+def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:
+    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised.
+
+    Raises:
+        MissingDependencyError: as for :func:`stress`.
+    """
     try:
-        drawn = draw(seed)
-        return _run(drawn, seed)
+        if plant.takes_torques:
+            return run_pair(draw_with_masses(seed, solver), plant, seed)
+        return _run(draw(seed, solver), seed)
+    except MissingDependencyError:
+        raise
     except Exception as error:  # noqa: BLE001 - this is what the stress test looks for
         return Rollout(seed, broken=(f"raised {type(error).__name__}: {error}",))
 
@@ -115,66 +88,4 @@ def _run(drawn: Draw, seed: int) -> Rollout:
     state = law.start()
     record = record_of(drawn.problem)
     drive_on(law, state, record)
-    end = ending(drawn.problem, law, state, record)
-    share = signs.flips(record)
-    rattling, ringing = share > signs.RATTLING, share > signs.RINGING
-    return Rollout(
-        seed, drawn.robot, drawn.grasp, drawn.start, drawn.limits, drawn.kappa, drawn.tasks,
-        end.outcome, end.reason,
-        (*signs.overruns(record, drawn.problem.budget), *_seen(end, rattling=rattling)),
-        end.frozen, rattling, end.never_back, ringing, len(record.v),
-        signs.position_excess(record), signs.velocity_excess(record),
-        record.loop_position, record.loop_orientation,
-        sum(c[0].fallback or not c[0].usable for c in record.causes),
-        record.count(Status.INACCURATE),
-    )  # fmt: skip
-
-
-def _seen(end: Ending, *, rattling: bool) -> Iterator[str]:
-    """The signs in words."""
-    if end.frozen:
-        yield f"froze: {end.reason}"
-    if rattling:
-        yield "rattled"
-    if end.never_back:
-        yield f"never came back: {end.reason}"
-
-
-def record_of(problem: ControlProblem) -> Record:
-    """An empty record for a problem."""
-    chain = problem.chain
-    scale = min(k.scale for k in problem.limits if isinstance(k, JointVelocity))
-    return Record(chain.lower, chain.upper, scale * chain.velocity)
-
-
-def drive_on(law: QPLaw, state: State, record: Record) -> None:
-    """Run until it has ended, or its time is up."""
-    problem = law.problem
-    plant = KinematicModel(problem.dt, problem.chain.n)
-    while len(record.v) < MOST:
-        for command, _ in drive(law, plant, state, ROUND):
-            record.v.append(command.v.copy())
-            record.causes.append(command.causes)
-            _note(record, state)
-            if not np.isfinite(command.v).all():
-                return
-        if len(record.v) >= FEWEST and _ended(problem, state, record):
-            break
-    _note(record, state)
-
-
-def _note(record: Record, state: State) -> None:
-    """Keep where the state is."""
-    record.q.append(state.q.copy())
-    record.loop_position = max(record.loop_position, state.loop_position_error)
-    record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
-
-
-def _ended(problem: ControlProblem, state: State, record: Record) -> bool:
-    """Whether the references have arrived and nothing changes any more."""
-    if state.t < max(task.end for task in problem.tasks):
-        return False
-    if signs.slowest(record) < signs.STILL:
-        return True
-    inside = bool(((problem.chain.lower <= state.q) & (state.q <= problem.chain.upper)).all())
-    return inside and part_errors(problem, state, record).max() <= 1.0
+    return judged(seed, drawn, law, state, record)

@@ -1,0 +1,70 @@
+"""Runs a law on a plant, and keeps what the signs are read from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.controller import ControlProblem
+from coopqp.limits import JointVelocity
+from coopqp.plant import PlantModel
+from coopqp.plants.kinematic import KinematicModel
+from coopqp.qp_law.law import QPLaw
+from coopqp.rollout import drive
+from coopqp.state import State
+from coopqp.study.stress import signs
+from coopqp.study.stress.ending import part_errors
+from coopqp.study.stress.signs import Record
+
+ROUND, FEWEST, MOST = 100, 200, 500  # ticks; after each round it is asked whether it has ended
+DAMPING = 1e-6  # as the controller qp has it
+
+
+def record_of(problem: ControlProblem) -> Record:
+    """An empty record for a problem."""
+    chain = problem.chain
+    scale = min(k.scale for k in problem.limits if isinstance(k, JointVelocity))
+    return Record(chain.lower, chain.upper, scale * chain.velocity, chain.joint_units)
+
+
+def drive_on(law: QPLaw, state: State, record: Record) -> None:
+    """Run on joints that do as told, until it has ended, or its time is up."""
+    problem = law.problem
+    plant = KinematicModel(problem.dt, problem.chain.n)
+    while len(record.v) < MOST:
+        if not drive_for(ROUND, law, plant, state, record):
+            return
+        if len(record.v) >= FEWEST and _ended(problem, state, record):
+            break
+    note(record, plant, state)
+
+
+def drive_for(ticks: int, law: QPLaw, plant: PlantModel, state: State, record: Record) -> bool:
+    """Run so many ticks; False where one commanded NaN, which ends it."""
+    for command, _ in drive(law, plant, state, ticks):
+        record.v.append(command.v.copy())
+        record.causes.append(command.causes)
+        note(record, plant, state)
+        if not np.isfinite(command.v).all():
+            return False
+    return True
+
+
+def note(record: Record, plant: PlantModel, state: State) -> None:
+    """Keep where the state is, and what a plant with masses tells of the last step."""
+    record.q.append(state.q.copy())
+    record.loop_position = max(record.loop_position, state.loop_position_error)
+    record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
+    if "internal_wrench" in plant.signals:
+        forces = plant.signals["internal_wrench"].reshape(-1, 6)[:, :3]
+        record.forces.append(float(np.linalg.norm(forces, axis=1).max()))
+        record.saturated.append(plant.signals["saturated"] > 0.0)
+
+
+def _ended(problem: ControlProblem, state: State, record: Record) -> bool:
+    """Whether the references have arrived and nothing changes any more."""
+    if state.t < max(task.end for task in problem.tasks):
+        return False
+    if signs.slowest(record) < signs.STILL:
+        return True
+    inside = bool(((problem.chain.lower <= state.q) & (state.q <= problem.chain.upper)).all())
+    return inside and part_errors(problem, state, record).max() <= 1.0

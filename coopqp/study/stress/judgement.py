@@ -1,0 +1,115 @@
+"""How one rollout went: what it ended as, and which promises it broke."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from coopqp.qp_law.law import QPLaw
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.study.stress import signs
+from coopqp.study.stress.draw import Draw
+from coopqp.study.stress.ending import Ending, ending
+from coopqp.study.stress.signs import Record
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """How one rollout went.
+
+    Attributes:
+        seed: from which it can be repeated.
+        robot, grasp, start, limits, kappa, tasks: as drawn.
+        goal, errors: as drawn on plants with masses; else empty.
+        outcome: how it ended; empty when it raised.
+        reason: why there.
+        broken: promises that were broken, in words.
+        frozen, rattling, never_back: signs that were seen; each is a broken promise too.
+        saturated, squeezed: the same on plants with masses.
+        ringing: a joint flips in more than 2 % of the ticks; for information.
+        ticks: how many.
+        position_excess: largest overrun of a position limit that held before [rad].
+        velocity_excess: of a velocity limit [rad/s].
+        loop_position, loop_orientation: largest loop error [m], [rad].
+        force, explained: internal force at the end on plants with masses, and what of it the
+            servos' gravity feed-forward explains [N].
+        fallbacks: ticks that gave something up or held still.
+        inaccurate: ticks that were not optimal to the declared accuracy.
+    """
+
+    seed: int
+    robot: str = ""
+    grasp: str = ""
+    start: str = ""
+    limits: str = ""
+    kappa: str = ""
+    tasks: tuple[str, ...] = ()
+    goal: str = ""
+    errors: str = ""
+    outcome: str = ""
+    reason: str = ""
+    broken: tuple[str, ...] = ()
+    frozen: bool = False
+    rattling: bool = False
+    never_back: bool = False
+    saturated: bool = False
+    squeezed: bool = False
+    ringing: bool = False
+    ticks: int = 0
+    position_excess: float = 0.0
+    velocity_excess: float = 0.0
+    loop_position: float = 0.0
+    loop_orientation: float = 0.0
+    force: float = 0.0
+    explained: float = 0.0
+    fallbacks: int = 0
+    inaccurate: int = 0
+
+
+def judged(seed: int, drawn: Draw, law: QPLaw, state: State, record: Record) -> Rollout:
+    """Judge a rollout whose time is up.
+
+    Args:
+        seed: of it.
+        drawn: the problem.
+        law: with its last answer.
+        state: at the end.
+        record: of all ticks.
+    """
+    end = ending(drawn.problem, law, state, record)
+    share = signs.flips(record)
+    rattling = share > signs.RATTLING
+    return Rollout(
+        seed=seed,
+        robot=drawn.robot,
+        grasp=drawn.grasp,
+        start=drawn.start,
+        limits=drawn.limits,
+        kappa=drawn.kappa,
+        tasks=drawn.tasks,
+        outcome=end.outcome,
+        reason=end.reason,
+        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, rattling=rattling)),
+        frozen=end.frozen,
+        rattling=rattling,
+        never_back=end.never_back,
+        ringing=share > signs.RINGING,
+        ticks=len(record.v),
+        position_excess=signs.position_excess(record),
+        velocity_excess=signs.velocity_excess(record),
+        loop_position=record.loop_position,
+        loop_orientation=record.loop_orientation,
+        fallbacks=sum(c[0].fallback or not c[0].usable for c in record.causes),
+        inaccurate=record.count(Status.INACCURATE),
+    )
+
+
+def _seen(end: Ending, *, rattling: bool) -> Iterator[str]:
+    """The signs in words."""
+    if end.frozen:
+        yield f"froze: {end.reason}"
+    if rattling:
+        yield "rattled"
+    if end.never_back:
+        yield f"never came back: {end.reason}"
