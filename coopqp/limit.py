@@ -16,6 +16,8 @@ from coopqp.mark import Mark
 from coopqp.row import Row, Side
 from coopqp.state import State
 
+#: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
+ROUNDING = 1e-9
 #: Depth up to which what crossed a limit in space is asked back [m].
 SHALLOW = 1e-3
 

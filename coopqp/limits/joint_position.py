@@ -12,7 +12,7 @@ import numpy as np
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.limit import ROUNDING, Limit, LimitRows, Tighten, joint_margins
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -36,26 +36,24 @@ class JointPosition(Limit):
         # An array times an array is twice as fast as an array times a number.
         room, rate = np.zeros_like(ends), np.full_like(ends, 1.0 / dt)
         below, above = room
+        out = low, high = np.zeros(ends.shape, bool)
+        rounding = np.full(chain.n, ROUNDING / dt)
 
         def tighten(state: State, rows: LimitRows) -> None:
             np.subtract(ends, state.q, room)
             np.multiply(room, rate, room)
             # Outside its range a joint may stand still, but not go farther out.
+            np.greater(below, rounding, out=low)
+            np.less(above, -rounding, out=high)
             np.minimum(below, ZERO, out=below)
             np.maximum(above, ZERO, out=above)
             np.maximum(rows.lb, below, out=rows.lb)
             np.minimum(rows.ub, above, out=rows.ub)
+            if np.count_nonzero(out):
+                np.minimum(rows.ub, self.recovery_speed, out=rows.ub, where=low)
+                np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=high)
 
-        if chain.starts_inside:
-            return tighten
-
-        def tighten_outside(state: State, rows: LimitRows) -> None:
-            tighten(state, rows)
-            too_low, too_high = state.q < ends[0], state.q > ends[1]
-            np.minimum(rows.ub, self.recovery_speed, out=rows.ub, where=too_low)
-            np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=too_high)
-
-        return tighten_outside
+        return tighten
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance to both ends after each tick [rad, m]."""

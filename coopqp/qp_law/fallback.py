@@ -93,7 +93,7 @@ class Fallback:
             self._attempts.append(_Attempt(Status.ACCELERATION_GIVEN_UP, free, bounds, last=True))
 
     def solve(
-        self, state: State, drift: Array, kappa: float, failed: Status, recovery: Recovery | None
+        self, state: State, drift: Array, kappa: float, failed: Status, recovery: Recovery
     ) -> Outcome:
         """The first attempt that has an answer, and what it gave up; else the first failure.
 
@@ -129,11 +129,11 @@ class Fallback:
         drift: Array,
         kappa: float,
         extra: float,
-        recovery: Recovery | None,
+        recovery: Recovery,
     ) -> Status:
         level, bounds = attempt.level, attempt.bounds
         bounds.update(state)
-        if recovery:
+        if recovery.active:
             recovery.tighten(bounds)
         level.assemble(bounds, extra)
         rows = slowed_loop_rows if attempt.slows else loop_rows

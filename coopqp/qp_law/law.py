@@ -93,7 +93,7 @@ class QPLaw(Law):
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
         self._probe = LoopProbe(problem)
-        self._recovery = None if chain.starts_inside else Recovery(problem, start, error_damping)
+        self._recovery = Recovery(problem, start, error_damping)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
         self._soft_ticks = round(SOFT_FOR / problem.dt)
@@ -125,7 +125,7 @@ class QPLaw(Law):
             v, causes = self.first.v, (status,)
             if self._stops:
                 state.memory["stopped"][0] = 1.0
-        if self._recovery and self._recovery.active:
+        if self._recovery.active:
             v, causes = self._recovery.rescue(v, causes)
             command.drift = min(command.drift, self._recovery.share)
         if not causes[0].usable:
@@ -139,7 +139,7 @@ class QPLaw(Law):
         """Evaluate limits and tasks, and fill the first level's QP."""
         first, m, kappa = self.first, len(state.e_loop), self._probe.kappa(state)
         self._bounds.update(state)
-        if self._recovery:
+        if self._recovery.begins(state):
             self._recovery.decide(state, self._bounds, state.e_loop, kappa)
             self._recovery.tighten(self._bounds)
             kappa = self._probe.kappa(state, self._recovery.share)

@@ -15,6 +15,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
+from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import add_damping, drift_damping, slowed_loop_rows, step_damping
 from coopqp.qp_law.level import Level
@@ -48,17 +49,26 @@ class Recovery:
         chain = problem.chain
         self._reach, self._dt, self._share = chain.reach, problem.dt, error_damping
         self._lower, self._upper, self._rate = chain.lower, chain.upper, 1.0 / problem.dt
+        self._least, self._most = chain.lower - ROUNDING, chain.upper + ROUNDING
         bounds = Bounds(chain, problem.limits, start, problem.dt)
         rows = chain.loops.solver_rows
         self._level = Level(
             problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
         )
-        self._low, self._high = np.zeros(chain.n, bool), np.zeros(chain.n, bool)
+        self._sides = self._low, self._high = np.zeros((2, chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
+    def begins(self, state: State) -> bool:
+        """Whether a joint is outside, of the start or of a real robot that stands elsewhere."""
+        np.less(state.q, self._least, out=self._low)
+        np.greater(state.q, self._most, out=self._high)
+        self.active = bool(np.count_nonzero(self._sides))
+        self.v, self.share = None, 1.0
+        return self.active
+
     def decide(self, state: State, bounds: Bounds, drift: Array, kappa: float) -> None:
-        """Find the fastest way back.
+        """Find the fastest way back for what is outside.
 
         Args:
             state: with the joints.
@@ -66,12 +76,7 @@ class Recovery:
             drift: what the loops must lose, shape (m,).
             kappa: gain of the drift correction [1/s].
         """
-        np.less(state.q, self._lower, out=self._low)
-        np.greater(state.q, self._upper, out=self._high)
         outside = self._low | self._high
-        self.active, self.v, self.share = bool(outside.any()), None, 1.0
-        if not self.active:
-            return
         back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) * self._rate, LEAST_RECOVERY)
         wish = np.minimum(np.maximum(wish, bounds.lb), bounds.ub)

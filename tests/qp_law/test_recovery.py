@@ -169,3 +169,23 @@ def test_recovery_goes_on_where_the_drift_correction_is_given_up(nao: RobotModel
     assert best.success
     possible = -best.fun
     assert way @ trace.v[-1] >= min(0.05, 0.5 * possible)
+
+
+def test_arms_that_are_found_outside_come_back_though_the_model_starts_inside(
+    nao: RobotModel,
+) -> None:
+    """As encoders that are off say of arms at their limits."""
+    inside = started_outside(nao, "rigid", {"RElbowRoll": 1.2, "LElbowRoll": -1.2})
+    assert inside.starts_inside
+    law = PLAIN.build(recovery(inside))
+    elbow, found = nao.joint_names.index("RElbowRoll"), inside.q_start.copy()
+    found[elbow] = inside.upper[elbow] + 2e-3
+    state = law.start(q_measured=found)
+    for k in range(50):
+        command = law.tick(state)
+        assert command.status.usable
+        assert (Status.RECOVERING in command.causes) is bool(beyond(inside, state.q).max() > 1e-9)
+        assert k or Status.RECOVERING in command.causes
+        state.advance(command.v, DT)
+        state.q_measured = state.q.copy()
+    assert beyond(inside, state.q).max() <= 1e-9
