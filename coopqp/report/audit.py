@@ -65,7 +65,7 @@ def rows(traces: Mapping[str, Trace]) -> str:
             value, unit = length(limit.least, limit.row.unit)
             where = "" if limit.row.joint else f" ({limit.row.name})"
             cells = (
-                f"{'✗ ' if limit.broken else ''}{number(value)} {unit}",
+                html.escape(f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"),
                 str(int(limit.active.sum())),
                 f"{100 * limit.active.mean():.0f} %",
             )

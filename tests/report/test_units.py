@@ -309,7 +309,7 @@ def test_the_audit_tells_each_limit_in_its_unit(write: Write) -> None:
     for row in trace.margins:
         alone = {"qp": replace(trace, margins={row: trace.margins[row]})}
         (cell, *_) = re.findall(r"<td>([^<]*)</td>", audit.rows(alone))
-        least, units[row.name] = cell.removeprefix("✗ ").replace("< 1e-9", "0").split()
+        least, units[row.name] = cell.removeprefix("✗ ").replace("&lt; 1e-9", "0").split()
         per_unit = 1e3 if units[row.name] == "mm" else 1.0
         margin = per_unit * trace.margins[row].min()
         assert float(least) == pytest.approx(margin, rel=1e-2, abs=1e-9)
