@@ -107,7 +107,7 @@ def test_the_audit_has_one_line_for_a_wall(walled: Comparison) -> None:
 
 
 def test_acceleration_of_a_law_without_limits_is_told() -> None:
-    limits = (JointPosition(), JointVelocity(), JointAcceleration(max=5.0))
+    limits = (JointPosition(), JointVelocity(), JointAcceleration(max=1.0))
     found = judged(nao(PointOnPoint(goal=(0.19, 0.0, 0.03), gain=20.0), limits=limits))
     assert "exceeds limit.acceleration[" in found.verdicts["pseudoinverse"]
     assert "exceeds" not in found.verdicts["qp"]
