@@ -11,6 +11,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
+from coopqp.leverage import leverage
 from coopqp.plant import PlantModel
 from coopqp.row import Row
 from coopqp.solver import Status, written
@@ -169,6 +170,14 @@ class _Recorder:
             found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
         return found
 
+    def _leverage(self) -> Array:
+        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+        chain = self._law.problem.chain
+        start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
+        end.v[:] = self.v[-1] if len(self.v) else 0.0
+        parts = [part for _, part in self._parts]
+        return leverage(self._tasks, parts, self._velocities, start, end)
+
     def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
         """Everything recorded, frozen."""
         problem = self._law.problem
@@ -197,6 +206,7 @@ class _Recorder:
             loop_position=self.loop[:, 0],
             loop_orientation=self.loop[:, 1],
             task_error=self.task_error,
+            leverage=self._leverage(),
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.row import Row
+from coopqp.solver import Budget
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,8 @@ class Trace:
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
+        leverage: how much of what is missed of each task in the end joints with closed loops can
+            still bring about, over what they could at the start, shape (K,); 0 at a singular pose.
         t: shape (T + 1,) [s].
         q: what the plant's joints did, before noise, shape (T + 1, n) [rad or m].
         v: commanded velocity, or the plant's after the tick when torques were commanded, shape
@@ -215,6 +218,7 @@ class Trace:
     velocity: Array = field(metadata={"join": _same})
     effort: Array = field(metadata={"join": _same})
     tasks: tuple[TaskInfo, ...] = field(metadata={"join": _tasks})
+    leverage: Array = field(metadata={"join": _ticks})
     t: Array = field(metadata={"join": _times})
     q: Array = field(metadata={"join": _instants})
     v: Array = field(metadata={"join": _ticks})
@@ -256,8 +260,24 @@ class Trace:
     @property
     def final_error(self) -> Array:
         """Each task's error at the end of the time for which it counts, shape (K,)."""
-        ends = [self.task_error[task.rows, k][-1] for k, task in enumerate(self.tasks)]
+        ends = [self.task_error[i, k] for k, i in enumerate(self.last_instants)]
         return np.array(ends, float)
+
+    @property
+    def last_instants(self) -> tuple[int, ...]:
+        """The last row for which each task counts."""
+        return tuple(range(len(self.t))[task.rows][-1] for task in self.tasks)
+
+    @property
+    def torn(self) -> tuple[bool, ...]:
+        """Whether the hands were too far apart for one object before each task ended.
+
+        Beyond what the law itself allows, :class:`coopqp.solver.Budget`.
+        """
+        most = Budget()
+        apart = self.loop_position > most.loop_position
+        apart |= self.loop_orientation > most.loop_orientation
+        return tuple(bool(apart[: i + 1].any()) for i in self.last_instants)
 
 
 def join(phases: Legs) -> Trace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.overrun import ROUNDING, Overrun, at_limits, broken, matters, outside
 from coopqp.trace import Trace
 
 #: A gap between the hands and the model below both is not worth saying [m], [rad].
@@ -20,16 +22,20 @@ GIVEN_UP = {
     "TASKS_GIVEN_UP": "gives up hard or scaled tasks",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
 }
-
-#: A limit overrun below this is rounding [rad, rad/s].
-ROUNDING = 1e-9
+#: A speed beyond its limit by less than this share is not worth a word.
+FASTER = 1e-3
+#: A motor that is at its limit in less than this share of the ticks was only passing.
+PASSING = 0.01
+#: Joints that can bring about less than this share of what they could at the start are singular.
+SINGULAR = 0.02
+MOST_NAMES = 3
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
     parts = [
         _arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _gap(metrics),
-        _ticks(metrics),
+        _motors(trace), _ticks(metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
@@ -37,45 +43,66 @@ def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
 
 def _arrival(trace: Trace) -> str:
     missed = [
-        (task, error)
-        for task, error in zip(trace.tasks, trace.final_error, strict=True)
+        k
+        for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
         if not error <= task.tolerance  # a NaN has reached nothing
     ]
     if not missed:
-        return "reaches the goal"
-    shares = [error / task.tolerance for task, error in missed]
-    task, error = missed[int(np.argmax(shares))]  # which takes a NaN for the largest
+        torn = any(trace.torn)
+        return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
+    shares = [trace.final_error[k] / trace.tasks[k].tolerance for k in missed]
+    k = missed[int(np.argmax(shares))]  # which takes a NaN for the largest
+    task, error = trace.tasks[k], trace.final_error[k]
     if np.isnan(error):
         return f"loses '{task.name}': its error is no number"
     far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
-    at_limit = _joints_at_limit(trace)
-    why = f", held back by {at_limit}" if at_limit else ""
-    return f"ends {far} off the goal of '{task.name}'{why}"
+    return f"ends {far} off the goal of '{task.name}'{_where(trace, k)}"
 
 
-def _joints_at_limit(trace: Trace) -> str:
-    """Joints that end at a limit they never left."""
-    end, beyond = trace.q[-1], np.maximum(trace.lower - trace.q, trace.q - trace.upper)
-    near = np.minimum(np.abs(end - trace.lower), np.abs(trace.upper - end)) < 1e-6
-    kept = beyond.max(axis=0) <= ROUNDING
-    return " and ".join(np.array(trace.joints)[near & kept][:3])
+def _where(trace: Trace, k: int) -> str:
+    """What can be seen where task k is missed; ``coopqp explain`` finds out why."""
+    if trace.leverage[k] < SINGULAR:
+        return ", at a pose in which the arms can hardly move it that way"
+    names = at_limits(trace, trace.last_instants[k])
+    if not names:
+        return ""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f", with {_listed(names[:MOST_NAMES])}{more} at the limit"
 
 
 def _limits(trace: Trace) -> str:
-    outside = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
-    beyond = outside.max(axis=0)
-    worst = int(beyond.argmax())
-    if beyond[worst] <= ROUNDING:
-        return "keeps every joint inside its limits"
-    if beyond[worst] <= outside[0, worst] + ROUNDING:
-        return _way_back(trace, outside.max(axis=1), worst)
-    far = f"{_round(beyond[worst])} {trace.units[worst]}"
-    return f"drives {trace.joints[worst]} {far} beyond its limit"
+    others = "; ".join(_beyond(overrun) for overrun in broken(trace))
+    beyond = outside(trace)
+    worst = int(beyond.max(axis=0).argmax())
+    farthest, at_start = float(beyond[:, worst].max()), float(beyond[0, worst])
+    if not matters(farthest, trace.units[worst]):
+        return others or f"keeps {_kept(trace)}"
+    if farthest <= at_start + ROUNDING:
+        joints = _way_back(trace, beyond.max(axis=1), worst)
+    else:
+        far = _amount(farthest, trace.units[worst])
+        joints = f"drives {trace.joints[worst]} {far} beyond its limit"
+    return f"{joints}; {others}" if others else joints
+
+
+def _kept(trace: Trace) -> str:
+    """What is kept, where nothing was broken."""
+    others = any(not row.joint for row in trace.margins)
+    return "every limit" if others else "every joint inside its limits"
+
+
+def _beyond(overrun: Overrun) -> str:
+    """A limit other than a joint's, and how far it was broken."""
+    row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
+    if row.unit not in ("m", "rad"):
+        return f"exceeds {row.name} by {far}"
+    start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
+    return f"goes {far} beyond {row.name}{start}"
 
 
 def _way_back(trace: Trace, outside: Array, worst: int) -> str:
     """Of a run that starts outside, and goes no farther out."""
-    far = f"{_round(outside[0])} {trace.units[worst]}"
+    far = _amount(outside[0], trace.units[worst])
     start = f"starts with {trace.joints[worst]} {far} beyond its limit"
     if outside[-1] > ROUNDING:
         return f"{start} and ends outside"
@@ -86,7 +113,7 @@ def _way_back(trace: Trace, outside: Array, worst: int) -> str:
 def _speed(trace: Trace) -> str:
     share = np.abs(trace.v).max(axis=0, initial=0.0) / trace.velocity
     worst = int(share.argmax())
-    if share[worst] <= 1.0 + ROUNDING:
+    if share[worst] <= 1.0 + FASTER:
         return ""
     return f"asks {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
@@ -112,18 +139,47 @@ def _gap(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _round(value: float) -> str:
-    """Two digits, and never an exponent for large numbers."""
-    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
+def _motors(trace: Trace) -> str:
+    """Motors that ask for more torque than they have."""
+    if "saturated" not in trace.signals:
+        return ""
+    share = (trace.signals["saturated"] > 0.0).mean(axis=0)
+    worst = int(share.argmax())
+    if share[worst] <= PASSING:
+        return ""
+    percent = f"{100.0 * share[worst]:.0f} % of the ticks"
+    return f"saturates the motor of {trace.joints[worst]} in {percent}"
 
 
 def _ticks(metrics: Mapping[str, Any]) -> str:
     failed = metrics["failed_ticks"]
-    said = [f"holds still in {failed} of {metrics['ticks']} ticks"] if failed else []
     given_up = metrics["fallback_ticks"]
+    said = []
+    if failed:
+        said.append(f"holds still in {failed} of {metrics['ticks']} ticks: {_cause(metrics)}")
     said += [
         f"{words} in {given_up[cause]} of {metrics['ticks']} ticks"
         for cause, words in GIVEN_UP.items()
         if cause in given_up
     ]
     return "; ".join(said)
+
+
+def _cause(metrics: Mapping[str, Any]) -> str:
+    """Why most of the failed ticks failed."""
+    ((cause, _),) = Counter(failure["cause"] for failure in metrics["failures"]).most_common(1)
+    return str(cause).removeprefix("stands still: ")
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return " and ".join(names)
+
+
+def _amount(value: float, unit: str) -> str:
+    """With a unit for people."""
+    return f"{_round(1e3 * value)} mm" if unit == "m" else f"{_round(value)} {unit}"
+
+
+def _round(value: float) -> str:
+    """Two digits, and never an exponent for large numbers."""
+    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"

@@ -1,4 +1,4 @@
-"""Whether every task's error ended within its tolerance."""
+"""Whether every task's error ended within its tolerance, the object in all hands."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from coopqp.trace import Trace
 
 @spec
 class Reached(Metric):
-    """Whether every task's error ended within its tolerance."""
+    """Whether every task's error ended within its tolerance, the object in all hands."""
 
     def measure(self, trace: Trace) -> bool:
         """At the last instant for which each counts."""
-        ends = zip(trace.final_error, trace.tasks, strict=True)
-        return all(bool(error <= task.tolerance) for error, task in ends)
+        ends = zip(trace.final_error, trace.tasks, trace.torn, strict=True)
+        return all(bool(error <= task.tolerance) and not torn for error, task, torn in ends)

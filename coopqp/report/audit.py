@@ -1,15 +1,23 @@
-"""The limits audit of the page: what every limit had left, and when which was active."""
+"""The limits audit of the page: what every limit had left, and when which was active.
+
+One line for each limit, for limits of joints one for each joint: of both its sides, or of all the
+points and pairs of a wall, what is shown is what was nearest.
+"""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.metrics.limits_audit import AT_BOUND
+from coopqp.overrun import matters
 from coopqp.report import curves
+from coopqp.report.cells import length, number
 from coopqp.report.curves import Figure
 from coopqp.report.style import Style
 from coopqp.row import Row
@@ -19,42 +27,80 @@ SHOWN = 10  # limits of each controller in the table
 MOST_LINES = 14  # of the timeline
 
 
+@dataclass(frozen=True)
+class Audited:
+    """A limit, or that of one joint.
+
+    Attributes:
+        name: such as "position of RElbowRoll", or "table".
+        row: the one of its rows that had least left.
+        margin: least of all its rows after each tick, shape (T,) [the row's unit].
+    """
+
+    name: str
+    row: Row
+    margin: Array
+
+    @property
+    def least(self) -> float:
+        """Negative where it was broken."""
+        return float(self.margin.min())
+
+    @property
+    def broken(self) -> bool:
+        """By more than is negligible."""
+        return matters(-self.least, self.row.unit)
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """In which ticks nothing was left, shape (T,)."""
+        return self.margin <= AT_BOUND
+
+
 def rows(traces: Mapping[str, Trace]) -> str:
-    """Rows of the table: the limits that had least left, the most used first."""
+    """Rows of the table: broken limits first, then those at the bound for longest."""
     lines = []
     for name, trace in audited(traces).items():
-        for row, margin in _tightest(trace):
-            active = margin <= AT_BOUND
-            least = f"{margin.min():.3g} {row.unit}"
-            cells = (least, str(int(active.sum())), f"{100 * active.mean():.0f} %")
+        for limit in _tightest(trace):
+            value, unit = length(limit.least, limit.row.unit)
+            where = "" if limit.row.joint else f" ({limit.row.name})"
+            cells = (
+                html.escape(f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"),
+                str(int(limit.active.sum())),
+                f"{100 * limit.active.mean():.0f} %",
+            )
             lines.append(
                 f"<tr><td class='name'>{html.escape(name)}</td><td class='name'>"
-                f"{html.escape(row.name)}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+                f"{html.escape(limit.name + where)}</td>"
+                f"{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
             )
     return "".join(lines)
 
 
 def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure | None:
     """When which limit was active, a line each; None when none ever was."""
+    found = {
+        name: {limit.name: limit for limit in limits_of(trace)}
+        for name, trace in audited(traces).items()
+    }
     used: dict[str, int] = {}
-    for trace in audited(traces).values():
-        for row, margin in trace.margins.items():
-            used[row.name] = max(used.get(row.name, 0), int((margin <= AT_BOUND).sum()))
+    for of_controller in found.values():
+        for name, limit in of_controller.items():
+            used[name] = max(used.get(name, 0), int(limit.active.sum()))
     shown = sorted((k for k, ticks in used.items() if ticks), key=lambda k: -used[k])[:MOST_LINES]
     if not shown:
         return None
     data = []
     for name, trace in audited(traces).items():
-        margins = {row.name: margin for row, margin in trace.margins.items()}
-        for limit in reversed(shown):
-            if limit not in margins:
+        for line in reversed(shown):
+            if line not in found[name]:
                 continue
-            active = margins[limit] <= AT_BOUND
+            active = found[name][line].active
             t, _ = curves.thinned(trace.t[1:][active], trace.t[1:][active])
             mark = {"color": styles[name].color, "symbol": "square", "size": 5}
             data.append(
                 {
-                    "type": "scatter", "mode": "markers", "x": t.tolist(), "y": [limit] * len(t),
+                    "type": "scatter", "mode": "markers", "x": t.tolist(), "y": [line] * len(t),
                     "marker": mark, "legendgroup": name, "hoverinfo": "x+y",
                 }
             )  # fmt: skip
@@ -70,7 +116,25 @@ def audited(traces: Mapping[str, Trace]) -> dict[str, Trace]:
     return {name: trace for name, trace in traces.items() if trace.keeps_limits and trace.margins}
 
 
-def _tightest(trace: Trace) -> list[tuple[Row, Array]]:
-    finite = [(row, m) for row, m in trace.margins.items() if np.isfinite(m).any() and m.size]
-    order = sorted(finite, key=lambda pair: (-int((pair[1] <= AT_BOUND).sum()), pair[1].min()))
-    return order[:SHOWN]
+def limits_of(trace: Trace) -> list[Audited]:
+    """Every limit of a run, those of joints joint by joint."""
+    groups: dict[str, list[tuple[Row, Array]]] = {}
+    for row, margin in trace.margins.items():
+        if margin.size and np.isfinite(margin).any():
+            name = f"{row.owner} of {row.joint}" if row.joint else row.owner
+            groups.setdefault(name, []).append((row, margin))
+    return [
+        Audited(name, min(group, key=_least)[0], np.min([margin for _, margin in group], axis=0))
+        for name, group in groups.items()
+    ]
+
+
+def _least(entry: tuple[Row, Array]) -> float:
+    return float(entry[1].min())
+
+
+def _tightest(trace: Trace) -> list[Audited]:
+    def use(limit: Audited) -> tuple[bool, int, float]:
+        return not limit.broken, -int(limit.active.sum()), limit.least
+
+    return sorted(limits_of(trace), key=use)[:SHOWN]

@@ -12,9 +12,9 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.overrun import ROUNDING, broken, matters, outside
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
-from coopqp.verdict import ROUNDING
 
 MOST_LINES = 4  # task errors in one cell
 
@@ -67,23 +67,35 @@ class Cell:
 def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
     """The entries of one controller, by the keys of COLUMNS."""
     reached, loop = bool(metrics["reached"]), metrics["loop_error_max"]
-    limit, speed = metrics["limit_violation_max"], metrics["velocity_violation_max"]
+    speed = metrics["velocity_violation_max"]
     opened = loop["position"] > CLOSED_POSITION or loop["orientation"] > CLOSED_ORIENTATION
-    beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
-    place = trace.units[_worst(beyond)]
+    place = trace.units[_worst(outside(trace))]
     fastest = _worst(np.abs(trace.v) - trace.velocity)
+    of_speed = f"{trace.units[fastest]}/s"
     gap = (f"{number(1e3 * loop['position'])} mm", f"{number(1e3 * loop['orientation'])} mrad")
     return {
         "reached": Cell(("yes" if reached else "no",), not reached),
         "task_error": _task_error(trace),
-        "limit": Cell((_quantity(limit, place),), limit > ROUNDING),
-        "speed": Cell((_quantity(speed, f"{trace.units[fastest]}/s"),), speed > ROUNDING),
+        "limit": _limit(trace, metrics["limit_violation_max"], place),
+        "speed": Cell((_quantity(speed, of_speed),), matters(speed, of_speed)),
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
         "loop": Cell(gap, opened),
         "failed": _failed(metrics),
         "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
         "solver": Cell((metrics["solver"] or "none",)),
     }
+
+
+def _limit(trace: Trace, overrun: float, unit: str) -> Cell:
+    """Joints first, then all other limits of place; what a start is beyond is nobody's fault."""
+    others = [found for found in broken(trace) if found.row.unit in ("m", "rad")]
+    lines = [_quantity(overrun, unit)]
+    for found in others:
+        value, of = length(found.by, found.row.unit)
+        lines.append(f"{found.row.owner}: {number(value)}\N{NO-BREAK SPACE}{of}")
+    at_start = max(0.0, float(outside(trace)[0].max()))
+    bad = bool(others) or matters(overrun - at_start, unit)
+    return Cell(tuple(lines), None if at_start > ROUNDING and not bad else bad)
 
 
 def facts(comparison: Comparison) -> list[tuple[str, str]]:

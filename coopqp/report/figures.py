@@ -12,12 +12,12 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.overrun import ROUNDING
 from coopqp.report import curves
 from coopqp.report.cells import length
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.style import Style, styles
 from coopqp.trace import Trace
-from coopqp.verdict import ROUNDING
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad or m]

@@ -1,0 +1,94 @@
+"""Which limits a run has broken, and which it was at when it ended.
+
+Places and speeds of joints are judged by the robot's own limits, whatever the scenario keeps free
+of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was beyond a limit from
+the start counts from where it began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.row import Row
+from coopqp.trace import Trace
+
+#: An overrun below this is rounding, in every unit.
+ROUNDING = 1e-9
+#: An overrun below this is told, but nobody's fault: a servo's lag, the curvature of a tick's step.
+#: It is a tenth of what hobby servos and NAO's encoders resolve, a tenth of a millimetre.
+NEGLIGIBLE = {"rad": 1e-4, "m": 1e-4, "rad/s": 1e-3, "m/s": 1e-3, "rad/s2": 0.1, "m/s2": 0.1}
+#: A row with less room than this is at its limit [rad, m]; walls are approached ever more slowly.
+AT_LIMIT = 1e-4
+#: A joint with less room than this is, unless servos let it sag [rad, m].
+AT_JOINT_LIMIT = 1e-6
+#: Judged by the robot's limits; what cannot be braked any more shows when the place is overrun.
+JUDGED_OTHERWISE = ("position", "velocity", "braking")
+
+
+@dataclass(frozen=True)
+class Overrun:
+    """A limit that a run has broken.
+
+    Attributes:
+        row: the one of its rows that was broken most.
+        by: how far beyond the limit it was, at worst [the row's unit].
+        at_start: how far it was when the run began, 0 inside.
+    """
+
+    row: Row
+    by: float
+    at_start: float = 0.0
+
+
+def broken(trace: Trace) -> list[Overrun]:
+    """One overrun for each limit that was broken by more than is negligible."""
+    worst: dict[str, Overrun] = {}
+    for row, margin in trace.margins.items():
+        if row.owner in JUDGED_OTHERWISE or not margin.size:
+            continue
+        found = Overrun(row, float(-margin.min()), max(0.0, float(-margin[0])))
+        known = worst.get(row.owner)
+        if matters(found.by - found.at_start, row.unit) and (not known or found.by > known.by):
+            worst[row.owner] = found
+    return list(worst.values())
+
+
+def matters(by: float, unit: str) -> bool:
+    """Whether an overrun is more than anybody's sensors could see."""
+    return by > NEGLIGIBLE.get(unit, ROUNDING)
+
+
+def outside(trace: Trace) -> Array:
+    """How far each joint is beyond its place's limits, negative inside, shape (T + 1, n)."""
+    return np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+
+
+def at_limits(trace: Trace, instant: int) -> tuple[str, ...]:
+    """Joints at a limit that they have not left, and other limits of place, by name.
+
+    Args:
+        trace: of a run.
+        instant: row of trace.q.
+    """
+    return tuple(dict.fromkeys((*_joints_at(trace, instant), *_others_at(trace, instant))))
+
+
+def _joints_at(trace: Trace, instant: int) -> Iterator[str]:
+    kept = outside(trace).max(axis=0) <= ROUNDING
+    near = outside(trace)[instant] > -AT_JOINT_LIMIT
+    yield from np.array(trace.joints)[near & kept].tolist()
+
+
+def _others_at(trace: Trace, instant: int) -> Iterator[str]:
+    """Of a controller that keeps them: one that breaks limits is not stopped by any."""
+    if not trace.keeps_limits or instant == 0:
+        return
+    for row, margin in trace.margins.items():
+        if row.owner == "position" and margin[instant - 1] < AT_JOINT_LIMIT:
+            yield row.joint
+        elif row.unit == "m" and not row.joint and margin[instant - 1] < AT_LIMIT:
+            yield row.owner
