@@ -20,7 +20,7 @@ import coopqp
 from coopqp.comparison import Comparison, summarize
 from coopqp.errors import CoopqpError
 from coopqp.report import curves, files
-from coopqp.report.figures import Figures, joint_window
+from coopqp.report.figures.joints import joint_window
 from coopqp.report.page import render
 from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.report.style import styles
