@@ -43,9 +43,9 @@
       playback.dispatchEvent(new CustomEvent("seek", { detail: points[0].x })));
   }
 
-  // A plot that is folded away has no size to draw it in.
+  // A plot that is folded away may have no size to draw it in.
   function drawSeen() {
-    for (const plot of plots) if (!plot.data && plot.clientWidth) draw(plot);
+    for (const plot of plots) if (!plot.data && !plot.closest("details:not([open])")) draw(plot);
   }
 
   function show(name, visible) {

@@ -236,5 +236,5 @@ def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str
         y = line[np.isfinite(line)]
         if y.max(initial=shown.bottom) > shown.top or y.min(initial=shown.top) < shown.bottom:
             worst = y[np.abs(y).argmax()]
-            notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}")
+            notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}".rstrip())
     return tuple(notes)

@@ -14,7 +14,7 @@ from plotly.offline import get_plotlyjs
 from coopqp import __version__
 from coopqp.comparison import Comparison
 from coopqp.report import audit
-from coopqp.report.cells import COLUMNS, Cell, cells, facts
+from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures.groups import Group, groups
 from coopqp.report.scene.playback import scene
@@ -101,7 +101,7 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
 def _row(comparison: Comparison, name: str, style: Style) -> str:
     row = cells(comparison.traces[name], comparison.metrics[name])
     entries = "".join(
-        _entry(row[key], column.heading, wraps=key in WRAPPING) for key, column in COLUMNS.items()
+        _entry(row[key], column, wraps=key in WRAPPING) for key, column in COLUMNS.items()
     )
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
@@ -109,11 +109,12 @@ def _row(comparison: Comparison, name: str, style: Style) -> str:
     )
 
 
-def _entry(cell: Cell, heading: str, *, wraps: bool) -> str:
+def _entry(cell: Cell, column: Column, *, wraps: bool) -> str:
     """The heading comes again where a page is too narrow for columns."""
     first, *more = map(text, cell.lines)
     lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
     kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
+    heading = f"{column.heading}, {column.unit}" if column.unit else column.heading
     shown = "".join(f"<span>{line}</span>" for line in lines)
     return f'<td class="{kind}" data-heading="{heading}">{shown}</td>'
 
@@ -145,7 +146,7 @@ def _group(group: Group) -> str:
         f'<div class="grid">{"".join(map(_figure, group.folded))}</div></details>'
     )
     return (
-        f"<section><h2>{text(group.title)}</h2>{hint}{words}"
+        f'<section><div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
         f"{shown if group.figures else ''}{folded if group.folded else ''}</section>"
     )
 

@@ -53,7 +53,8 @@ def freedom_figures(chart: Chart) -> list[Figure]:
             "Manipulability",
             "product of the singular values",
             product,
-            curves.linear(Window(0.0, 1.1 * best or 1.0)),
+            curves.linear(Window(0.0, 1.1 * best or 1.0))
+            | {"exponentformat": "power", "automargin": True, "nticks": 4},
             notes,
         ),
     ]

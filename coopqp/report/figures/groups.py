@@ -69,8 +69,8 @@ def _object(chart: Chart) -> Group:
 def _errors(chart: Chart) -> Group:
     return Group(
         title="How far the tasks are from done",
-        hint="Left: what is left to the goal. Right: to the reference, which moves there; a law "
-        "that follows well is near zero there all the time, long before it is at the goal.",
+        hint="First to the goal itself, then to the reference that leads there: a law that follows "
+        "well is near zero there all the time, long before it is at the goal.",
         figures=task_errors(chart),
     )
 

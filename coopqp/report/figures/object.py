@@ -42,6 +42,8 @@ class Quantity(ABC):
     unit: ClassVar[str]
     least: ClassVar[float]
     """Smallest height of its figure [unit]."""
+    floor: ClassVar[float] = -np.inf
+    """Nothing is below [unit]."""
 
     @property
     @abstractmethod
@@ -126,6 +128,7 @@ class Tilt(Quantity):
 
     unit: ClassVar[str] = "degrees"
     least: ClassVar[float] = 2.0
+    floor: ClassVar[float] = 0.0
 
     @property
     def title(self) -> str:
@@ -229,7 +232,8 @@ def _figure(chart: Chart, quantity: Quantity) -> Figure:
     known = np.concatenate([calm, *(target.goal for target in wanted)])
     low, high = float(np.nanmin(known)), float(np.nanmax(known))
     room = max(0.0, quantity.least - (high - low))
-    low, high = low - 0.5 * room, high + 0.5 * room
+    low = max(low - 0.5 * room, quantity.floor)
+    high = max(high + 0.5 * room, low + quantity.least)
     shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
     return Figure(
         title=quantity.title,

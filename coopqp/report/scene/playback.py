@@ -140,14 +140,16 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
     """Texts below each frame."""
-    texts = []
+    texts, t = [], trace.t
     rooms = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
-        for task, error in zip(trace.tasks, trace.task_error[k], strict=True):
-            if not np.isnan(error):  # a task of another phase
-                value, name = length(float(error), task.unit)
-                lines.append(f"{task.name} {value:.3g} {name} off")
+        errors = zip(trace.tasks, trace.goal_error[k], trace.task_error[k], strict=True)
+        for task, goal, reference in errors:
+            if not np.isnan(goal):  # a task of another phase
+                (far, unit), (behind, _) = (length(float(e), task.unit) for e in (goal, reference))
+                moves = f", {behind:.3g} from its reference" if t[k] < task.end else ""
+                lines.append(f"{task.name} {far:.3g} {unit} off{moves}")
         left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
         if left:
             lines.append(f"limit margin {', '.join(left)}")
