@@ -20,7 +20,9 @@ import coopqp
 from coopqp.comparison import Comparison, summarize
 from coopqp.errors import CoopqpError
 from coopqp.report import curves, files
-from coopqp.report.figures.joints import joint_window
+from coopqp.report.figures.chart import Chart
+from coopqp.report.figures.groups import groups
+from coopqp.report.figures.joints import joint_figures, joint_window
 from coopqp.report.page import render
 from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.report.style import styles
@@ -73,26 +75,30 @@ def test_page_takes_names_as_text(page: str) -> None:
 
 
 def test_bad_cells_have_a_symbol(page: str) -> None:
-    assert '<td class="bad"><span>✗&nbsp;no</span></td>' in page
-    for cell in re.findall(r'<td class="bad[^"]*"><span>(.)', page):
+    assert '<td class="bad" data-heading="Goal reached"><span>✗&nbsp;no</span></td>' in page
+    for cell in re.findall(r'<td class="bad[^>]*><span>(.)', page):
         assert cell == "✗"
 
 
 def test_every_figure_shows_every_controller(page: str, comparison: Comparison) -> None:
     figures = data_of(page, "figures")
-    assert len(figures) == page.count('class="plot"') == 10 + 6 + 1
-    *others, active_limits = figures
-    assert {line["legendgroup"] for line in active_limits["data"]} == {"qp"}
-    for figure in others:
+    drawn = [f for group in groups(comparison) for f in (*group.figures, *group.folded)]
+    assert len(figures) == page.count('class="plot"') == len(drawn)
+    for figure, title in zip(figures, (f.title for f in drawn), strict=True):
+        if title == "Active limits":
+            assert {line["legendgroup"] for line in figure["data"]} == {"qp"}
+            continue
         shown = {line["legendgroup"] for line in figure["data"] if "legendgroup" in line}
         assert shown == set(comparison.traces)
 
 
 def test_blown_up_joints_stay_readable(comparison: Comparison) -> None:
-    for figure in Figures(comparison).joints():
+    figures = [figure for part in joint_figures(Chart(comparison)) for figure in part]
+    assert len(figures) == len(comparison.traces["qp"].joints)
+    for figure in figures:
         bottom, top = figure.layout["yaxis"]["range"]
         assert top - bottom < 3.7 * (2 * 2.0857)
-    notes = [note for figure in Figures(comparison).joints() for note in figure.notes]
+    notes = [note for figure in figures for note in figure.notes]
     assert any("pseudoinverse goes off the chart" in note for note in notes)
     assert not any(note.startswith("▲ qp ") for note in notes)
 

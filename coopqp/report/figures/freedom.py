@@ -117,14 +117,13 @@ def _legs(chart: Chart, name: str) -> Legs:
     return legs
 
 
-def _lines(
-    legs: dict[str, Legs], of: Callable[[Array], Array]
-) -> dict[str, tuple[Array, Array]]:
+def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
     """Time and value; empty where a phase has no task that steers the object."""
     lines = {}
     for name, parts in legs.items():
         known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
-        lines[name] = tuple(np.concatenate(part) for part in zip(*known, strict=True))
+        t, y = ([part[i] for part in known] for i in (0, 1))
+        lines[name] = np.concatenate([np.zeros(0), *t]), np.concatenate([np.zeros(0), *y])
     return lines
 
 

@@ -82,10 +82,10 @@ def _limits(chart: Chart) -> Group:
         words={
             "Margin": "distance of the joint nearest to its limit. It tells whether limits are "
             "kept.",
-            "Criterion φ": "the sum over all joints of ((q − middle) / range)²: 0 with every "
-            "joint in the middle of its range, a quarter for each joint at a limit. The null-space "
-            "term Z of the paper's eq. (33) is −gain times its gradient. φ can fall while one "
-            "joint of the sum leaves its limits: a small φ is no promise.",
+            "Criterion φ": "the sum over all joints of ((q - middle) / range)²: 0 with every "
+            "joint in the middle of its range, a quarter for each joint at a limit. "
+            "joint_centering as the null-space term Z of the paper's eq. (33) goes down its "
+            "gradient. φ can fall while one joint leaves its limits: a small φ is no promise.",
             "Null-space term": "motion of the joints that neither tasks nor loops feel, so that it "
             "is free for a second purpose.",
         },
@@ -114,12 +114,12 @@ def _joints(chart: Chart) -> Group:
 def _freedom(chart: Chart) -> Group:
     return Group(
         title="How freely the object can be moved",
-        hint="Of the matrix from joint motions that keep the loops closed to what the tasks "
-        f"measure (angles count {LENGTH:g} m a radian), by the controller's model.",
+        hint="Of the matrix M = J N: N are the joint motions that keep the loops closed, J is what "
+        f"the tasks measure (angles count {LENGTH:g} m a radian), by the controller's model.",
         words={
-            "Condition": "its largest singular value over its smallest: how much more a joint has "
-            "to move for the hardest direction than for the easiest. It grows without bound near a "
-            "singular posture, where the pseudoinverse asks for speeds without bound.",
+            "Condition": "its largest singular value over its smallest: how much more the "
+            "joints have to move for the hardest direction than for the easiest. It grows without "
+            "bound near a singular posture, where the pseudoinverse asks for speeds without bound.",
             "Manipulability": "the product of its singular values (Yoshikawa): 0 where a direction "
             "is lost.",
         },
@@ -131,8 +131,12 @@ def _torques(chart: Chart) -> Group:
     return Group(
         title="Torques and forces",
         hint="Hatched: beyond what the motor can do.",
-        words={"Internal force": "what the hands do to each other through the object: it squeezes "
-               "the object and does not move it."} if forces(chart) else {},
+        words={
+            "Internal force": "what the hands do to each other through the object: it squeezes "
+            "the object and does not move it."
+        }
+        if forces(chart)
+        else {},
         figures=forces(chart),
         folded=torques(chart),
         more="Torque of each motor",
@@ -145,8 +149,8 @@ def _rest(chart: Chart) -> Group:
         title="Loops, active limits and computing time",
         hint="",
         words={
-            "Loop error": "how far apart two arms carry the object; the drift correction κ pulls it "
-            "back.",
+            "Loop error": "how far apart two arms carry the object; the drift correction κ "
+            "pulls it back.",
             "Active": "a limit that the QP is at, which then decides with it what is done.",
         },
         folded=[*loop_errors(chart), *([active] if active else []), tick_times(chart)],

@@ -92,7 +92,7 @@ class Coordinate(Quantity):
 
     def goal(self, marks: Sequence[Mark]) -> float:
         """Of the marks of a task that steers this point [m]."""
-        if any(isinstance(m, TrackedMark) and tuple(m.point) != self.point for m in marks):
+        if any(isinstance(m, TrackedMark) and m.point != self.point for m in marks):
             return np.nan
         known = [value for value in (self._fixed(mark) for mark in marks) if not np.isnan(value)]
         return known[0] if known else np.nan
@@ -221,7 +221,7 @@ def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
     marks = [mark for task in tasks for mark in task.marks(0.0)]
-    points = dict.fromkeys(tuple(mark.point) for mark in marks if isinstance(mark, TrackedMark))
+    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMark))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 
 

@@ -219,6 +219,12 @@
     });
   }
 
+  function posture(brush, points) {
+    brush.pen.setLineDash([5, 5]);
+    line(brush, points);
+    brush.pen.setLineDash([]);
+  }
+
   // Marks of tasks and limits; those without a place are at the object.
   function drawMarks(brush, run) {
     const each = (marks, paint) => marks.filter(counts).forEach(paint);
@@ -229,6 +235,8 @@
     each(scene.spheres, (mark) => sphere(brush, mark));
     each(scene.poses, (mark) => frameAxes(brush, now(mark, "at"), now(mark, "axes")));
     each(scene.orientations, (mark) => frameAxes(brush, here, now(mark, "axes")));
+    each(run.relatives, (mark) => frameAxes(brush, now(mark, "at"), now(mark, "axes")));
+    each(run.postures, (mark) => posture(brush, now(mark, "points")));
     each(scene.goals, (mark) => target(brush, mark));
   }
 
@@ -340,7 +348,8 @@
     wall: scene.planes.filter((plane) => plane.limit),
     line: [...scene.lines, ...scene.circles, ...scene.spheres],
     way: scene.directions,
-    axes: [...scene.poses, ...scene.orientations],
+    axes: [...scene.poses, ...scene.orientations, ...panes.flatMap(({ run }) => run.relatives)],
+    posture: panes.flatMap(({ run }) => run.postures),
     trail: scene.controllers.flatMap((run) => run.tracked),
   };
   for (const [name, marks] of Object.entries(shown))

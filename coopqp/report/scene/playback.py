@@ -18,7 +18,8 @@ from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies
-from coopqp.report.scene.marks import TRACKED, Shown, as_json, in_view, short, shown_marks
+from coopqp.report.scene.carried import carried
+from coopqp.report.scene.marks import as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
 from coopqp.robot import RobotModel
@@ -59,9 +60,7 @@ def scene(comparison: Comparison) -> Json:
                     short(np.concatenate([pin.SE3ToXYZQUAT(X) for X in places]))
                     for places in body_places(robot, moving, trace, frames)
                 ],
-                "tracked": [
-                    _tracked(trace, mark, frames) for mark in marks if mark.kind == TRACKED
-                ],
+                **carried(marks, scenario.held_by(name), trace, frames),
             }
             for name, trace in traces.items()
         ],
@@ -107,8 +106,10 @@ def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json
 
 
 def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, int]:
-    """At which of its points an arm's name stands: of the joints that no other arm has, the one
-    that is farthest from the middle of all arms at the start; the hand if it shares all joints.
+    """At which of its points each arm's name stands.
+
+    Of the joints that no other arm has it is the one that is farthest from the middle of all arms
+    at the start; the hand where an arm shares all its joints.
 
     Args:
         robot: with the arms.
@@ -140,7 +141,7 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
     """Texts below each frame."""
-    texts, t = [], trace.t
+    texts = []
     rooms = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
@@ -148,17 +149,11 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
         for task, goal, reference in errors:
             if not np.isnan(goal):  # a task of another phase
                 (far, unit), (behind, _) = (length(float(e), task.unit) for e in (goal, reference))
-                moves = f", {behind:.3g} from its reference" if t[k] < task.end else ""
-                lines.append(f"{task.name} {far:.3g} {unit} off{moves}")
+                same = behind == far or trace.t[k] >= task.end
+                way = "" if same else f", {behind:.3g} from its reference"
+                lines.append(f"{task.name} {far:.3g} {unit} off{way}")
         left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
         if left:
             lines.append(f"limit margin {', '.join(left)}")
         texts.append(lines)
     return texts
-
-
-def _tracked(trace: Trace, mark: Shown, frames: NDArray[np.int64]) -> Json:
-    """The way of the point of the object that a task steers, f points."""
-    own = frames[mark.first : mark.last + 1]
-    way = trace.position[own] + np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
-    return {**mark.frames, "points": short(way)}
