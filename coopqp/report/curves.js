@@ -16,7 +16,7 @@
   function place(plot) {
     const cursor = cursors.get(plot), { xaxis, yaxis } = plot._fullLayout;
     const x = xaxis.l2p(Number(playback.dataset.time));
-    cursor.hidden = !(x >= 0 && x <= xaxis._length);
+    cursor.hidden = !(x > -1 && x < xaxis._length + 1);
     cursor.style.left = `${xaxis._offset + x}px`;
     cursor.style.top = `${yaxis._offset}px`;
     cursor.style.height = `${yaxis._length}px`;
