@@ -235,6 +235,6 @@ def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str
     for name, line in lines.items():
         y = line[np.isfinite(line)]
         if y.max(initial=shown.bottom) > shown.top or y.min(initial=shown.top) < shown.bottom:
-            worst = y[np.abs(y).argmax()]
+            worst = y[np.maximum(y - shown.top, shown.bottom - y).argmax()]
             notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}".rstrip())
     return tuple(notes)

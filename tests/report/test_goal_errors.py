@@ -10,9 +10,13 @@ import pytest
 from scenario_files import phased
 from scipy.spatial.transform import Rotation
 
+import coopqp
 from coopqp.checked import Pose as PoseValue
+from coopqp.comparison import summarize
 from coopqp.controller_run import run
 from coopqp.profile import Profile
+from coopqp.report.figures.chart import Chart
+from coopqp.report.figures.errors import task_errors
 from coopqp.scenario.loader import load
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPlane, Pose, Posture, Twist
@@ -96,3 +100,32 @@ def test_in_phases_it_is_known_while_its_phase_lasts(tmp_path: Path) -> None:
     first = trace.tasks[0].rows
     expected = np.linalg.norm(trace.position[first] - goal, axis=1)
     np.testing.assert_allclose(trace.goal_error[first, 0], expected, atol=1e-14)
+
+
+def test_missed_tasks_come_first_and_every_task_once(tmp_path: Path) -> None:
+    scenario = phased(tmp_path)
+    trace = run(scenario, controller="qp")
+
+    def shown(trace: Trace) -> tuple[list[str], list[str]]:
+        figures = task_errors(Chart(summarize(scenario, {"qp": trace})))
+        return tuple([f.title.split("'")[1] for f in part] for part in figures)  # type: ignore[return-value]
+
+    names = [task.name for task in trace.tasks]
+    first, rest = shown(trace)
+    assert (list(dict.fromkeys(first)), list(dict.fromkeys(rest))) == (names[:3], names[3:])
+    missed = trace.goal_error.copy()
+    missed[-1, 3] = np.nan  # the last task's end
+    first, rest = shown(replace(trace, goal_error=missed))
+    assert names[3] in first
+    assert list(dict.fromkeys(rest)) == names[2:3]
+
+
+def test_a_task_that_moves_has_two_figures_and_the_recorded_errors_in_millimetres() -> None:
+    scenario = replace(load("point_on_point"), controllers={})
+    comparison = coopqp.compare(scenario, controllers=["qp"])
+    (goal, reference), rest = task_errors(Chart(comparison))
+    trace = comparison.traces["qp"]
+    assert not rest
+    for figure, error in ((goal, trace.goal_error), (reference, trace.task_error)):
+        (line,) = figure.data
+        np.testing.assert_allclose(line["y"], 1e3 * np.maximum(error[:, 0], 1e-12), rtol=1e-6)

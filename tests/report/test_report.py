@@ -118,6 +118,22 @@ def test_thinning_keeps_peaks() -> None:
     assert kept_t[kept_y.argmax()] == t[17_321]
 
 
+def test_what_leaves_the_chart_is_told_where_it_is_farthest_off() -> None:
+    lines = {"up": np.array([1.0, 5.0]), "down": np.array([1.9, 0.5]), "inside": np.array([1.5])}
+    notes = curves.off_chart(curves.Window(1.0, 2.0), lines, "m")
+    assert notes == ("▲ up goes off the chart, to 5 m", "▲ down goes off the chart, to 0.5 m")
+
+
+def test_a_narrow_page_needs_no_scrolling(page: str) -> None:
+    """Every table scrolls by itself, or has its headings again in each entry to become cards."""
+    tables = re.findall(r'(<div class="wide">)?<table class="([^"]*)"', page)
+    assert tables
+    assert all(wrapped or "result" in classes for wrapped, classes in tables)
+    (body,) = re.findall(r'<table class="summary result">.*?<tbody>(.*?)</tbody>', page, re.S)
+    entries = re.findall(r"<td([^>]*)>", body)
+    assert all("data-heading=" in entry or "verdict" in entry for entry in entries)
+
+
 @pytest.mark.parametrize(
     ("lower", "upper"), [(-np.inf, np.inf), (-1.0, np.inf), (-np.inf, 1.0), (-1.0, 1.0)]
 )

@@ -12,22 +12,40 @@ from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
+MOST_FIRST = 3  # tasks that are shown first
 
 
-def task_errors(chart: Chart) -> list[Figure]:
-    """Of each task to its goal, and beside it to its reference where that is on its way."""
-    figures = []
-    for i in range(len(chart.any.tasks)):
-        name = chart.any.tasks[i].name
-        same = all(
-            np.array_equal(trace.goal_error[:, i], trace.task_error[:, i], equal_nan=True)
-            for trace in chart.traces.values()
-        )
-        figures.append(_error(chart, i, f"'{name}': error to the goal", "goal_error"))
-        if not same:
-            title = f"'{name}': error to the moving reference"
-            figures.append(_error(chart, i, title, "task_error"))
-    return figures
+def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
+    """Of the tasks that miss their goal most, then of the others in their order; and of the rest.
+
+    Each to its goal, and beside it to its reference where that is on its way.
+    """
+    count = len(chart.any.tasks)
+    order = sorted(range(count), key=lambda i: -max(1.0, _missed(chart, i)))
+    first = sorted(order[:MOST_FIRST])
+    parts = [(i in first, _of_task(chart, i)) for i in range(count)]
+    shown, rest = (
+        [f for is_first, of in parts if is_first is kind for f in of] for kind in (True, False)
+    )
+    return shown, rest
+
+
+def _missed(chart: Chart, i: int) -> float:
+    """What is left of a task's error at the end, at worst, in its tolerance; NaN is the worst."""
+    task = chart.any.tasks[i]
+    ends = [trace.goal_error[task.rows, i][-1] for trace in chart.traces.values()]
+    return float(np.nan_to_num(np.max(ends), nan=np.inf)) / task.tolerance
+
+
+def _of_task(chart: Chart, i: int) -> list[Figure]:
+    name, traces = chart.any.tasks[i].name, chart.traces.values()
+    same = all(
+        np.array_equal(trace.goal_error[:, i], trace.task_error[:, i], equal_nan=True)
+        for trace in traces
+    )
+    goal = _error(chart, i, f"'{name}': error to the goal", "goal_error")
+    reference = f"'{name}': error to the moving reference"
+    return [goal] if same else [goal, _error(chart, i, reference, "task_error")]
 
 
 def _error(chart: Chart, i: int, title: str, field: str) -> Figure:

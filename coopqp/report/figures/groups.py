@@ -67,11 +67,14 @@ def _object(chart: Chart) -> Group:
 
 
 def _errors(chart: Chart) -> Group:
+    figures, others = task_errors(chart)
     return Group(
         title="How far the tasks are from done",
         hint="First to the goal itself, then to the reference that leads there: a law that follows "
         "well is near zero there all the time, long before it is at the goal.",
-        figures=task_errors(chart),
+        figures=figures,
+        folded=others,
+        more="The other tasks",
     )
 
 
