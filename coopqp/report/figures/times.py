@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from itertools import chain as joined
 
 import numpy as np
@@ -11,7 +12,7 @@ from coopqp.report import curves
 from coopqp.report.curves import Figure, Json
 from coopqp.report.figures.chart import Chart
 
-ONE_TWO_FIVE = [m * 10.0**e for e in range(-1, 7) for m in (1, 2, 5)]  # ticks of log scales
+MOST_TICKS = 5  # as many as fit side by side on a narrow page
 
 
 def tick_times(chart: Chart) -> Figure:
@@ -19,9 +20,10 @@ def tick_times(chart: Chart) -> Figure:
     boxes = [_box(chart, name) for name in reversed(chart.names)]
     layout = curves.layout(chart.end, {"type": "category", "automargin": True})
     times = np.concatenate([chart.traces[name].tick_us for name in chart.names])
-    low, high = np.log10(times.min() / 1.3), np.log10(times.max() * 1.3)
-    layout["xaxis"] |= {"type": "log", "range": [float(low), float(high)]}
-    layout["xaxis"] |= {"tickvals": ONE_TWO_FIVE, "ticktext": [f"{v:g}" for v in ONE_TWO_FIVE]}
+    low, high = float(times.min() / 1.3), float(times.max() * 1.3)
+    ticks = _ticks(low, high)
+    layout["xaxis"] |= {"type": "log", "range": [math.log10(low), math.log10(high)]}
+    layout["xaxis"] |= {"tickvals": ticks, "ticktext": [f"{v:g}" for v in ticks], "tickangle": 0}
     layout["xaxis"] |= {"title": {"text": "time [µs]", "standoff": 4}}
     layout["height"] = max(curves.HEIGHT, 70 + 36 * len(boxes))
     return Figure(
@@ -31,6 +33,15 @@ def tick_times(chart: Chart) -> Figure:
         layout=layout,
         over_time=False,
     )
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Of a log scale: 1, 2, 5, 10 ... or fewer of them where those are too many."""
+    for steps in ((1, 2, 5), (1, 5), (1,)):
+        ticks = [m * 10.0**e for e in range(-1, 8) for m in steps if low <= m * 10.0**e <= high]
+        if len(ticks) <= MOST_TICKS:
+            break
+    return ticks
 
 
 def _box(chart: Chart, name: str) -> list[Json]:
