@@ -18,6 +18,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import manipulability as mobility_measure
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
+from coopqp.report.figures import freedom
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.freedom import (
     LESS,
@@ -143,3 +144,10 @@ def test_figures_have_a_line_a_controller_and_say_when_tasks_ask_too_much() -> N
 def test_without_a_task_that_steers_the_object_there_is_no_figure() -> None:
     scenario = replace(cut(load("point_on_point"), 5), tasks=(JointCentering(),), secondary=())
     assert not freedom_figures(Chart(coopqp.compare(scenario, controllers=["qp"])))
+
+
+def test_an_object_that_cannot_move_has_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As between arms that the loops hold fast, where M has no columns."""
+    comparison = coopqp.compare(cut(load("point_on_point"), 5), controllers=["qp"])
+    monkeypatch.setattr(freedom, "null_space", lambda J: np.zeros((J.shape[1], 0)))
+    assert not freedom_figures(Chart(comparison))

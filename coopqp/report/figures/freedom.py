@@ -34,15 +34,15 @@ Legs = list[tuple[Array, Array]]  # instants and singular values of each phase
 
 
 def freedom_figures(chart: Chart) -> list[Figure]:
-    """Condition and manipulability; none where no task steers the object."""
+    """Condition and manipulability; none where no joints can move the object for a task."""
     legs = {name: _legs(chart, name) for name in chart.names}
-    if not any(sigma.size for parts in legs.values() for _, sigma in parts):
+    ratio, product = (_lines(legs, of) for of in (condition, manipulability))
+    if not ratio:
         return []
     less = any(
         left(sigma).shape[1] < sigma.shape[1] for parts in legs.values() for _, sigma in parts
     )
     notes = (LESS,) if less else ()
-    ratio, product = (_lines(legs, of) for of in (condition, manipulability))
     worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
     least = min(float(np.nanmin(y)) for _, y in ratio.values())
     window = Window(min(1.0, least), max(10.0, 2.0 * worst))
@@ -118,12 +118,15 @@ def _legs(chart: Chart, name: str) -> Legs:
 
 
 def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
-    """Time and value; empty where a phase has no task that steers the object."""
+    """Time and value of each controller whose joints can move the object for some task."""
     lines = {}
     for name, parts in legs.items():
         known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
-        t, y = ([part[i] for part in known] for i in (0, 1))
-        lines[name] = np.concatenate([np.zeros(0), *t]), np.concatenate([np.zeros(0), *y])
+        if known:
+            lines[name] = (
+                np.concatenate([t for t, _ in known]),
+                np.concatenate([y for _, y in known]),
+            )
     return lines
 
 
