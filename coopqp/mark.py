@@ -123,4 +123,32 @@ class TrackedMark:
     """In the object frame, with which it moves [m]; not in the world as the others."""
 
 
-Mark = PointMark | LineMark | PlaneMark | CircleMark | SphereMark | PoseMark | TrackedMark
+@spec
+class PostureMark:
+    """Values that joints go to; drawn as the arms would stand, other joints as they are."""
+
+    goal: dict[str, float | list[float]] | list[float]
+    """By arm (base first) or joint, or all of them in the order of the joints [rad, m]."""
+
+
+@spec
+class RelativeMark:
+    """Axes of a frame that moves with the first arm."""
+
+    rotation: Rotation
+    """The axes as columns, in that arm's object frame."""
+    position: Point
+    """Its origin, in that arm's object frame; not in the world as the others."""
+
+
+Mark = (
+    PointMark
+    | LineMark
+    | PlaneMark
+    | CircleMark
+    | SphereMark
+    | PoseMark
+    | TrackedMark
+    | PostureMark
+    | RelativeMark
+)

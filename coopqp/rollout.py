@@ -92,9 +92,12 @@ class _Recorder:
         problem = law.problem
         n, rows = problem.chain.n, ticks + 1
         self._law, self._plant = law, plant
-        # Its own stack, so that a controller without tasks inside is measured alike.
-        # A start of its own: a task may keep its arrays.
-        self._tasks = TaskStack(problem.tasks, State(problem.chain, start.q, start.t))
+        # Its own stacks, so that a controller without tasks inside is measured alike.
+        # Starts of their own: a task may keep its arrays.
+        stacks = [
+            TaskStack(tasks, State(problem.chain, start.q, start.t))
+            for tasks in (problem.tasks, [task.at_goal() for task in problem.tasks])
+        ]
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
@@ -105,7 +108,8 @@ class _Recorder:
         self._parts = _parts(problem.tasks, problem.chain)
         asking = [task for task in problem.tasks for _ in task.parts(problem.chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
-        self.task_error = np.zeros((rows, len(self._parts)))
+        self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
+        self._measured = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
@@ -124,10 +128,11 @@ class _Recorder:
         self.t[k], self.q[k] = state.t, true.q
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
-        self._tasks.update(true)
-        for i, (_, part) in enumerate(self._parts):
-            if i not in self._velocities:
-                self.task_error[k, i] = np.linalg.norm(self._tasks.e[part])
+        for stack, error in self._measured:
+            stack.update(true)
+            for i, (_, part) in enumerate(self._parts):
+                if i not in self._velocities:
+                    error[k, i] = np.linalg.norm(stack.e[part])
 
     def _close(self, k: int, v: Array) -> None:
         """Keep what only shows after the step of tick k."""
@@ -135,8 +140,8 @@ class _Recorder:
             self.v[k] = v
         for i in self._velocities:  # how far it missed the velocities that tasks ask for
             part = self._parts[i][1]
-            missed = self._tasks.J[part].dot(v) - self._tasks.rate[part]
-            self.task_error[k + 1, i] = np.linalg.norm(missed)
+            for stack, error in self._measured:
+                error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
         for name, signal in self._plant.signals.items():
             self.signals[name][k] = signal
 
@@ -176,7 +181,7 @@ class _Recorder:
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
-        return leverage(self._tasks, parts, self._velocities, start, end)
+        return leverage(self._measured[0][0], parts, self._velocities, start, end)
 
     def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
         """Everything recorded, frozen."""
@@ -207,6 +212,7 @@ class _Recorder:
             loop_orientation=self.loop[:, 1],
             task_error=self.task_error,
             leverage=self._leverage(),
+            goal_error=self.goal_error,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),

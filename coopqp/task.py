@@ -13,8 +13,8 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -22,6 +22,7 @@ from pydantic import Field, field_validator
 from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.mark import Mark
+from coopqp.profile import Profile
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -116,6 +117,20 @@ class Task(ABC):
             t: since its reference set out [s].
         """
         return ()
+
+    def at_goal(self) -> Task:
+        """The same task with its reference at the goal at once; its error is that to the goal.
+
+        A task whose reference moves has a field ``profile``; any other is at its goal already.
+        """
+        moved: dict[str, Any] = {"profile": Profile(kind="step")}
+        return replace(self, **moved) if self.way else self
+
+    @property
+    def way(self) -> Profile | None:
+        """How the reference goes from its start to the goal; None where it is there at once."""
+        profile = getattr(self, "profile", None)
+        return profile if isinstance(profile, Profile) else None
 
     @property
     def end(self) -> float:

@@ -193,7 +193,9 @@ class Trace:
         position: of the object, shape (T + 1, 3) [m].
         rotation: of the object, shape (T + 1, 3, 3).
         loop_position, loop_orientation: largest loop error, shape (T + 1,) [m], [rad].
-        task_error: Euclidean norm of each task's error, shape (T + 1, K) [the task's unit].
+        task_error: Euclidean norm of each task's error, to its reference, which may be on its way
+            to the goal, shape (T + 1, K) [the task's unit].
+        goal_error: the same to the goal, as if the reference were there from the start.
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
@@ -231,6 +233,7 @@ class Trace:
     loop_position: Array = field(metadata={"join": _instants})
     loop_orientation: Array = field(metadata={"join": _instants})
     task_error: Array = field(metadata={"join": _task_errors})
+    goal_error: Array = field(metadata={"join": _task_errors})
     usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
     inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
     status: tuple[str, ...] = field(metadata={"join": _statuses})

@@ -17,6 +17,7 @@ import numpy as np
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -68,6 +69,10 @@ class Posture(Task):
             np.multiply(way, speed, rows.rate)
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The arms as they shall stand."""
+        return (PostureMark(goal=self.goal),)
 
 
 def posture(goal: Mapping[str, float | list[float]] | list[float], chain: ClosedChain) -> Array:

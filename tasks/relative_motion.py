@@ -26,6 +26,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
 from coopqp.geometry import Approach, RotationError
 from coopqp.grasp import pose_matrix
+from coopqp.mark import Mark, RelativeMark
 from coopqp.profile import Profile
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -99,6 +100,11 @@ class RelativeMotion(Task):
             rotation.fill(state.t, Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
 
         return evaluate
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The goal, which moves with the first arm."""
+        goal = pose_matrix(self.goal)
+        return (RelativeMark(rotation=goal.rotation, position=goal.translation),)
 
     def _loop(self, chain: ClosedChain) -> int:
         """Number of the loop that the arm closes with the first."""

@@ -35,6 +35,9 @@ class Figure:
         title: above it. unit: of the vertical axis.
         data, layout: for Plotly.
         notes: below the title, such as what lies off the chart.
+        about: beside the title, such as whose joint it is.
+        alone: whether nothing is shown beside it.
+        over_time: whether its horizontal axis is time.
     """
 
     title: str
@@ -42,6 +45,9 @@ class Figure:
     data: list[Json]
     layout: Json
     notes: tuple[str, ...] = ()
+    about: str = ""
+    alone: bool = False
+    over_time: bool = True
 
 
 @dataclass(frozen=True)
@@ -76,11 +82,15 @@ def curve(name: str, style: Style, t: Array, y: Array, *, steps: bool = False) -
     """A controller's line."""
     t, y = thinned(t, y)
     line = style.line() | ({"shape": "hv"} if steps else {})
+    return aside(name, t, y, line) | {"legendgroup": name}
+
+
+def aside(name: str, t: Array, y: Array, line: Json) -> Json:
+    """A line that is no controller's, such as a goal."""
     return {
         "type": "scatter",
         "mode": "lines",
         "name": html.escape(name),
-        "legendgroup": name,
         "x": listed(t),
         "y": listed(y),
         "line": line,
@@ -225,6 +235,6 @@ def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str
     for name, line in lines.items():
         y = line[np.isfinite(line)]
         if y.max(initial=shown.bottom) > shown.top or y.min(initial=shown.top) < shown.bottom:
-            worst = y[np.abs(y).argmax()]
-            notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}")
+            worst = y[np.maximum(y - shown.top, shown.bottom - y).argmax()]
+            notes.append(f"▲ {name} goes off the chart, to {worst:.3g} {unit}".rstrip())
     return tuple(notes)

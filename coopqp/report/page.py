@@ -14,9 +14,9 @@ from plotly.offline import get_plotlyjs
 from coopqp import __version__
 from coopqp.comparison import Comparison
 from coopqp.report import audit
-from coopqp.report.cells import COLUMNS, Cell, cells, facts
+from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts
 from coopqp.report.curves import Figure
-from coopqp.report.figures import Figures
+from coopqp.report.figures.groups import Group, groups
 from coopqp.report.scene.playback import scene
 from coopqp.report.style import Style, styles
 
@@ -31,13 +31,11 @@ def render(comparison: Comparison) -> str:
     Args:
         comparison: from :func:`coopqp.compare`.
     """
-    looks = styles(comparison.traces)
-    figures = Figures(comparison)
-    joints, torques, others = figures.joints(), figures.torques(), figures.others()
-    active = audit.timeline(comparison.traces, looks)
-    others += [active] if active else []
+    looks, parts = styles(comparison.traces), groups(comparison)
     plots = [
-        {"data": figure.data, "layout": figure.layout} for figure in (*joints, *torques, *others)
+        {"data": figure.data, "layout": figure.layout, "overTime": figure.over_time}
+        for group in parts
+        for figure in (*group.figures, *group.folded)
     ]
     return Template(_read("page.html")).substitute(
         title=text(comparison.scenario.name),
@@ -49,17 +47,16 @@ def render(comparison: Comparison) -> str:
         legend=_legend(looks),
         columns=PANES_A_ROW.get(len(looks), 3),
         panes="".join(_pane(name, style) for name, style in looks.items()),
-        joints="".join(map(_figure, joints)),
-        torques="".join(map(_figure, torques)),
-        torques_hidden="" if torques else "hidden",
-        others="".join(map(_figure, others)),
+        groups="".join(map(_group, parts)),
         audit=audit.rows(comparison.traces),
         audit_hidden="" if audit.audited(comparison.traces) else "hidden",
         scene=script_json(scene(comparison)),
         figures=script_json(plots),
         css=_read("page.css"),
         plotly=get_plotlyjs(),
-        playback_js=_read("scene/surfaces.js") + _read("scene/playback.js"),
+        playback_js="".join(
+            _read(f"scene/{name}.js") for name in ("surfaces", "camera", "playback")
+        ),
         curves_js=_read("curves.js"),
     )
 
@@ -95,7 +92,7 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
     )
     rows = "".join(_row(comparison, name, style) for name, style in looks.items())
     return (
-        '<table class="summary"><thead><tr><th scope="col" class="name">Controller</th>'
+        '<table class="summary result"><thead><tr><th scope="col" class="name">Controller</th>'
         f'<th scope="col" class="verdict">Verdict</th>{heads}</tr></thead>'
         f"<tbody>{rows}</tbody></table>"
     )
@@ -103,18 +100,23 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
 
 def _row(comparison: Comparison, name: str, style: Style) -> str:
     row = cells(comparison.traces[name], comparison.metrics[name])
-    entries = "".join(_entry(row[key], wraps=key in WRAPPING) for key in COLUMNS)
+    entries = "".join(
+        _entry(row[key], column, wraps=key in WRAPPING) for key, column in COLUMNS.items()
+    )
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
         f'<td class="verdict">{text(comparison.verdicts[name])}</td>{entries}</tr>'
     )
 
 
-def _entry(cell: Cell, *, wraps: bool) -> str:
+def _entry(cell: Cell, column: Column, *, wraps: bool) -> str:
+    """The heading comes again where a page is too narrow for columns."""
     first, *more = map(text, cell.lines)
     lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
     kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
-    return f'<td class="{kind}">' + "".join(f"<span>{line}</span>" for line in lines) + "</td>"
+    heading = f"{column.heading}, {column.unit}" if column.unit else column.heading
+    shown = "".join(f"<span>{line}</span>" for line in lines)
+    return f'<td class="{kind}" data-heading="{heading}">{shown}</td>'
 
 
 def _legend(looks: dict[str, Style]) -> str:
@@ -132,10 +134,30 @@ def _pane(name: str, style: Style) -> str:
     )
 
 
+def _group(group: Group) -> str:
+    hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
+    words = "".join(
+        f'<p class="hint"><b>{text(word)}</b>: {text(said)}</p>'
+        for word, said in group.words.items()
+    )
+    shown = f'<div class="grid">{"".join(map(_figure, group.figures))}</div>'
+    folded = (
+        f"<details><summary>{text(group.more)}</summary>"
+        f'<div class="grid">{"".join(map(_figure, group.folded))}</div></details>'
+    )
+    return (
+        f'<section><div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
+        f"{shown if group.figures else ''}{folded if group.folded else ''}</section>"
+    )
+
+
 def _figure(figure: Figure) -> str:
     notes = "".join(f'<span class="note">{text(note)}</span>' for note in figure.notes)
+    about = f", {text(figure.about)}" if figure.about else ""
+    kind = ' class="alone"' if figure.alone else ""
     return (
-        f"<figure><figcaption>{text(figure.title)} <small>[{text(figure.unit)}]</small>{notes}"
+        f"<figure{kind}><figcaption>"
+        f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
         '</figcaption><div class="plot"></div></figure>'
     )
 

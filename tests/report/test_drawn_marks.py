@@ -33,6 +33,7 @@ from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import (
     Orientation,
     Pointing,
+    PointOnPlane,
     Pose,
 )
 
@@ -117,6 +118,15 @@ def test_the_plane_of_a_limit_is_drawn_near_the_object() -> None:
     np.testing.assert_allclose(middle[:2], start[:2], atol=2e-4)
 
 
+def test_a_far_plane_of_a_task_is_in_the_first_view() -> None:
+    """And a wall as far away is not: it would make all else small."""
+    far = (0.0, 0.0, 3.0)
+    plane = PointOnPlane(name="up", normal=(0, 0, 1), through=far)
+    wall = Workspace(normal=(0, 0, -1), through=far)
+    assert drawn(plane)["view"]["high"][2] == pytest.approx(3.0)
+    assert drawn(Own(name="own"), limits=(wall,))["view"]["high"][2] < 1.0
+
+
 def test_the_goal_of_a_pose_is_drawn_as_axes() -> None:
     found = drawn(Pose(name="carry", goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE))
     (pose,) = found["poses"]
@@ -147,5 +157,5 @@ def test_what_has_no_place_is_drawn_at_the_object() -> None:
 def test_every_kind_of_mark_has_its_key_on_the_page() -> None:
     scenario = replace(load("point_on_point"), duration=0.3, secondary=())
     page = render(coopqp.compare(replace(scenario, tasks=(Own(name="own"),)), controllers=["qp"]))
-    for key in ("goal", "plane", "line", "way", "axes", "wall", "trail"):
+    for key in ("goal", "plane", "line", "way", "axes", "posture", "wall", "trail"):
         assert page.count(f'id="{key}-key"') == 1

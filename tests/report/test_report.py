@@ -20,7 +20,9 @@ import coopqp
 from coopqp.comparison import Comparison, summarize
 from coopqp.errors import CoopqpError
 from coopqp.report import curves, files
-from coopqp.report.figures import Figures, joint_window
+from coopqp.report.figures.chart import Chart
+from coopqp.report.figures.groups import groups
+from coopqp.report.figures.joints import joint_figures, joint_window
 from coopqp.report.page import render
 from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.report.style import styles
@@ -73,26 +75,30 @@ def test_page_takes_names_as_text(page: str) -> None:
 
 
 def test_bad_cells_have_a_symbol(page: str) -> None:
-    assert '<td class="bad"><span>✗&nbsp;no</span></td>' in page
-    for cell in re.findall(r'<td class="bad[^"]*"><span>(.)', page):
+    assert '<td class="bad" data-heading="Goal reached"><span>✗&nbsp;no</span></td>' in page
+    for cell in re.findall(r'<td class="bad[^>]*><span>(.)', page):
         assert cell == "✗"
 
 
 def test_every_figure_shows_every_controller(page: str, comparison: Comparison) -> None:
     figures = data_of(page, "figures")
-    assert len(figures) == page.count('class="plot"') == 10 + 6 + 1
-    *others, active_limits = figures
-    assert {line["legendgroup"] for line in active_limits["data"]} == {"qp"}
-    for figure in others:
+    drawn = [f for group in groups(comparison) for f in (*group.figures, *group.folded)]
+    assert len(figures) == page.count('class="plot"') == len(drawn)
+    for figure, title in zip(figures, (f.title for f in drawn), strict=True):
+        if title == "Active limits":
+            assert {line["legendgroup"] for line in figure["data"]} == {"qp"}
+            continue
         shown = {line["legendgroup"] for line in figure["data"] if "legendgroup" in line}
         assert shown == set(comparison.traces)
 
 
 def test_blown_up_joints_stay_readable(comparison: Comparison) -> None:
-    for figure in Figures(comparison).joints():
+    figures = [figure for part in joint_figures(Chart(comparison)) for figure in part]
+    assert len(figures) == len(comparison.traces["qp"].joints)
+    for figure in figures:
         bottom, top = figure.layout["yaxis"]["range"]
         assert top - bottom < 3.7 * (2 * 2.0857)
-    notes = [note for figure in Figures(comparison).joints() for note in figure.notes]
+    notes = [note for figure in figures for note in figure.notes]
     assert any("pseudoinverse goes off the chart" in note for note in notes)
     assert not any(note.startswith("▲ qp ") for note in notes)
 
@@ -110,6 +116,22 @@ def test_thinning_keeps_peaks() -> None:
     assert len(kept_y) <= curves.MOST_POINTS + 2
     assert kept_y.max() == 5.0
     assert kept_t[kept_y.argmax()] == t[17_321]
+
+
+def test_what_leaves_the_chart_is_told_where_it_is_farthest_off() -> None:
+    lines = {"up": np.array([1.0, 5.0]), "down": np.array([1.9, 0.5]), "inside": np.array([1.5])}
+    notes = curves.off_chart(curves.Window(1.0, 2.0), lines, "m")
+    assert notes == ("▲ up goes off the chart, to 5 m", "▲ down goes off the chart, to 0.5 m")
+
+
+def test_a_narrow_page_needs_no_scrolling(page: str) -> None:
+    """Every table scrolls by itself, or has its headings again in each entry to become cards."""
+    tables = re.findall(r'(<div class="wide">)?<table class="([^"]*)"', page)
+    assert tables
+    assert all(wrapped or "result" in classes for wrapped, classes in tables)
+    (body,) = re.findall(r'<table class="summary result">.*?<tbody>(.*?)</tbody>', page, re.S)
+    entries = re.findall(r"<td([^>]*)>", body)
+    assert all("data-heading=" in entry or "verdict" in entry for entry in entries)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,9 @@ from coopqp.errors import ScenarioError
 from coopqp.limits import JointAcceleration, Workspace
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, cells
-from coopqp.report.figures import Figures
+from coopqp.report.figures.chart import Chart
+from coopqp.report.figures.limits import limit_figures
+from coopqp.report.figures.torques import torques
 from coopqp.report.scene.playback import scene
 from coopqp.report.table import summary
 from coopqp.robots import NaoT14
@@ -273,7 +275,9 @@ def test_the_playback_tells_margins_of_slides_and_hinges_apart(compared: Compari
 
 def test_margins_of_slides_have_a_figure_of_their_own(compared: Comparison) -> None:
     found = {
-        figure.title: figure for figure in Figures(compared).others() if "Margin" in figure.title
+        figure.title: figure
+        for figure in limit_figures(Chart(compared))
+        if "Margin" in figure.title
     }
     assert {title: figure.unit for title, figure in found.items()} == {
         "Margin of the joint nearest to its limit": "rad, negative beyond the limit",
@@ -287,14 +291,14 @@ def test_margins_of_slides_have_a_figure_of_their_own(compared: Comparison) -> N
 
 
 def test_a_figure_of_slides_that_leave_the_chart_says_metres(compared: Comparison) -> None:
-    found = Figures(with_limits(compared, "rail", -20.0)).others()
+    found = limit_figures(Chart(with_limits(compared, "rail", -20.0)))
     (slides,) = (figure for figure in found if "sliding" in figure.title)
     assert slides.notes
     assert all(note.endswith(" m") for note in slides.notes)
 
 
 def test_a_motor_that_slides_has_a_force(write: Write) -> None:
-    found = Figures(coopqp.compare(load(write(plant="rigid_body")), controllers=["qp"])).torques()
+    found = torques(Chart(coopqp.compare(load(write(plant="rigid_body")), controllers=["qp"])))
     units = {figure.title: figure.unit for figure in found}
     assert units["Force of rail"] == "N"
     assert units["Torque of r1"] == "N m"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from coopqp.mark import (
     PlaneMark,
     PointMark,
     PoseMark,
+    PostureMark,
+    RelativeMark,
     SphereMark,
     TrackedMark,
 )
@@ -36,7 +38,8 @@ PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 KINDS = (
     "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
 )  # fmt: skip
-TRACKED = "tracked"
+#: What moves with the robot, and so differs between controllers.
+TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Shown:
     """A mark in all frames in which it is seen, one after the other.
 
     Attributes:
-        kind: one of KINDS, or TRACKED.
+        kind: one of KINDS, or of those that move with the robot.
         name: of the task or limit.
         limit: whether it is a limit.
         first: frame.
@@ -145,10 +148,20 @@ class _Place:
                 return "spheres", {"center": mark.center, "radius": mark.radius}
             case PoseMark():
                 return self._axes(mark)
+            case TrackedMark() | PostureMark() | RelativeMark():
+                return self._carried(mark)
+        *others, last = (kind.__name__ for kind in get_args(Mark))
+        known = f"{', '.join(others)} or {last}"
+        raise InvalidValueError(f"{name}.marks: found {mark!r}, needs {known}")
+
+    def _carried(self, mark: TrackedMark | PostureMark | RelativeMark) -> tuple[str, Json]:
+        """What :mod:`coopqp.report.scene.carried` needs."""
+        match mark:
             case TrackedMark():
                 return TRACKED, {"point": mark.point}
-        known = "PointMark, LineMark, PlaneMark, CircleMark, SphereMark, PoseMark or TrackedMark"
-        raise InvalidValueError(f"{name}.marks: found {mark!r}, needs {known}")
+            case PostureMark():
+                return POSTURE, {"goal": mark.goal}
+        return RELATIVE, {"at": mark.position, "axes": self._shown_axes(mark.rotation)}
 
     def _line(self, line: LineMark) -> tuple[str, Json]:
         """Ends of a piece of it, or the way from the object."""
@@ -161,10 +174,14 @@ class _Place:
 
     def _axes(self, pose: PoseMark) -> tuple[str, Json]:
         """The axes as rows, and the origin where there is one."""
-        axes = AXES_SHARE * self._size * pose.rotation.T
+        axes = self._shown_axes(pose.rotation)
         if pose.position is None:
             return "orientations", {"axes": axes}
         return "poses", {"at": pose.position, "axes": axes}
+
+    def _shown_axes(self, rotation: Array) -> Array:
+        axes: Array = AXES_SHARE * self._size * rotation.T
+        return axes
 
     def _patch(self, plane: PlaneMark) -> Array:
         """Corners of a patch of a plane, shape (4, 3) [m]."""
@@ -186,8 +203,16 @@ def as_json(marks: Sequence[Shown]) -> dict[str, list[Json]]:
 
 def in_view(marks: Sequence[Shown]) -> Array:
     """Points that a picture must not leave out, shape (p, 3) [m]."""
-    keys = {"goals": "at", "poses": "at", "circles": "center", "spheres": "center"}
-    points = [mark.stacked(keys[mark.kind]) for mark in marks if mark.kind in keys]
+    keys = {
+        "goals": "at",
+        "poses": "at",
+        "circles": "center",
+        "spheres": "center",
+        "planes": "corners",
+        "lines": "ends",
+    }
+    shown = [mark for mark in marks if mark.kind in keys and not mark.limit]
+    points = [mark.stacked(keys[mark.kind]).reshape(-1, 3) for mark in shown]
     return np.concatenate([*points, np.zeros((0, 3))])
 
 

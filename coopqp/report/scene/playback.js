@@ -5,8 +5,7 @@
   const root = document.getElementById("playback");
   const [playButton, slider, clock, looksButton, resetButton] =
     ["play", "frame", "clock", "looks", "reset"].map((id) => document.getElementById(id));
-  const HOME = { azimuth: 0.65, elevation: 0.42 };
-  const camera = { ...HOME };
+  const camera = sceneCamera(scene.view);
   const LINE = "#3a86b0", WALL_EDGE = "#9c4f7c", AXES = ["#c0392b", "#1e8449", "#1f5fa8"];
   const INSIDE = 0, AT = 1;
   const TRAIL = 30; // frames; of a law that loses its way more would hide the arms
@@ -33,22 +32,6 @@
   const now = (mark, key) => mark[key][frame - mark.first]; // what moves has a value a frame
   const mean = (points) => points.reduce(add).map((x) => x / points.length);
 
-  function axes() {
-    const [ca, sa] = [Math.cos(camera.azimuth), Math.sin(camera.azimuth)];
-    const [ce, se] = [Math.cos(camera.elevation), Math.sin(camera.elevation)];
-    return { right: [-sa, ca, 0], up: [-ca * se, -sa * se, ce], toViewer: [ca * ce, sa * ce, se] };
-  }
-
-  // The largest scale at which the whole view fits, whichever way it is turned about z.
-  function fit(width, height) {
-    const across = 2 * Math.max(...scene.view.rims.map(([, radius]) => radius));
-    const [c, s] = [Math.cos(camera.elevation), Math.abs(Math.sin(camera.elevation))];
-    const top = Math.max(...scene.view.rims.map(([z, radius]) => z * c + radius * s));
-    const bottom = Math.min(...scene.view.rims.map(([z, radius]) => z * c - radius * s));
-    const scale = 0.9 * Math.min(width / across, height / (top - bottom));
-    return { scale, center: [width / 2, height / 2 + scale * (top + bottom) / 2] };
-  }
-
   function corners(position, rotation) {
     const half = scene.size.map((edge) => edge / 2);
     return [...Array(8).keys()].map((k) => {
@@ -69,7 +52,7 @@
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.lineCap = pen.lineJoin = "round";
-    const view = axes(), { scale, center } = fit(width, height);
+    const view = camera.axes(), { scale, center } = camera.fit(width, height);
     const at = (p) => {
       const d = p.map((x, i) => x - middle[i]);
       return [center[0] + scale * dot(d, view.right), center[1] - scale * dot(d, view.up)];
@@ -236,6 +219,12 @@
     });
   }
 
+  function posture(brush, points) {
+    brush.pen.setLineDash([5, 5]);
+    line(brush, points);
+    brush.pen.setLineDash([]);
+  }
+
   // Marks of tasks and limits; those without a place are at the object.
   function drawMarks(brush, run) {
     const each = (marks, paint) => marks.filter(counts).forEach(paint);
@@ -246,6 +235,8 @@
     each(scene.spheres, (mark) => sphere(brush, mark));
     each(scene.poses, (mark) => frameAxes(brush, now(mark, "at"), now(mark, "axes")));
     each(scene.orientations, (mark) => frameAxes(brush, here, now(mark, "axes")));
+    each(run.relatives, (mark) => frameAxes(brush, now(mark, "at"), now(mark, "axes")));
+    each(run.postures, (mark) => posture(brush, now(mark, "points")));
     each(scene.goals, (mark) => target(brush, mark));
   }
 
@@ -256,15 +247,14 @@
     path(points.slice(long ? Math.max(0, shown - TRAIL) : 0, shown)); pen.strokeStyle = color; pen.lineWidth = 2; pen.stroke();
   }
 
-  // Beside the base, on the side that the arm does not go to.
-  function label({ pen, at }, name, points) {
-    const [x, y] = at(points[0]);
-    const next = points.find((p) => distance(p, points[0]) > 0.02 * diagonal) || points[0];
-    const [a, b] = [at(next)[0] - x, at(next)[1] - y], size = Math.hypot(a, b) || 1;
-    pen.font = "11px system-ui, sans-serif"; pen.fillStyle = "#555"; pen.textAlign = "center";
-    const place = [name, x - (22 * a) / size, y - (17 * b) / size + 4];
-    pen.strokeStyle = "white"; pen.lineWidth = 3; pen.strokeText(...place);
-    pen.fillText(...place);
+  // Beside the part that no other arm has and that is farthest from the middle of all of them.
+  function label({ pen, at }, arm, color) {
+    const [x, y] = at(arm.points[frame][arm.label]), [a, b] = at(arm.middle);
+    const size = Math.hypot(x - a, y - b) || 1;
+    pen.font = "bold 12px system-ui, sans-serif"; pen.textAlign = "center";
+    const place = [arm.name, x + (24 * (x - a)) / size, y + (18 * (y - b)) / size + 4];
+    pen.strokeStyle = "white"; pen.lineWidth = 4; pen.strokeText(...place);
+    pen.fillStyle = color; pen.fillText(...place);
   }
 
   function triad({ pen, view, height }) {
@@ -283,8 +273,8 @@
     drawFloor(brush);
     if (bodies) drawBodies(brush, run);
     drawLines(brush, run);
-    run.arms.forEach((arm) => label(brush, arm.name, arm.points[frame]));
     drawJoints(brush, run);
+    run.arms.forEach((arm, i) => label(brush, arm, ARMS[i % ARMS.length]));
     run.tracked.forEach((way) => trail(brush, way, run.color));
     drawMarks(brush, run);
     triad(brush);
@@ -332,6 +322,8 @@
       draw(canvas, run);
       readout.textContent = run.readout[frame].join("  ·  ");
     }
+    root.dataset.time = scene.t[frame]; // for the cursors of the figures
+    root.dispatchEvent(new Event("time"));
   }
 
   function play(on) {
@@ -350,23 +342,14 @@
     requestAnimationFrame(tick);
   }
 
-  function turn(canvas) {
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
-    canvas.addEventListener("pointermove", (event) => {
-      if (!event.buttons) return;
-      camera.azimuth -= 0.008 * event.movementX;
-      camera.elevation = Math.min(1.55, Math.max(-0.3, camera.elevation + 0.008 * event.movementY));
-      show(frame);
-    });
-  }
-
   const shown = {
     goal: scene.goals,
     plane: scene.planes.filter((plane) => !plane.limit),
     wall: scene.planes.filter((plane) => plane.limit),
     line: [...scene.lines, ...scene.circles, ...scene.spheres],
     way: scene.directions,
-    axes: [...scene.poses, ...scene.orientations],
+    axes: [...scene.poses, ...scene.orientations, ...panes.flatMap(({ run }) => run.relatives)],
+    posture: panes.flatMap(({ run }) => run.postures),
     trail: scene.controllers.flatMap((run) => run.tracked),
   };
   for (const [name, marks] of Object.entries(shown))
@@ -380,8 +363,13 @@
     looksButton.textContent = bodies ? "Skeleton" : "Bodies";
     show(frame);
   });
-  resetButton.addEventListener("click", () => { Object.assign(camera, HOME); show(frame); });
+  resetButton.addEventListener("click", () => { camera.reset(); show(frame); });
   window.addEventListener("resize", () => show(frame));
-  panes.forEach(({ canvas }) => turn(canvas));
+  root.addEventListener("seek", ({ detail: t }) => {
+    const off = scene.t.map((then) => Math.abs(then - t));
+    play(false);
+    show(off.indexOf(Math.min(...off)));
+  });
+  panes.forEach(({ canvas }) => camera.attach(canvas, () => show(frame)));
   show(last);
 })();

@@ -5,19 +5,24 @@ Letters: f frames in which a mark is seen.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
-from coopqp.report.figures import joint_units, margin
+from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies
-from coopqp.report.scene.marks import TRACKED, Shown, as_json, in_view, short, shown_marks
+from coopqp.report.scene.carried import carried
+from coopqp.report.scene.marks import as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
+from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -55,9 +60,7 @@ def scene(comparison: Comparison) -> Json:
                     short(np.concatenate([pin.SE3ToXYZQUAT(X) for X in places]))
                     for places in body_places(robot, moving, trace, frames)
                 ],
-                "tracked": [
-                    _tracked(trace, mark, frames) for mark in marks if mark.kind == TRACKED
-                ],
+                **carried(marks, scenario.held_by(name), trace, frames),
             }
             for name, trace in traces.items()
         ],
@@ -80,16 +83,18 @@ def _body(body: Body) -> Json:
 
 
 def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json:
-    state = joint_state(trace)
-    chain = scenario.chain
-    arms = []
-    for arm in chain.arms:
-        columns = [trace.joints.index(joint) for joint in chain.robot.arm_joints(arm)]
+    state, robot = joint_state(trace), scenario.chain.robot
+    places, arms = label_places(robot, trace.points), []
+    middle = _middle(trace.points)
+    for arm in robot.arms:  # as the bodies number them
+        columns = [trace.joints.index(joint) for joint in robot.arm_joints(arm)]
         arms.append(
             {
                 "name": arm.name,
                 "points": short(trace.points[arm.name][frames]),
                 "state": state[frames][:, columns].tolist(),
+                "label": places[arm.name],
+                "middle": short(middle),
             }
         )
     return {
@@ -98,6 +103,33 @@ def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json
         "rotation": short(trace.rotation[frames].reshape(-1, 9)),
         "readout": _readout(trace, frames),
     }
+
+
+def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, int]:
+    """At which of its points each arm's name stands.
+
+    Of the joints that no other arm has it is the one that is farthest from the middle of all arms
+    at the start; the hand where an arm shares all its joints.
+
+    Args:
+        robot: with the arms.
+        points: by arm, joints base first and then the hand, shape (T + 1, p, 3) [m].
+    """
+    middle = _middle(points)
+    joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    counts = Counter(joint for of in joints.values() for joint in of)
+    places = {}
+    for name, of in joints.items():
+        away = np.linalg.norm(points[name][0] - middle, axis=1)
+        own = [i for i, joint in enumerate(of) if counts[joint] == 1]
+        places[name] = max(own, key=lambda i: float(away[i])) if own else len(of)
+    return places
+
+
+def _middle(points: Mapping[str, Array]) -> Array:
+    """Of all arms at the start, shape (3,) [m]."""
+    mean: Array = np.concatenate([of[0] for of in points.values()]).mean(axis=0)
+    return mean
 
 
 def joint_state(trace: Trace) -> NDArray[np.int64]:
@@ -113,19 +145,15 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
     rooms = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
-        for task, error in zip(trace.tasks, trace.task_error[k], strict=True):
-            if not np.isnan(error):  # a task of another phase
-                value, name = length(float(error), task.unit)
-                lines.append(f"{task.name} {value:.3g} {name} off")
+        errors = zip(trace.tasks, trace.goal_error[k], trace.task_error[k], strict=True)
+        for task, goal, reference in errors:
+            if not np.isnan(goal):  # a task of another phase
+                (far, unit), (behind, _) = (length(float(e), task.unit) for e in (goal, reference))
+                same = behind == far or trace.t[k] >= task.end
+                way = "" if same else f", {behind:.3g} from its reference"
+                lines.append(f"{task.name} {far:.3g} {unit} off{way}")
         left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
         if left:
             lines.append(f"limit margin {', '.join(left)}")
         texts.append(lines)
     return texts
-
-
-def _tracked(trace: Trace, mark: Shown, frames: NDArray[np.int64]) -> Json:
-    """The way of the point of the object that a task steers, f points."""
-    own = frames[mark.first : mark.last + 1]
-    way = trace.position[own] + np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
-    return {**mark.frames, "points": short(way)}

@@ -1,0 +1,147 @@
+"""How freely the object can be moved for the tasks: condition and manipulability of M = J N.
+
+J are the rows of all tasks of the phase that steer the object, N an orthonormal basis of the joint
+motions that keep the loops closed (the null space of J_c, eq. (14)), so that M is what the joints
+can still do to the tasks. Its smallest singular value is zero where they cannot move the object in
+some direction that a task asks for. Angles count as lengths, ``LENGTH`` to the radian, so that one
+number compares all rows. Manipulability after Yoshikawa 1985, of closed chains after Bicchi and
+Prattichizzo 2000; passive joints move like any other.
+
+Letters: i instants, k rows of the tasks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.controller import ControlProblem
+from coopqp.rank import RANK_TOLERANCE, null_space
+from coopqp.report import curves
+from coopqp.report.curves import Figure, Window
+from coopqp.report.figures.chart import Chart
+from coopqp.state import State
+from coopqp.task import LENGTHS, TaskStack
+
+MOST_INSTANTS = 300  # that are looked at, of each controller and phase
+WORST = 1e6  # larger conditions are drawn here
+LESS = "The tasks ask for more than the loops leave free; what they leave is drawn."
+
+Legs = list[tuple[Array, Array]]  # instants and singular values of each phase
+
+
+def freedom_figures(chart: Chart) -> list[Figure]:
+    """Condition and manipulability; none where no joints can move the object for a task."""
+    legs = {name: _legs(chart, name) for name in chart.names}
+    ratio, product = (_lines(legs, of) for of in (condition, manipulability))
+    if not ratio:
+        return []
+    less = any(
+        left(sigma).shape[1] < sigma.shape[1] for parts in legs.values() for _, sigma in parts
+    )
+    notes = (LESS,) if less else ()
+    worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
+    least = min(float(np.nanmin(y)) for _, y in ratio.values())
+    window = Window(min(1.0, least), max(10.0, 2.0 * worst))
+    return [
+        _figure(chart, "Condition", "1, log scale", ratio, curves.logarithmic(window), notes),
+        _figure(
+            chart,
+            "Manipulability",
+            "product of the singular values",
+            product,
+            curves.linear(Window(0.0, 1.1 * best or 1.0))
+            | {"exponentformat": "power", "automargin": True, "nticks": 4},
+            notes,
+        ),
+    ]
+
+
+def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
+    """Of M at each instant, largest first, shape (i, k).
+
+    Args:
+        problem: of the phase.
+        t: since the phase began, shape (i,) [s].
+        q: configurations, shape (i, n).
+    """
+    chain = problem.chain
+    steering = [task for task in problem.tasks if not task.joint_space]
+    state, tasks = State(chain), TaskStack(steering, State(chain))
+    parts = [part for task in steering for part in task.parts(chain)]
+    lengths = np.array([1.0 if p.unit in LENGTHS else LENGTH for p in parts for _ in range(p.rows)])
+    sigma = np.full((len(t), len(lengths)), np.nan)
+    for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
+        state.t, state.q[:] = float(t[k]), q[k]
+        state.update()
+        tasks.update(state)
+        M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
+        found = np.linalg.svd(M, compute_uv=False)
+        sigma[k] = np.pad(found, (0, len(lengths) - len(found)))
+    return sigma
+
+
+def left(sigma: Array) -> Array:
+    """The singular values but those that are zero all along, shape (i, .)."""
+    most = np.nanmax(sigma, axis=0, initial=0.0)
+    kept: Array = sigma[:, most > RANK_TOLERANCE * max(float(most.max(initial=0.0)), 1e-300)]
+    return kept
+
+
+def condition(sigma: Array) -> Array:
+    """Largest over smallest singular value, at most ``WORST``, shape (i,)."""
+    kept = left(sigma)
+    ratio: Array = kept[:, 0] / np.maximum(kept[:, -1], kept[:, 0] / WORST)
+    return ratio
+
+
+def manipulability(sigma: Array) -> Array:
+    """Product of the singular values, sqrt(det(M M')), shape (i,)."""
+    product: Array = left(sigma).prod(axis=1)
+    return product
+
+
+def _legs(chart: Chart, name: str) -> Legs:
+    """Along a run, phase by phase."""
+    trace, scenario, legs = chart.traces[name], chart.comparison.scenario, []
+    ends = [*scenario.first_ticks[1:], trace.ticks]
+    problems = chart.problems(name)
+    for problem, first, last in zip(problems, scenario.first_ticks, ends, strict=True):
+        count = min(last - first + 1, MOST_INSTANTS)
+        rows = np.unique(np.linspace(first, last, count).round().astype(int))
+        t = trace.t[rows]
+        legs.append((t, singular_values(problem, t - trace.t[first], trace.q[rows])))
+    return legs
+
+
+def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
+    """Time and value of each controller whose joints can move the object for some task."""
+    lines = {}
+    for name, parts in legs.items():
+        known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
+        if known:
+            lines[name] = (
+                np.concatenate([t for t, _ in known]),
+                np.concatenate([y for _, y in known]),
+            )
+    return lines
+
+
+def _figure(
+    chart: Chart,
+    title: str,
+    unit: str,
+    lines: dict[str, tuple[Array, Array]],
+    axis: curves.Json,
+    notes: tuple[str, ...],
+) -> Figure:
+    return Figure(
+        title=title,
+        unit=unit,
+        data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in lines.items()],
+        layout=chart.layout(axis),
+        notes=notes,
+    )

@@ -1,0 +1,161 @@
+"""Each joint over time between its limits, as in the paper's figures 4-8."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import chain as joined
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.overrun import ROUNDING
+from coopqp.report import curves
+from coopqp.report.curves import Figure, Json, Window
+from coopqp.report.figures.chart import Chart
+
+FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad or m]
+NEAR = 0.02  # of the range: a joint this near to a limit is shown first
+MOST_FIRST = 3  # rows of joints that are shown first
+PAPER_ROBOT = "nao_t14"
+PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in range(1, 6)}
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """Joints that are shown side by side.
+
+    Attributes:
+        joints: their indices: one that arms share, or the same one of two arms of equal build.
+        about: what is said of each, such as "q2 of the right arm".
+    """
+
+    joints: tuple[int, ...]
+    about: tuple[str, ...]
+
+
+def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
+    """The joints that come nearest to a limit with those beside them, and the others."""
+    rows = joint_rows(chart.chain)
+    room = [min(_least_room(chart, i) for i in row.joints) for row in rows]
+    nearest = np.argsort(room, kind="stable")[:MOST_FIRST].tolist()
+    shown = [n for n in nearest if room[n] < NEAR] or nearest[:1]
+    first = [row for n, row in enumerate(rows) if n in shown]
+    rest = [row for n, row in enumerate(rows) if n not in shown]
+    return _figures(chart, first), _figures(chart, rest)
+
+
+def joint_rows(chain: ClosedChain) -> list[JointRow]:
+    """The joints as they are shown: those that arms share first, two equal arms side by side."""
+    model, arms = chain.model, []
+    for frame in chain.frames:
+        support = model.supports[model.frames[frame].parentJoint]
+        arms.append([j - 1 for j in support if j > 0])
+    counts = {j: sum(j in arm for arm in arms) for j in joined(*arms)}
+    own = [[j for j in arm if counts[j] == 1] for arm in arms]
+    names = [arm.name for arm in chain.arms]
+    said = {
+        j: f"{'passive joint' if j in chain.passive else f'q{k}'} of the {name} arm"
+        for name, joints in zip(names, own, strict=True)
+        for k, j in enumerate(joints, start=1)
+    }
+    for j, count in counts.items():
+        if count > 1:
+            carried = [name for name, arm in zip(names, arms, strict=True) if j in arm]
+            said[j] = f"carries {' and '.join(carried)}"
+    if len(own) == 2 and len(own[0]) == len(own[1]):
+        rows: list[tuple[int, ...]] = list(zip(*own, strict=True))
+    else:
+        rows = [(j,) for j in joined(*own)]
+    shared = [(j,) for j, count in counts.items() if count > 1]
+    idle = [(j,) for j in range(chain.n) if j not in counts]
+    return [JointRow(row, tuple(said.get(j, "") for j in row)) for row in [*shared, *rows, *idle]]
+
+
+def joint_order(chain: ClosedChain) -> list[int]:
+    """Indices of the joints in the order in which they are shown."""
+    return [j for row in joint_rows(chain) for j in row.joints]
+
+
+def _least_room(chart: Chart, i: int) -> float:
+    """Least distance of a joint to a limit under any controller, in its range; inf without one."""
+    joint, lower, upper = chart.any.joints[i], chart.any.lower[i], chart.any.upper[i]
+    least = np.inf
+    for trace in chart.traces.values():
+        if joint in trace.joints:
+            q = trace.q[:, trace.joints.index(joint)]
+            least = min(least, float(np.min(np.minimum(q - lower, upper - q))))
+    span = upper - lower
+    return least / span if np.isfinite(span) and span > 0.0 else least
+
+
+def _figures(chart: Chart, rows: list[JointRow]) -> list[Figure]:
+    known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
+    return [
+        replace(
+            _joint(chart, i, chart.any.units[i]),
+            about=f"{about}, {known[about]}" if about in known else about,
+            alone=len(row.joints) == 1,
+        )
+        for row in rows
+        for i, about in zip(row.joints, row.about, strict=True)
+    ]
+
+
+def _joint(chart: Chart, i: int, unit: str) -> Figure:
+    lower, upper = float(chart.any.lower[i]), float(chart.any.upper[i])
+    joint = chart.any.joints[i]
+    lines = {
+        name: chart.traces[name].q[:, chart.traces[name].joints.index(joint)]
+        for name in chart.names
+        if joint in chart.traces[name].joints
+    }
+    shown = joint_window(lower, upper, list(lines.values()))
+    data = chart.beyond_limits(shown, lower, upper) + chart.curves(lines)
+    for name, y in lines.items():
+        data += _marks(chart, name, y, (lower, upper), shown)
+    levels = []
+    if np.isfinite(lower):
+        levels.append(curves.level(lower, f"lower limit {lower:.3g}", above=False))
+    if np.isfinite(upper):
+        levels.append(curves.level(upper, f"upper limit {upper:.3g}"))
+    return Figure(
+        title=joint,
+        unit=unit if levels else f"{unit}, no limits",
+        data=data,
+        layout=chart.layout(curves.linear(shown), *levels),
+        notes=curves.off_chart(shown, lines, unit),
+    )
+
+
+def _marks(
+    chart: Chart, name: str, y: Array, limits: tuple[float, float], shown: Window
+) -> list[Json]:
+    """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
+    t, style, marks, (lower, upper) = chart.any.t, chart.styles[name], [], limits
+    beyond = np.flatnonzero((y < lower - ROUNDING) | (y > upper + ROUNDING))
+    if len(beyond):
+        k = beyond[0]
+        crossed = lower if y[k] < lower else upper
+        marks.append(curves.markers(name, style, [(float(t[k]), crossed)], "x"))
+    gone = np.flatnonzero((y < shown.bottom) | (y > shown.top))
+    if len(gone):
+        k = gone[0]
+        up = y[k] > shown.top
+        edge = (float(t[k]), shown.top if up else shown.bottom)
+        marks.append(curves.markers(name, style, [edge], "triangle-up" if up else "triangle-down"))
+    return marks
+
+
+def joint_window(lower: float, upper: float, lines: list[Array]) -> Window:
+    """Show the limits, and at most one more range beyond them.
+
+    Where a limit is missing, the calmest line takes its place.
+    """
+    calm = min(lines, key=np.ptp)
+    low = lower if np.isfinite(lower) else min(float(calm.min()), upper)
+    high = upper if np.isfinite(upper) else max(float(calm.max()), low)
+    limited = np.isfinite(lower) and np.isfinite(upper)
+    if not limited:
+        low, high = low - 0.05, high + 0.05
+    return curves.window(low, high, lines, high - low if limited else FREE_REACH)

@@ -1,0 +1,117 @@
+"""How much room the joints have: margin, the paper's criterion, speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.report import curves
+from coopqp.report.curves import Figure, Window
+from coopqp.report.figures.chart import Chart
+from coopqp.trace import Trace
+
+MOST_SPEED = 3.0  # times the limit, beyond which speeds need a log scale
+SMALL = 1e-3  # smallest share of the speed limit on a log scale
+MOST_CRITERION = 3.0  # times the calmest line's largest value, beyond which lines are cut off
+
+
+def limit_figures(chart: Chart) -> list[Figure]:
+    """Margin by unit, criterion and speed."""
+    figures = [_margin(chart, unit) for unit in joint_units(chart.traces.values())]
+    return [*figures, *_criterion(chart), _speed(chart)]
+
+
+def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
+    """The units that the joints of some trace have, "rad" before "m"."""
+    return tuple(sorted({unit for trace in traces for unit in trace.units}, reverse=True))
+
+
+def margin(trace: Trace, unit: str) -> Array:
+    """Distance of the joint nearest to its limit, at each instant, shape (T + 1,) [unit].
+
+    Args:
+        trace: with one joint at least that has this unit.
+        unit: "rad" or "m"; joints with another one do not count.
+    """
+    counts = np.array(trace.units) == unit
+    room = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
+    least: Array = room[:, counts].min(axis=1)
+    return least
+
+
+def criterion(trace: Trace) -> Array:
+    """What the null-space term shall keep small, the paper's Z = -gain grad phi, shape (T + 1,).
+
+        phi(q) = sum_j ((q_j - mid_j) / range_j)^2
+
+    Each joint counts 0 in the middle of its range and 1/4 at a limit; those without a range, and
+    those that it does not let move, do not count. The same that ``joint_centering`` descends.
+    """
+    span = trace.upper - trace.lower
+    counts = np.isfinite(span) & (span > 0.0)
+    middle = 0.5 * (trace.lower[counts] + trace.upper[counts])
+    phi: Array = (((trace.q[:, counts] - middle) / span[counts]) ** 2).sum(axis=1)
+    return phi
+
+
+def speed_share(trace: Trace) -> Array:
+    """Speed of the fastest joint over its limit, at each tick, shape (T,)."""
+    share: Array = (np.abs(trace.v) / trace.velocity).max(axis=1)
+    return share
+
+
+def _margin(chart: Chart, unit: str) -> Figure:
+    lines = {
+        name: margin(chart.traces[name], unit)
+        for name in chart.names
+        if unit in chart.traces[name].units
+    }
+    nearest = "sliding joint" if unit == "m" else "joint"
+    best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
+    shown = curves.window(0.0, best, list(lines.values()), best)
+    shown = Window(min(shown.bottom, -0.15 * best), shown.top)
+    return Figure(
+        title=f"Margin of the {nearest} nearest to its limit",
+        unit=f"{unit}, negative beyond the limit",
+        data=chart.beyond_limits(shown, 0.0, np.inf) + chart.curves(lines),
+        layout=chart.layout(curves.linear(shown), curves.level(0.0, "limit", above=False)),
+        notes=curves.off_chart(shown, lines, unit),
+    )
+
+
+def _criterion(chart: Chart) -> list[Figure]:
+    """None where no joint has a range."""
+    lines = chart.lines(criterion)
+    if not any(y.any() for y in lines.values()):
+        return []
+    top = MOST_CRITERION * min(float(y.max()) for y in lines.values())
+    shown = curves.window(0.0, top / MOST_CRITERION, list(lines.values()), top)
+    shown = Window(0.0, shown.top)
+    return [
+        Figure(
+            title="Joint-limit criterion φ",
+            unit="1, smaller is farther from limits on the whole",
+            data=chart.curves(lines),
+            layout=chart.layout(curves.linear(shown)),
+            notes=curves.off_chart(shown, lines, ""),
+        )
+    ]
+
+
+def _speed(chart: Chart) -> Figure:
+    lines = chart.lines(speed_share)
+    fastest = max(float(y.max(initial=0.0)) for y in lines.values())
+    log = fastest > MOST_SPEED
+    shown = Window(0.0, max(1.25, 1.1 * fastest))
+    if log:
+        shown = Window(SMALL, 3.0 * fastest)
+        lines = {name: np.maximum(y, SMALL) for name, y in lines.items()}
+    axis = curves.logarithmic(shown) if log else curves.linear(shown)
+    return Figure(
+        title="Speed of the fastest joint",
+        unit=f"share of its limit{', log scale' if log else ''}",
+        data=chart.beyond_limits(shown, -np.inf, 1.0) + chart.curves(lines, steps=True),
+        layout=chart.layout(axis, curves.level(1.0, "speed limit", log=log)),
+    )

@@ -1,0 +1,262 @@
+"""Where the object is and how it leans over time, with the goals and the references' way there.
+
+Of each task with a mark, the coordinates that the mark fixes have a goal g(t): all of a point's,
+those across a line or a plane that lies along the world's axes. With s the share of the way that
+the task's profile has gone and x_0 the coordinate at the start, the reference is
+
+    x_r(t) = g(t) + (1 - s(t)) (x_0 - g(0)),   R_r(t) = exp(s(t) log(R_g R_0')) R_0
+
+Letters: i instants.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.mark import CircleMark, LineMark, Mark, PlaneMark, PointMark, PoseMark, TrackedMark
+from coopqp.report import curves
+from coopqp.report.curves import Figure, Json
+from coopqp.report.figures.chart import Chart
+from coopqp.task import Task
+
+MOST_INSTANTS = 200  # of a goal
+ALIGNED = 1e-9  # components of a unit vector below this are none
+REACH = 2.0  # a line is followed this many heights of the calmest beyond it
+SAME = 1e-6  # references that are closer are one
+ORIGIN = (0.0, 0.0, 0.0)
+GOAL = {"color": "#000000", "dash": "6px,3px", "width": 1.3}
+REFERENCE = {"color": "#000000", "dash": "1.5px,2.5px", "width": 1.5}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity(ABC):
+    """One number that follows from the object's pose."""
+
+    unit: ClassVar[str]
+    least: ClassVar[float]
+    """Smallest height of its figure [unit]."""
+    floor: ClassVar[float] = -np.inf
+    """Nothing is below [unit]."""
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Of the figure."""
+
+    @abstractmethod
+    def of(self, position: Array, rotation: Array) -> Array:
+        """Its values, shape (i,), of poses, shapes (i, 3) and (i, 3, 3)."""
+
+    @abstractmethod
+    def goal(self, marks: Sequence[Mark]) -> float:
+        """What the marks want of it; NaN where they leave it free."""
+
+    @abstractmethod
+    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
+        """On the way from a pose to where the marks are, shape (i,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coordinate(Quantity):
+    """Of a point of the object.
+
+    Attributes:
+        axis: 0, 1, 2 for the world's x, y, z.
+        point: in the object frame [m].
+    """
+
+    unit: ClassVar[str] = "m"
+    least: ClassVar[float] = 0.02
+    axis: int
+    point: tuple[float, float, float] = ORIGIN
+
+    @property
+    def title(self) -> str:
+        """Says which point if it is not the origin."""
+        name = "xyz"[self.axis]
+        if self.point == ORIGIN:
+            return f"{name} of the object"
+        return f"{name} of the object's point ({', '.join(f'{p:g}' for p in self.point)})"
+
+    def of(self, position: Array, rotation: Array) -> Array:
+        """Of the point in the world [m]."""
+        moved: Array = position[:, self.axis] + rotation[:, self.axis] @ np.array(self.point)
+        return moved
+
+    def goal(self, marks: Sequence[Mark]) -> float:
+        """Of the marks of a task that steers this point [m]."""
+        if any(isinstance(m, TrackedMark) and m.point != self.point for m in marks):
+            return np.nan
+        known = [value for value in (self._fixed(mark) for mark in marks) if not np.isnan(value)]
+        return known[0] if known else np.nan
+
+    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
+        """Straight there [m]."""
+        goal = np.array([self.goal(then) for then in marks])
+        begin = self.of(start.translation[None], start.rotation[None])[0]
+        way: Array = goal + (1.0 - share) * (begin - goal[0])
+        return way
+
+    def _fixed(self, mark: Mark) -> float:
+        """The coordinate that all points of a mark have in common, or NaN."""
+        i, place, normal = self.axis, None, None
+        match mark:
+            case PointMark():
+                place = mark.at
+            case PoseMark():
+                place = mark.position
+            case LineMark() if abs(mark.direction[i]) < ALIGNED:
+                place = mark.through
+            case PlaneMark():
+                place, normal = mark.through, mark.normal
+            case CircleMark():
+                place, normal = mark.center, mark.normal
+        across = normal is not None and np.abs(np.delete(normal, i)).max() > ALIGNED
+        return np.nan if place is None or across else float(place[i])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tilt(Quantity):
+    """Angle between the object's z axis and the world's [degrees]."""
+
+    unit: ClassVar[str] = "degrees"
+    least: ClassVar[float] = 2.0
+    floor: ClassVar[float] = 0.0
+
+    @property
+    def title(self) -> str:
+        """Of the figure."""
+        return "Tilt of the object"
+
+    def of(self, position: Array, rotation: Array) -> Array:
+        """By both sine and cosine, so that it is exact near 0 [degrees]."""
+        sine = np.hypot(rotation[:, 0, 2], rotation[:, 1, 2])
+        angle: Array = np.degrees(np.arctan2(sine, rotation[:, 2, 2]))
+        return angle
+
+    def goal(self, marks: Sequence[Mark]) -> float:
+        """Of an orientation [degrees]."""
+        found = [mark for mark in marks if isinstance(mark, PoseMark)]
+        return float(self.of(np.zeros((1, 3)), found[0].rotation[None])[0]) if found else np.nan
+
+    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
+        """About one axis [degrees]; NaN for a goal that turns."""
+        goals = [mark.rotation for then in marks for mark in then if isinstance(mark, PoseMark)]
+        if any(not np.array_equal(R, goals[0]) for R in goals):
+            return np.full(len(share), np.nan)
+        turn = pin.log3(goals[0] @ start.rotation.T)
+        turned = np.array([pin.exp3(s * turn) @ start.rotation for s in share])
+        return self.of(np.zeros((len(share), 3)), turned)
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a task wants of a quantity while its phase lasts.
+
+    Attributes:
+        task: its name.
+        t: shape (i,) [s].
+        goal: then, NaN where it leaves it free, shape (i,).
+        references: by controller, shape (i,); none where the reference does not move there.
+    """
+
+    task: str
+    t: Array
+    goal: Array
+    references: dict[str, Array] = field(default_factory=dict)
+
+
+def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
+    """Coordinates and tilt of the object, and the coordinates of other points that tasks steer."""
+    first, *others = _points(chart)
+    quantities = [[Coordinate(axis=i, point=p) for i in range(3)] for p in (first, *others)]
+    shown = [_figure(chart, quantity) for quantity in (*quantities[0], Tilt())]
+    return shown, [_figure(chart, quantity) for of in quantities[1:] for quantity in of]
+
+
+def targets(chart: Chart, quantity: Quantity) -> list[Target]:
+    """What each task of each phase wants of a quantity."""
+    scenario, t, found = chart.comparison.scenario, chart.any.t, []
+    ends = [*scenario.first_ticks[1:], chart.any.ticks]
+    for number, (phase, last) in enumerate(zip(scenario.schedule, ends, strict=True)):
+        first = scenario.first_ticks[number]
+        count = min(last - first + 1, MOST_INSTANTS)
+        rows = np.unique(np.linspace(first, last, count).round().astype(int))
+        for task in phase.tasks:
+            marks = [task.marks(float(t[k] - t[first])) for k in rows]
+            goal = np.array([quantity.goal(then) for then in marks])
+            if np.isnan(goal).all():
+                continue
+            share = _share(task, t[rows] - t[first])
+            starts = _starts(chart, number, first) if (share < 1.0).any() else {}
+            references = {
+                name: quantity.reference(start, marks, share) for name, start in starts.items()
+            }
+            found.append(Target(task.name, t[rows], goal, references))
+    return found
+
+
+def _share(task: Task, t: Array) -> Array:
+    """How much of its way a task's reference has gone, shape (i,)."""
+    way = task.way
+    return np.array([way.at(float(now))[0] if way else 1.0 for now in t])
+
+
+def _starts(chart: Chart, phase: int, first: int) -> dict[str, pin.SE3]:
+    """From where each controller's references set out."""
+    return {
+        name: chart.problems(name)[phase].chain.object_pose(chart.traces[name].commanded[first])
+        for name in chart.names
+    }
+
+
+def _points(chart: Chart) -> list[tuple[float, float, float]]:
+    """Points of the object that tasks steer, the origin first if it is one of them."""
+    tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
+    marks = [mark for task in tasks for mark in task.marks(0.0)]
+    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMark))
+    return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
+
+
+def _figure(chart: Chart, quantity: Quantity) -> Figure:
+    lines = chart.lines(lambda trace: quantity.of(trace.position, trace.rotation))
+    wanted = targets(chart, quantity)
+    calm = min((y for y in lines.values() if np.isfinite(y).all()), key=np.ptp, default=np.zeros(1))
+    known = np.concatenate([calm, *(target.goal for target in wanted)])
+    low, high = float(np.nanmin(known)), float(np.nanmax(known))
+    room = max(0.0, quantity.least - (high - low))
+    low = max(low - 0.5 * room, quantity.floor)
+    high = max(high + 0.5 * room, low + quantity.least)
+    shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
+    return Figure(
+        title=quantity.title,
+        unit=quantity.unit,
+        data=chart.curves(lines) + [line for target in wanted for line in _drawn(chart, target)],
+        layout=chart.layout(curves.linear(shown)),
+        notes=curves.off_chart(shown, lines, quantity.unit),
+    )
+
+
+def _drawn(chart: Chart, target: Target) -> list[Json]:
+    """The reference, once where it is the same for all, and the goal."""
+    each = list(target.references.values())
+    alike = each and np.nanmax(np.abs(np.array(each) - each[0]), initial=0.0) < SAME
+    lines = []
+    for name, y in list(target.references.items())[: 1 if alike else None]:
+        own = {} if alike else {"legendgroup": name}
+        look = REFERENCE if alike else REFERENCE | {"color": chart.styles[name].color}
+        lines.append(_line(f"reference of '{target.task}'", target.t, y, look) | own)
+    return [*lines, _line(f"goal of '{target.task}'", target.t, target.goal, GOAL)]
+
+
+def _line(name: str, t: Array, y: Array, look: Json) -> Json:
+    still = bool((y == y[0]).all())
+    rows = [0, -1] if still else slice(None)
+    return curves.aside(name, t[rows], y[rows], look)
