@@ -74,8 +74,7 @@ def saturate(
     joints: list[int] = []
     best: Saturated | None = None
     held, free = v_above, null_space(above)
-    rank = matrix_rank(J @ free)
-    values = np.zeros(n)
+    values, rank = np.zeros(n), -1
     while True:
         parts = np.column_stack([wanted, -(J @ held)])
         a, b = (free @ least_squares(J @ free, parts)).T
@@ -89,6 +88,7 @@ def saturate(
         if least <= most and (best is None or most > best.scale):
             best = Saturated(b + most * a, most)
         critical = int(np.argmin(np.where(beyond > ROUNDING, high, np.inf)))
+        rank = matrix_rank(J @ free) if rank < 0 else rank
         joints.append(critical)
         values[critical] = ub[critical] if v[critical] > ub[critical] else lb[critical]
         settled = np.vstack([above, np.eye(n)[joints]])

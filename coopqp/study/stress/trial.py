@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -16,6 +14,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.rollout import drive
 from coopqp.solver import Status
 from coopqp.state import State
+from coopqp.study.pool import in_parallel
 from coopqp.study.stress import signs
 from coopqp.study.stress.draw import Draw, draw
 from coopqp.study.stress.ending import Ending, ending, part_errors
@@ -81,24 +80,11 @@ def stress(
     """
     seeds = range(seed, seed + count)
     done: list[Rollout] = []
-    for rollout in _all(seeds, jobs or multiprocessing.cpu_count()):
+    for rollout in in_parallel(one_rollout, seeds, jobs):
         done.append(rollout)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda rollout: rollout.seed)
-
-
-def _all(seeds: range, jobs: int) -> Iterator[Rollout]:
-    if jobs == 1 or len(seeds) == 1:
-        yield from map(one_rollout, seeds)
-        return
-    with multiprocessing.Pool(min(jobs, len(seeds)), _leave_interrupts) as pool:
-        yield from pool.imap_unordered(one_rollout, seeds, chunksize=8)
-
-
-def _leave_interrupts() -> None:
-    """Ctrl-C is the parent's to hear, who then ends the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def one_rollout(seed: int) -> Rollout:
