@@ -252,6 +252,31 @@ def stress(rollouts: int, seed: int, jobs: int, as_json: bool) -> None:
         click.get_current_context().exit(1)
 
 
+@main.command()
+@click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@JSON
+def statistics(goals: int, seed: int, jobs: int, as_json: bool) -> None:
+    """Count how often each law reaches random goals inside all limits."""
+    from dataclasses import asdict
+
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console, progress_bars
+    from coopqp.study import statistics as study
+
+    with progress_bars(["goals"], goals * len(study.arenas())) as progress:
+        report = (lambda done: progress("goals", done)) if progress else None
+        done = study.statistics(goals, seed=seed, jobs=jobs, progress=report)
+    lines = study.summarize(done)
+    if as_json:
+        data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
+        click.echo(strict_json.text(data))
+        return
+    for table in study.tables(lines):
+        console().print(table, "")
+
+
 @main.command(name="solve-start")
 @SCENARIO
 @click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")
@@ -303,8 +328,9 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
     from coopqp.report.terminal import console
+    from coopqp.scenario.listing import help_lines
 
-    rows = {k: _help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
+    rows = {k: help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
         click.echo(json.dumps(rows, indent=2))
         return
@@ -365,21 +391,3 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     console().print(table.summary(comparison))
     for path in written:
         click.echo(f"wrote {path}")
-
-
-def _help_lines(kind: str, catalog: Any) -> dict[str, str]:
-    """A line of help for each name of a collection."""
-    if kind == "scenarios":
-        from coopqp.scenario.loader import shipped
-        from coopqp.scenario.yaml import read_yaml
-
-        return {
-            name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
-        }
-    lines = {name: e.help for name, e in catalog.entries(kind).items()}
-    if kind == "solvers":
-        from coopqp.solvers.qpsolvers import installed
-
-        others = (name for name in installed() if name not in lines)
-        lines.update(dict.fromkeys(others, "Backend of qpsolvers, one cold call a tick."))
-    return lines

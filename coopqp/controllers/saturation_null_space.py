@@ -7,8 +7,8 @@ what is left of the motion; where they cannot, the tasks are scaled down, v keep
 
 That is the prioritised form of the algorithm with two levels, the loop rows above all tasks
 together, so that scaling the tasks leaves the loops as they are. In each level, with C the rows of
-the level above (none for the loops), v_0 its answer, E the rows of the joints that are saturated and
-v_E their bounds:
+the level above (none for the loops), v_0 its answer, E the rows of the joints that are saturated
+and v_E their bounds:
 
     [C; E] v_h = [C v_0; v_E],   N = null([C; E]),   v = v_h + N (J N)^+ (s wanted - J v_h)
 
@@ -17,9 +17,10 @@ with the smallest is saturated next. It ends when no joint exceeds its bounds, o
 one more would cost a task row; then the best s so far is taken.
 
 F. Flacco, A. De Luca and O. Khatib, Control of redundant robots under hard joint constraints:
-saturation in the null space, IEEE Trans. Robotics 31(3), 2015. The bounds are the scenario's limits:
-position (lower - q)/dt, velocity, and acceleration with braking. The paper's s is the largest in
-most states and not in all; its "optimal" variant is a QP, for which there is :mod:`coopqp.qp_law`.
+saturation in the null space, IEEE Trans. Robotics 31(3), 2015. The bounds are the scenario's
+limits: position (lower - q)/dt, velocity, and acceleration with braking. The algorithm does not
+promise the largest s; its "optimal" variant is a QP, for which there is :mod:`coopqp.qp_law`.
+Nothing shortens a step: near singular poses, where joints go at full speed, loops can open.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ def saturate(
         wanted: J v for s = 1, shape (k,).
         above: C, rows that keep what the level above has decided, shape (m, n).
         v_above: its answer, shape (n,).
-        lb, ub: bounds on v, shape (n,).
+        lb: lower bounds on v, shape (n,).
+        ub: upper bounds on v, shape (n,).
 
     Returns:
         None where no scale keeps the bounds.
@@ -132,8 +134,8 @@ class SaturationNullSpaceLaw(Law):
             self._tries.append((harder, Status.ACCELERATION_GIVEN_UP))
         if rows := self._tries[0][0].rows:
             raise InvalidValueError(
-                f"saturation_null_space keeps limits of single joints alone, found {rows[0].owner}; "
-                "take that limit or this controller out"
+                f"saturation_null_space keeps limits of single joints alone, found "
+                f"{rows[0].owner}; take that limit or this controller out"
             )
 
     def decide(self, state: State) -> Command:

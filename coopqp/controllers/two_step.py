@@ -3,10 +3,10 @@
     v_a = (H J_a)^+ h_dot                                  eq. (17), J_a = J motion, eq. (18)-(19)
     [G_p 0; G_pc G_c] [v_p; v_c] = -[G_a; G_ac] v_a        eq. (8), (10)-(12)
 
-Section 5.1 names it before it takes the law of eq. (33) instead. The independent ("actuated") joints
-are as many as there are degrees of freedom and chosen once, as the paper's [q1 q2 q3 q7]. Where
-the others do not follow from them, eq. (8) is singular: the law stands still and says so. Near such
-poses joints run away. It knows no limits.
+Section 5.1 names it before it takes the law of eq. (33) instead. The independent ("actuated")
+joints are as many as there are degrees of freedom and chosen once, as the paper's [q1 q2 q3 q7].
+Where the others do not follow from them, eq. (8) is singular: the law stands still and says so.
+Near such poses joints run away. It knows no limits.
 
 With a drift gain, eq. (8) has -kappa e on its right side, as the loop rows of the other laws have,
 and h_dot loses what that moves.
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, spec
+from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.controller import Command, Controller, ControlProblem, Law

@@ -10,9 +10,9 @@ T. F. Chan and R. V. Dubey, A weighted least-norm solution based scheme for avoi
 for redundant joint manipulators, IEEE Trans. Robotics and Automation 11(2), 1995. There the robot
 is one open arm and A its Jacobian; here the loop rows are below the tasks', as in eq. (33).
 
-H grows without bound towards a limit. A tick is finite and can step over it, so that a joint within
-``NEAREST`` of the limit, or beyond it, counts as ``NEAREST`` away. All tasks are always met, if need
-be through a limit: this law leans away from limits and cannot stop there.
+H grows without bound towards a limit. A tick is finite and can step over it, so that a joint
+within ``NEAREST`` of the limit, or beyond it, counts as ``NEAREST`` away. All tasks are always met,
+if need be through a limit: this law leans away from limits and cannot stop there.
 """
 
 from __future__ import annotations

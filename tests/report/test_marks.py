@@ -209,8 +209,8 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]
 
 #: These have nothing in space to go to.
 BARE = {
-    "joint_centering", "manipulability", "minimum_kinetic_energy", "minimum_velocity", "posture",
-    "relative_motion",
+    "joint_centering", "joint_limit_barrier", "manipulability", "minimum_kinetic_energy",
+    "minimum_velocity", "posture", "relative_motion",
 }  # fmt: skip
 SMALLEST: dict[str, dict[str, Any]] = {"posture": {"goal": {"right": [0.0] * 5}}}
 

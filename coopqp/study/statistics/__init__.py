@@ -10,6 +10,7 @@ table    what the command prints
 
 from coopqp.study.statistics.draw import arenas
 from coopqp.study.statistics.summary import Line, summarize, wilson
+from coopqp.study.statistics.table import tables
 from coopqp.study.statistics.trial import GoalRun, LawRun, one_goal, statistics
 
 __all__ = [
@@ -20,5 +21,6 @@ __all__ = [
     "one_goal",
     "statistics",
     "summarize",
+    "tables",
     "wilson",
 ]

@@ -120,7 +120,9 @@ def one_goal(robot: str, seed: int) -> GoalRun:
         start=drawn.start,
         goal="inside" if found or witness else "beyond",
         witness=witness and not found,
-        tolerance=_norm(problem, [p.tolerance for t in problem.tasks for p in t.parts(problem.chain)]),
+        tolerance=_norm(
+            problem, [p.tolerance for t in problem.tasks for p in t.parts(problem.chain)]
+        ),
         runs=runs,
     )
 
