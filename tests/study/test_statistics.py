@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import scipy.stats
+from command_line import typed
 from rich.console import Console
 
 import coopqp
@@ -16,6 +18,7 @@ from coopqp.disturbance import Disturbance
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plants import Kinematic
 from coopqp.profile import Profile
+from coopqp.report import strict_json
 from coopqp.rollout import rollout
 from coopqp.state import State
 from coopqp.study.statistics import (
@@ -23,10 +26,8 @@ from coopqp.study.statistics import (
     LawRun,
     Line,
     one_goal,
-    statistics,
     summarize,
     tables,
-    trial,
     wilson,
 )
 from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
@@ -55,11 +56,17 @@ def test_the_qp_keeps_limits_and_loops_on_every_goal(small: list[GoalRun]) -> No
             assert not any(run.reached and run.safe for run in goal.runs)
 
 
-def test_everything_follows_from_the_seed(
+def test_the_command_draws_the_same_from_the_same_seed(
     small: list[GoalRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "arenas", lambda: {"planar_pair": OWN["planar_pair"]})
-    assert statistics(1, seed=1, jobs=1) == [small[3]]
+    planar = {"planar_pair": OWN["planar_pair"]}
+    monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
+    monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
+    result = typed("statistics", "--goals", "1", "--seed", "1", "--jobs", "1", "--json")
+    assert result.exit_code == 0
+    printed = json.loads(result.stdout)
+    assert printed["goals"] == json.loads(strict_json.text([asdict(small[3])]))
+    assert {x["robot"] for x in printed["lines"]} == {"all", "planar_pair"}
 
 
 def test_what_is_counted_is_what_the_trace_says(small: list[GoalRun]) -> None:
