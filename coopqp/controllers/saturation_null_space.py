@@ -141,6 +141,7 @@ class SaturationNullSpaceLaw(Law):
     def decide(self, state: State) -> Command:
         """Loops, then tasks; without the acceleration limits where they leave no answer."""
         self._rows.update(state)
+        self.command.scale = self.command.drift = 0.0  # unless there is an answer
         try:
             for bounds, cause in self._tries:
                 bounds.update(state)

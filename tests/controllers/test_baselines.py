@@ -20,6 +20,7 @@ from coopqp.controllers import (
     TwoStep,
     WeightedLeastNorm,
 )
+from coopqp.controllers.saturation_null_space import Saturated, saturate
 from coopqp.errors import InvalidValueError
 from coopqp.grasps import Revolute
 from coopqp.held_object import HeldObject
@@ -203,6 +204,23 @@ def test_saturation_refuses_limits_in_space(chain: ClosedChain) -> None:
     given = problem(chain, REACH, limits=(JointPosition(), JointVelocity(), wall))
     with pytest.raises(InvalidValueError, match=r"single joints alone, found .*workspace"):
         SaturationNullSpace().build(given)
+
+
+def test_one_level_saturates_scales_or_says_that_it_cannot() -> None:
+    """Two joints that add up to 1, worked out by hand."""
+    J, wanted, nothing, zero = np.ones((1, 2)), np.ones(1), np.zeros((0, 2)), np.zeros(2)
+
+    def level(lb: float, ub: tuple[float, float]) -> Saturated | None:
+        return saturate(J, wanted, nothing, zero, np.full(2, lb), np.array(ub))
+
+    free, one, both = (level(-1.0, ub) for ub in ((0.6, 0.6), (0.3, 2.0), (0.3, 0.4)))
+    assert free
+    assert one
+    assert both
+    np.testing.assert_allclose([*free.v, free.scale], [0.5, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose([*one.v, one.scale], [0.3, 0.7, 1.0], atol=1e-12)
+    np.testing.assert_allclose([*both.v, both.scale], [0.3, 0.4, 0.7], atol=1e-12)
+    assert level(0.8, (2.0, 2.0)) is None
 
 
 # The paper's two steps.
