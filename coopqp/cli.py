@@ -287,6 +287,31 @@ def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json
         click.get_current_context().exit(1)
 
 
+@main.command()
+@click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@JSON
+def statistics(goals: int, seed: int, jobs: int, as_json: bool) -> None:
+    """Count how often each law reaches random goals inside all limits."""
+    from dataclasses import asdict
+
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console, progress_bars
+    from coopqp.study import statistics as study
+
+    with progress_bars(["goals"], goals * len(study.arenas())) as progress:
+        report = (lambda done: progress("goals", done)) if progress else None
+        done = study.statistics(goals, seed=seed, jobs=jobs, progress=report)
+    lines = study.summarize(done)
+    if as_json:
+        data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
+        click.echo(strict_json.text(data))
+        return
+    for table in study.tables(lines):
+        console().print(table, "")
+
+
 @main.command(name="solve-start")
 @SCENARIO
 @click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")

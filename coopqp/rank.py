@@ -50,5 +50,10 @@ def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
 
 
 def least_squares(matrix: Array, wanted: Array) -> Array:
-    """The x of least norm that brings matrix x nearest to what is wanted, shape (n,)."""
+    """The x of least norm that brings matrix x nearest to what is wanted, shape (n,).
+
+    Args:
+        matrix: shape (m, n).
+        wanted: shape (m,), or (m, r) for r of them side by side, which gives shape (n, r).
+    """
     return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=RANK_TOLERANCE)[0], float)

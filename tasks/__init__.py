@@ -2,6 +2,7 @@
 
 from coopqp.tasks.distance import Distance
 from coopqp.tasks.joint_centering import JointCentering
+from coopqp.tasks.joint_limit_barrier import JointLimitBarrier
 from coopqp.tasks.line_on_line import LineOnLine
 from coopqp.tasks.line_on_plane import LineOnPlane
 from coopqp.tasks.manipulability import Manipulability
@@ -24,6 +25,7 @@ from coopqp.tasks.twist import Twist
 __all__ = [
     "Distance",
     "JointCentering",
+    "JointLimitBarrier",
     "LineOnLine",
     "LineOnPlane",
     "Manipulability",

@@ -17,6 +17,7 @@ from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
     JointCentering,
+    JointLimitBarrier,
     LineOnLine,
     LineOnPlane,
     Manipulability,
@@ -103,6 +104,7 @@ EXAMPLES: dict[str, Task] = {
     "spin": Twist(velocity={"rot_x": 0.1}),
     "least energy": MinimumKineticEnergy(),
     "joints to the middle": JointCentering(),
+    "joints off their limits": JointLimitBarrier(),
     "able to move": Manipulability(),
     "able to rise": Manipulability(axes=("z",)),
     "least velocity": MinimumVelocity(),

@@ -5,7 +5,10 @@ from coopqp.controllers.passive_grasp_pid import PassiveGraspPid
 from coopqp.controllers.pseudoinverse import Pseudoinverse
 from coopqp.controllers.pseudoinverse_null_space import PseudoinverseNullSpace
 from coopqp.controllers.qp import QPController
+from coopqp.controllers.saturation_null_space import SaturationNullSpace
 from coopqp.controllers.torque_qp import TorqueQp
+from coopqp.controllers.two_step import TwoStep
+from coopqp.controllers.weighted_least_norm import WeightedLeastNorm
 
 __all__ = [
     "DampedPseudoinverse",
@@ -13,5 +16,8 @@ __all__ = [
     "Pseudoinverse",
     "PseudoinverseNullSpace",
     "QPController",
+    "SaturationNullSpace",
     "TorqueQp",
+    "TwoStep",
+    "WeightedLeastNorm",
 ]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controllers._stacked_rows import StackedRows
 from coopqp.rank import least_squares
 from coopqp.solver import Status
 from coopqp.state import State
@@ -37,27 +38,20 @@ class ResolvedRateLaw(Law):
         super().__init__(problem)
         start = State(problem.chain)
         self._invert = invert
-        self._tasks = TaskStack(problem.tasks, start)
+        self._rows = StackedRows(problem)
         self._secondary = TaskStack(problem.secondary if null_space else (), start)
-        n = problem.chain.n
-        self._k = len(self._tasks.e)
-        rows = self._k + len(start.e_loop)
-        self._HJ, self._rhs = np.zeros((rows, n)), np.zeros(rows)
-        self._Z = np.zeros(n)
+        self._Z = np.zeros(problem.chain.n)
         # Several objectives share Z by their weights, as they share the cost of the QP.
         weights = np.array([task.weight for task in self._secondary.tasks])
         self._shares = weights / max(float(weights.sum()), 1e-300)
 
     def decide(self, state: State) -> Command:
         """One evaluation of eq. (33)."""
-        tasks, k, command = self._tasks, self._k, self.command
-        tasks.update(state)
-        self._HJ[:k], self._HJ[k:] = tasks.J, state.J_loop
-        self._rhs[:k] = tasks.wanted
-        np.multiply(state.e_loop, -self.problem.kappa, out=self._rhs[k:])
+        rows, command = self._rows, self.command
+        rows.update(state)
         try:
-            inverse = self._invert(self._HJ)
-            np.dot(inverse, self._rhs, out=command.v)
+            inverse = self._invert(rows.A)
+            np.dot(inverse, rows.b, out=command.v)
             if np.isfinite(command.v).all():
                 self._add_null_space(state, inverse)
             command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
@@ -75,7 +69,7 @@ class ResolvedRateLaw(Law):
         Z[:] = 0.0
         for task, part, share in zip(stack.tasks, stack.slices, self._shares, strict=True):
             Z += share * _alone(task, stack.J[part], stack.wanted[part])
-        self.command.v += Z - inverse.dot(self._HJ.dot(Z))  # dot, unlike @, warns of nothing
+        self.command.v += Z - inverse.dot(self._rows.A.dot(Z))  # dot, unlike @, warns of nothing
 
 
 def _alone(task: Task, J: Array, wanted: Array) -> Array:

@@ -9,13 +9,14 @@ import pytest
 from chains import Hinge
 from example_tasks import EXAMPLES, IN_JOINTS, TIMES, H, at, error, over, rows
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError
 from coopqp.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.state import State
 from coopqp.task import Task
-from coopqp.tasks import JointCentering, Posture
+from coopqp.tasks import JointCentering, JointLimitBarrier, Posture
 from coopqp.tasks.posture import posture
 
 
@@ -41,6 +42,36 @@ def test_joint_centering_pulls_down_the_slope_of_the_papers_criterion(
             after, before = (np.sum(((q + s * H * unit - middle) / span) ** 2) for s in (1, -1))
             assert e[joint] == pytest.approx((after - before) / (2 * H), abs=1e-9)
     np.testing.assert_allclose(error(JointCentering(), State(chain, middle)), 0, atol=1e-15)
+
+
+def test_joint_limit_barrier_pulls_down_the_slope_of_a_logarithm(
+    chain: ClosedChain, rng: np.random.Generator
+) -> None:
+    """Phi = -1/4 sum log(1 - x^2); near mid-range it is the paper's criterion."""
+    middle, half = 0.5 * (chain.lower + chain.upper), 0.5 * (chain.upper - chain.lower)
+    width = 0.05
+
+    def phi(q: Array) -> float:
+        return float(-0.25 * np.sum(np.log(1.0 - ((q - middle) / half) ** 2)))
+
+    for q in chain.sample(rng, 10):
+        q = middle + (1.0 - 2.0 * width) * (q - middle)
+        e = error(JointLimitBarrier(width=width), State(chain, q))
+        for joint, unit in enumerate(np.eye(chain.n)):
+            slope = (phi(q + H * unit) - phi(q - H * unit)) / (2 * H)
+            assert e[joint] == pytest.approx(slope, rel=1e-6, abs=1e-8)
+    near = middle + 1e-4 * half
+    e = error(JointLimitBarrier(), State(chain, near))
+    np.testing.assert_allclose(e, error(JointCentering(), State(chain, near)), rtol=1e-6)
+
+
+def test_joint_limit_barrier_keeps_its_slope_at_the_limit_and_beyond(chain: ClosedChain) -> None:
+    middle, half = 0.5 * (chain.lower + chain.upper), 0.5 * (chain.upper - chain.lower)
+    at = [error(JointLimitBarrier(), State(chain, middle + x * half)) for x in (0.95, 1.0, 3.0)]
+    np.testing.assert_allclose(at[1], at[0], rtol=1e-9)
+    np.testing.assert_allclose(at[2], at[0], rtol=1e-9)
+    back = error(JointLimitBarrier(), State(chain, middle - half))
+    np.testing.assert_allclose(back, -at[0], rtol=1e-9)
 
 
 def test_posture_error_is_the_way_left_to_the_reference(

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
@@ -42,18 +43,8 @@ def margin(trace: Trace, unit: str) -> Array:
 
 
 def criterion(trace: Trace) -> Array:
-    """What the null-space term shall keep small, the paper's Z = -gain grad phi, shape (T + 1,).
-
-        phi(q) = sum_j ((q_j - mid_j) / range_j)^2
-
-    Each joint counts 0 in the middle of its range and 1/4 at a limit; those without a range, and
-    those that it does not let move, do not count. The same that ``joint_centering`` descends.
-    """
-    span = trace.upper - trace.lower
-    counts = np.isfinite(span) & (span > 0.0)
-    middle = 0.5 * (trace.lower[counts] + trace.upper[counts])
-    phi: Array = (((trace.q[:, counts] - middle) / span[counts]) ** 2).sum(axis=1)
-    return phi
+    """What the null-space term of the paper shall keep small, shape (T + 1,)."""
+    return limit_criterion(trace)["quadratic"]
 
 
 def speed_share(trace: Trace) -> Array:

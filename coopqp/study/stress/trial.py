@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 from coopqp.errors import MissingDependencyError
@@ -12,6 +10,7 @@ from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Solver
+from coopqp.study.pool import in_parallel
 from coopqp.study.stress.draw import DAQP, Draw, draw
 from coopqp.study.stress.driving import DAMPING, drive_on, record_of
 from coopqp.study.stress.judgement import Rollout, judged
@@ -46,25 +45,14 @@ def stress(
     seeds = range(seed, seed + count)
     done: list[Rollout] = []
     one = partial(one_rollout, solver=solver, plant=plant)
-    for rollout in _all(one, seeds, jobs or multiprocessing.cpu_count()):
+    done.append(one(seed))  # what is not installed shows in the first
+    if progress:
+        progress(1)
+    for rollout in in_parallel(one, seeds[1:], jobs):
         done.append(rollout)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda rollout: rollout.seed)
-
-
-def _all(one: Callable[[int], Rollout], seeds: range, jobs: int) -> Iterator[Rollout]:
-    here = len(seeds) if jobs == 1 else 1  # what is not installed shows in the first
-    yield from map(one, seeds[:here])
-    if here == len(seeds):
-        return
-    with multiprocessing.Pool(min(jobs, len(seeds) - 1), _leave_interrupts) as pool:
-        yield from pool.imap_unordered(one, seeds[here:], chunksize=8)
-
-
-def _leave_interrupts() -> None:
-    """Ctrl-C is the parent's to hear, who then ends the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:

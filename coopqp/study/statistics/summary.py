@@ -1,0 +1,112 @@
+"""Counts by law and class of goal, with intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from coopqp.study.statistics.trial import GoalRun, LawRun
+
+Z = 1.959963984540054  # of a two-sided 95 % interval
+AS_NEAR = 1.05  # an error up to so many times the best, plus the tolerance, counts as nearest
+
+
+@dataclass(frozen=True)
+class Share:
+    """How often something was so.
+
+    Attributes:
+        count: so often.
+        of: in so many.
+        low, high: 95 % interval of the share, Wilson.
+    """
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+
+def wilson(count: int, of: int) -> Share:
+    """The share with its 95 % interval (Wilson 1927), which holds near 0 and 1 and for few as well.
+
+    Args:
+        count: how often.
+        of: in how many; 0 to 1 is the interval of none.
+    """
+    if not of:
+        return Share(0, 0, 0.0, 1.0)
+    p, spread = count / of, Z * Z / of
+    middle = (p + 0.5 * spread) / (1.0 + spread)
+    half = math.sqrt(spread * p * (1.0 - p) + 0.25 * spread**2) / (1.0 + spread)
+    return Share(count, of, max(0.0, middle - half), min(1.0, middle + half))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One law on the goals of one class.
+
+    Attributes:
+        robot: or "all".
+        start: "near", "away" or "all".
+        goal: "inside" or "beyond" the limits.
+        law: its name.
+        reached, inside, loop: as in :class:`LawRun`.
+        whole: all three.
+        nearest: inside with the loops closed, and no law that was so ended nearer.
+    """
+
+    robot: str
+    start: str
+    goal: str
+    law: str
+    reached: Share
+    inside: Share
+    loop: Share
+    whole: Share
+    nearest: Share
+
+
+def summarize(goals: Sequence[GoalRun]) -> list[Line]:
+    """By class, first over all robots, then for each."""
+    robots = ["all", *dict.fromkeys(goal.robot for goal in goals)]
+    return [
+        line
+        for robot in robots
+        for kind in ("inside", "beyond")
+        for start in ("away", "near", "all")
+        for line in _lines(robot, start, kind, goals)
+    ]
+
+
+def _lines(robot: str, start: str, kind: str, goals: Sequence[GoalRun]) -> Iterable[Line]:
+    chosen = [
+        g
+        for g in goals
+        if g.goal == kind and robot in ("all", g.robot) and start in ("all", g.start)
+    ]
+    for i, law in enumerate(run.law for run in goals[0].runs):
+        runs = [(g.runs[i], g) for g in chosen]
+        yield Line(
+            robot,
+            start,
+            kind,
+            law,
+            _share(run.reached for run, _ in runs),
+            _share(run.inside for run, _ in runs),
+            _share(run.loop for run, _ in runs),
+            _share(run.reached and run.safe for run, _ in runs),
+            _share(_nearest(run, g) for run, g in runs),
+        )
+
+
+def _share(true: Iterable[bool]) -> Share:
+    found = list(true)
+    return wilson(sum(found), len(found))
+
+
+def _nearest(run: LawRun, goal: GoalRun) -> bool:
+    """Whether no law that kept limits and loops ended nearer than this one, which did too."""
+    best = min((r.error for r in goal.runs if r.safe), default=math.inf)
+    return run.safe and run.error <= AS_NEAR * best + goal.tolerance

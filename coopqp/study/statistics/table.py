@@ -1,0 +1,62 @@
+"""What ``coopqp statistics`` prints; fits 80 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rich import box
+from rich.table import Table
+
+from coopqp.study.statistics.summary import Line, Share
+
+#: Goals beyond the limits cannot be reached inside them, so that "all three" says nothing there.
+COLUMNS = {
+    "inside": {"reached": "reached", "inside": "inside", "loop": "loop", "all three": "whole"},
+    "beyond": {"reached": "reached", "inside": "inside", "loop": "loop", "nearest": "nearest"},
+}
+CLASSES = {
+    ("inside", "away"): "goals held inside the limits by some configuration, start away",
+    ("inside", "near"): "goals held inside the limits by some configuration, start near",
+    ("beyond", "away"): "goals for which none was found, start away",
+    ("beyond", "near"): "goals for which none was found, start near",
+}
+
+
+def tables(lines: Sequence[Line]) -> Iterator[Table]:
+    """One a class over all robots, then two by robot."""
+    for (goal, start), title in CLASSES.items():
+        chosen = [x for x in lines if (x.robot, x.goal, x.start) == ("all", goal, start)]
+        columns = COLUMNS[goal]
+        table = _table(f"{title}: {chosen[0].whole.of}", list(columns))
+        for x in chosen:
+            table.add_row(x.law, *(percent(getattr(x, name)) for name in columns.values()))
+        yield table
+    yield _by_robot(lines, "inside", "whole", "inside goals by robot: all three")
+    yield _by_robot(lines, "beyond", "nearest", "goals beyond by robot: nearest")
+
+
+def _by_robot(lines: Sequence[Line], goal: str, what: str, title: str) -> Table:
+    chosen = [x for x in lines if x.goal == goal and x.start == "all" and x.robot != "all"]
+    counts = {x.robot: getattr(x, what).of for x in chosen}
+    table = _table(title, [f"{robot}\nof {count}" for robot, count in counts.items()])
+    for law in dict.fromkeys(x.law for x in chosen):
+        table.add_row(law, *(percent(getattr(x, what)) for x in chosen if x.law == law))
+    return table
+
+
+def _table(title: str, headings: Sequence[str]) -> Table:
+    table = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0, show_edge=False
+    )
+    table.add_column("%, 95 % interval", no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def percent(share: Share) -> str:
+    """Such as "93 89-96"; a dash where there was none."""
+    if not share.of:
+        return "-"
+    part = 100.0 * share.count / share.of
+    return f"{part:.0f} {100 * share.low:.0f}-{100 * share.high:.0f}"

@@ -1,0 +1,160 @@
+"""Every law on one random goal after the other, on all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from coopqp.controller import ControlProblem
+from coopqp.disturbance import Disturbance
+from coopqp.metrics.reached import Reached
+from coopqp.plants import Kinematic
+from coopqp.rollout import rollout
+from coopqp.study.pool import in_parallel
+from coopqp.study.statistics.draw import arenas, draw
+from coopqp.study.statistics.laws import LAWS, Compared
+from coopqp.study.statistics.reach import holds_inside
+from coopqp.trace import Trace
+
+AFTER = 2.5  # time after the references have arrived [s]
+ROUNDING = 1e-6  # an overrun of a limit that counts as none [rad, m], and as a share of a speed
+OTHERS = 6  # configurations from which inverse kinematics begins, beside the start
+
+
+@dataclass(frozen=True)
+class LawRun:
+    """One law on one goal.
+
+    Attributes:
+        law: its name.
+        reached: every task's error ended within its tolerance.
+        inside: no joint ever beyond a limit of its position or its speed.
+        loop: the loops never opened beyond the budget, 1 mm and 10 mrad.
+        error: at the end, sqrt(sum_i w_i |e_i|^2), what the tasks' weights make of it.
+        overrun: of a position limit, the worst [rad or m].
+        speed: the largest, as a share of the joint's limit.
+        loop_error: the widest [m].
+    """
+
+    law: str
+    reached: bool
+    inside: bool
+    loop: bool
+    error: float
+    overrun: float
+    speed: float
+    loop_error: float
+
+    @property
+    def safe(self) -> bool:
+        """Inside the limits with the loops closed."""
+        return self.inside and self.loop
+
+
+@dataclass(frozen=True)
+class GoalRun:
+    """All laws on one goal.
+
+    Attributes:
+        robot: of the arena.
+        seed: from which it can be repeated.
+        start: "near" a joint limit or "away" from all.
+        goal: "inside" if it can be held inside the limits, else "beyond".
+        witness: whether that was shown by a law that ended there alone, and missed by the inverse
+            kinematics.
+        tolerance: what counts as the same error, the tasks' tolerances weighted alike.
+        runs: of each law.
+    """
+
+    robot: str
+    seed: int
+    start: str
+    goal: str
+    witness: bool
+    tolerance: float
+    runs: tuple[LawRun, ...]
+
+
+def statistics(
+    goals: int, *, seed: int = 0, jobs: int = 0, progress: Callable[[int], None] | None = None
+) -> list[GoalRun]:
+    """Run every law on many goals of every arena.
+
+    Args:
+        goals: how many on each robot.
+        seed: of the first; the others count up.
+        jobs: processes; all cores when 0.
+        progress: called with the number of goals done.
+    """
+    asked = [(robot, s) for robot in arenas() for s in range(seed, seed + goals)]
+    done: list[GoalRun] = []
+    for goal in in_parallel(_one, asked, jobs):
+        done.append(goal)
+        if progress:
+            progress(len(done))
+    return sorted(done, key=lambda goal: asked.index((goal.robot, goal.seed)))
+
+
+def _one(asked: tuple[str, int]) -> GoalRun:
+    return one_goal(*asked)
+
+
+def one_goal(robot: str, seed: int) -> GoalRun:
+    """Draw a start and a goal and run every law there.
+
+    Args:
+        robot: of the arena.
+        seed: of start and goal.
+    """
+    drawn = draw(robot, seed, OTHERS)
+    problem = drawn.problem
+    with np.errstate(all="ignore"):  # laws that run away leave the range of numbers
+        runs = tuple(_run(name, law, problem) for name, law in LAWS.items())
+    found = holds_inside(problem, (problem.chain.q_start, *drawn.elsewhere))
+    witness = any(run.reached and run.safe for run in runs)
+    return GoalRun(
+        robot=robot,
+        seed=seed,
+        start=drawn.start,
+        goal="inside" if found or witness else "beyond",
+        witness=witness and not found,
+        tolerance=_norm(
+            problem, [p.tolerance for t in problem.tasks for p in t.parts(problem.chain)]
+        ),
+        runs=runs,
+    )
+
+
+def _run(name: str, compared: Compared, problem: ControlProblem) -> LawRun:
+    given = replace(problem, secondary=compared.secondary or problem.secondary)
+    law = compared.controller.build(given)
+    plant = Kinematic().build(given, 0, Disturbance())
+    ticks = round((max(task.end for task in given.tasks) + AFTER) / given.dt)
+    trace = rollout(law, plant, ticks, controller=name, solver=None)
+    return _judge(name, trace, given)
+
+
+def _judge(name: str, trace: Trace, problem: ControlProblem) -> LawRun:
+    """What counts of a run; comparisons are written so that a NaN fails them."""
+    overrun = float(np.maximum(trace.lower - trace.q, trace.q - trace.upper).max())
+    speed = float((np.abs(trace.v) / trace.velocity).max())
+    position, angle = float(trace.loop_position.max()), float(trace.loop_orientation.max())
+    budget = problem.budget
+    return LawRun(
+        law=name,
+        reached=Reached().measure(trace),
+        inside=overrun <= ROUNDING and speed <= 1.0 + ROUNDING,
+        loop=position <= budget.loop_position and angle <= budget.loop_orientation,
+        error=_norm(problem, trace.final_error.tolist()),
+        overrun=overrun,
+        speed=speed,
+        loop_error=position,
+    )
+
+
+def _norm(problem: ControlProblem, errors: list[float]) -> float:
+    """Errors of all parts of all tasks as one number."""
+    weights = [task.weight for task in problem.tasks for _ in task.parts(problem.chain)]
+    return float(np.sqrt(np.sum(np.array(weights) * np.array(errors) ** 2)))

@@ -1,0 +1,58 @@
+"""Joints keep off their limits: a criterion Z of eq. (33) that grows without bound towards them.
+
+    phi(q) = -1/4 sum_j log(1 - x_j^2),   x_j = (q_j - mid_j) / (range_j / 2)
+    e = grad phi = x / ((1 - x^2) range),   J = I
+
+The paper does not say which criterion it takes. The quadratic one of :mod:`joint_centering` has the
+same slope near mid-range, 2 (q - mid) / range^2. It weighs a joint that is far from its limit like
+one that is at it, so that its least sum can lie beyond a limit; that of this one cannot.
+
+Within ``width`` of a limit, and beyond it, the slope stays what it is there: a step is finite, and
+a slope without bound would throw the joint to and fro. Joints without limits ask for nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from coopqp.checked import spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.state import State
+from coopqp.task import Evaluate, Task, TaskRows
+
+
+@spec
+class JointLimitBarrier(Task):
+    """Joints keep off their limits, the harder the nearer (one row a joint)."""
+
+    unit: ClassVar[str] = "1/rad"
+    joint_space: ClassVar[bool] = True
+
+    width: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
+    """Where the slope stops growing, as a share of half the joint's range."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The joints."""
+        return chain.joint_names
+
+    def bind(self, start: State) -> Evaluate:
+        """No reference: limits and middles are constant."""
+        chain = start.chain
+        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+        middle, per_half, per_range = np.zeros((3, chain.n))
+        lower, upper = chain.lower[limited], chain.upper[limited]
+        middle[limited] = 0.5 * (lower + upper)
+        per_half[limited], per_range[limited] = 2.0 / (upper - lower), 1.0 / (upper - lower)
+        most, x = 1.0 - self.width, np.zeros(chain.n)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            np.subtract(state.q, middle, out=x)
+            np.multiply(x, per_half, out=x)
+            np.clip(x, -most, most, out=x)
+            np.multiply(x, per_range, out=rows.e)
+            np.divide(rows.e, 1.0 - x * x, out=rows.e)
+
+        return evaluate

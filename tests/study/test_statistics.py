@@ -1,0 +1,197 @@
+"""The statistics of the laws: intervals, classes, what counts, and a small share of the runs."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import scipy.stats
+from command_line import typed
+from rich.console import Console
+
+import coopqp
+from coopqp.controllers import QPController
+from coopqp.disturbance import Disturbance
+from coopqp.limits import JointPosition, JointVelocity
+from coopqp.plants import Kinematic
+from coopqp.profile import Profile
+from coopqp.report import strict_json
+from coopqp.rollout import rollout
+from coopqp.state import State
+from coopqp.study.statistics import (
+    GoalRun,
+    LawRun,
+    Line,
+    one_goal,
+    summarize,
+    tables,
+    wilson,
+)
+from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
+from coopqp.study.statistics.laws import LAWS
+from coopqp.study.statistics.reach import holds_inside
+from coopqp.tasks import PointOnPoint
+
+SMALL = {"nao_t14": OWN["nao_t14"], "planar_pair": OWN["planar_pair"]}
+
+
+@pytest.fixture(scope="module")
+def small() -> list[GoalRun]:
+    return [one_goal(robot, seed) for robot in SMALL for seed in range(2)]
+
+
+# A small share of it.
+
+
+def test_the_qp_keeps_limits_and_loops_on_every_goal(small: list[GoalRun]) -> None:
+    for goal in small:
+        runs = {run.law: run for run in goal.runs}
+        assert list(runs) == list(LAWS)
+        assert runs["qp"].safe
+        assert runs["saturation_null_space"].inside
+        if goal.goal == "beyond":
+            assert not any(run.reached and run.safe for run in goal.runs)
+
+
+def test_the_command_draws_the_same_from_the_same_seed(
+    small: list[GoalRun], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planar = {"planar_pair": OWN["planar_pair"]}
+    monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
+    monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
+    result = typed("statistics", "--goals", "1", "--seed", "1", "--jobs", "1", "--json")
+    assert result.exit_code == 0
+    printed = json.loads(result.stdout)
+    assert printed["goals"] == json.loads(strict_json.text([asdict(small[3])]))
+    assert {x["robot"] for x in printed["lines"]} == {"all", "planar_pair"}
+
+
+def test_what_is_counted_is_what_the_trace_says(small: list[GoalRun]) -> None:
+    """The QP's run of the first goal, made again and judged with numpy alone."""
+    problem = draw("nao_t14", 0, 0).problem
+    law = QPController().build(problem)
+    plant = Kinematic().build(problem, 0, Disturbance())
+    trace = rollout(law, plant, 550, controller="qp", solver=None)
+    goal, own = small[0], small[0].runs[0]
+    assert own.error == pytest.approx(float(trace.task_error[-1, 0]), rel=1e-9)
+    assert own.speed == pytest.approx(float(np.max(np.abs(trace.v) / trace.velocity)))
+    assert own.inside == bool(
+        (trace.q >= trace.lower - 1e-6).all() and (trace.q <= trace.upper + 1e-6).all()
+    )
+    assert goal.tolerance == pytest.approx(problem.tasks[0].tolerance)
+
+
+def test_starts_are_of_both_kinds_and_closed(small: list[GoalRun]) -> None:
+    for seed in range(8):
+        drawn = draw("nao_t14", seed, 0)
+        chain = drawn.problem.chain
+        assert (least_margin(chain, chain.q_start) < NEAR) == (drawn.start == "near")
+        assert drawn.start == ("near" if seed % 2 else "away")
+        assert State(chain).loop_position_error < 1e-6
+        assert chain.starts_inside
+
+
+# Inverse kinematics.
+
+
+def test_a_goal_on_a_walk_inside_the_limits_is_found_and_one_out_of_reach_is_not() -> None:
+    drawn = draw("nao_t14", 0, 3)
+    problem = drawn.problem
+    chain, at_once = problem.chain, Profile(kind="step")
+
+    def held(goal: tuple[float, float, float]) -> bool:
+        task = PointOnPoint(goal=goal, profile=at_once)
+        return holds_inside(replace(problem, tasks=(task,)), (chain.q_start,))
+
+    for q in drawn.elsewhere:
+        x, y, z = chain.object_pose(q).translation.tolist()
+        assert held((x, y, z))
+    assert not held((0.6, 0.0, 0.1))
+
+
+def test_the_stress_goal_is_beyond_the_limits_and_the_headline_goal_is_inside() -> None:
+    for name, inside in (("joint_limit_stress", False), ("point_on_point", True)):
+        scenario = coopqp.load(name)
+        assert scenario.limits == (JointPosition(), JointVelocity())
+        end = coopqp.run(scenario, controller="qp").q[-1]
+        assert holds_inside(scenario.problem(), (scenario.chain.q_start, end)) == inside
+
+
+# Counting.
+
+
+@pytest.mark.parametrize(("count", "of"), [(0, 10), (10, 10), (3, 7), (97, 200), (199, 200)])
+def test_interval_is_that_of_scipy(count: int, of: int) -> None:
+    expected = scipy.stats.binomtest(count, of).proportion_ci(0.95, method="wilson")
+    found = wilson(count, of)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_interval_of_nothing_is_everything() -> None:
+    assert (wilson(0, 0).low, wilson(0, 0).high) == (0.0, 1.0)
+
+
+def made_up(goal: str, **runs: LawRun) -> GoalRun:
+    named = tuple(replace(run, law=name) for name, run in runs.items())
+    return GoalRun("nao_t14", 0, "away", goal, witness=False, tolerance=5e-4, runs=named)
+
+
+GOOD = LawRun("", True, True, True, 0.0, 0.0, 0.5, 1e-6)
+OUTSIDE = replace(GOOD, inside=False, overrun=0.2)
+OPEN = replace(GOOD, loop=False, loop_error=0.1)
+SHORT = replace(GOOD, reached=False, error=0.03)
+
+
+def line(goals: list[GoalRun], law: str) -> Line:
+    return next(
+        x
+        for x in summarize(goals)
+        if (x.robot, x.start, x.goal, x.law) == ("all", "all", goals[0].goal, law)
+    )
+
+
+def test_all_three_must_hold_in_one_run() -> None:
+    goals = [made_up("inside", a=GOOD), made_up("inside", a=OUTSIDE), made_up("inside", a=OPEN)]
+    found = line(goals, "a")
+    counts = (found.reached, found.inside, found.loop, found.whole)
+    assert [share.count for share in counts] == [3, 2, 2, 1]
+    assert {share.of for share in counts} == {3}
+
+
+def test_nearest_is_told_among_those_who_keep_limits_and_loops() -> None:
+    """Who gets there through a limit is not nearer; as near as five per cent is nearest too."""
+    nearly, far = replace(SHORT, error=0.031), replace(SHORT, error=0.04)
+    goals = [made_up("beyond", a=SHORT, b=nearly, c=far, d=OUTSIDE, e=OPEN)]
+    nearest = {law: line(goals, law).nearest.count for law in "abcde"}
+    assert nearest == {"a": 1, "b": 1, "c": 0, "d": 0, "e": 0}
+
+
+def test_numbers_that_are_none_have_reached_nothing() -> None:
+    lost = replace(OUTSIDE, reached=False, error=float("nan"))
+    goals = [made_up("beyond", a=SHORT, b=lost)]
+    assert line(goals, "b").nearest.count == 0
+    assert line(goals, "a").nearest.count == 1
+
+
+def test_tables_can_be_read_at_80_columns() -> None:
+    """With five robots, every law, and the widest numbers there are."""
+    robots = ("nao_t14", "planar_pair", "two_pandas", "baxter", "tiago")
+    goals = [
+        replace(made_up(kind, **dict.fromkeys(LAWS, GOOD)), robot=robot, start=start)
+        for robot in robots
+        for kind in ("inside", "beyond")
+        for start in ("near", "away")
+        for _ in range(100)
+    ]
+    with open(os.devnull, "w") as nowhere:
+        console = Console(width=80, record=True, file=nowhere)
+        for table in tables(summarize(goals)):
+            console.print(table, "")
+    text = console.export_text()
+    assert "…" not in text
+    assert max(len(words.rstrip()) for words in text.splitlines()) <= 80
+    for words in (*LAWS, *robots, "100 99-100", "nearest", "all three"):
+        assert words in text
