@@ -83,6 +83,16 @@ class Limit(ABC):
         """
         return {}
 
+    def eased(self, room: float) -> Limit | None:
+        """The same limit, but so much farther out; None where it has no setting for that.
+
+        ``explain`` runs with it what it says would do.
+
+        Args:
+            room: how much [m].
+        """
+        return None
+
     def marks(self, t: float) -> tuple[Mark, ...]:
         """What pictures show of it: where it is; nothing by default.
 
@@ -135,6 +145,7 @@ def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str 
         per: what the joint's unit is divided by, such as "/s".
     """
     name, unit = chain.joint_names[joint], chain.joint_units[joint]
+    of = "" if kind == "position" else f"{kind.replace('_', ' ')} of "
     return Row(
         name=f"limit.{kind}[{name}].{side}",
         kind="limit",
@@ -142,6 +153,7 @@ def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str 
         unit=f"{unit}{per}",
         joint=name,
         side=side,
+        label=f"{of}{name} ({side})",
         of_place=not per,
     )
 

@@ -61,7 +61,9 @@ class SelfCollision(Limit):
                 name=f"limit.self_collision[{a}|{b}]",
                 kind="limit",
                 owner="self_collision",
-                unit="m/s",
+                unit="m",
+                label=f"the distance of {a} and {b}",
+                of_place=True,
             )
             for a, b in self._pairs(chain)
         )
@@ -89,7 +91,11 @@ class SelfCollision(Limit):
             bodies.update(state)
             row[:] = bodies.d
         d -= self.distance
-        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(self.rows(chain))}
+        return {row: d[:, i] for i, row in enumerate(self.rows(chain))}
+
+    def eased(self, room: float) -> SelfCollision | None:
+        """A smaller distance; None where bodies would have to sink into each other."""
+        return replace(self, distance=self.distance - room) if room <= self.distance else None
 
     def _pairs(self, chain: ClosedChain) -> tuple[tuple[str, str], ...]:
         """Those given, or those that can meet.

@@ -1,0 +1,193 @@
+"""The sentences: names and numbers together, in units that a person has for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.study.explanation.contradiction import Contradiction
+from coopqp.study.explanation.cure import Cure, Need
+from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, TooFewFreedoms
+from coopqp.study.explanation.goal import PartOfTask
+from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.shares import Share
+from coopqp.task import Task
+
+#: A direction this near to an axis is the axis.
+ALONG = 0.97
+#: Most limits that are named.
+MOST = 4
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def size(amount: float, unit: str) -> str:
+    """An error or an amount; lengths in millimetres."""
+    if unit == "m" and amount < 1.0:
+        return f"{1e3 * amount:.3g} mm"
+    return f"{amount:.3g} {unit}"
+
+
+def far(part: PartOfTask, error: float) -> str:
+    """How far a task is off."""
+    return f"{size(error, part.part.unit)} short"
+
+
+def stops(leg: Leg) -> str:
+    """What the worst part of a task ended off by."""
+    part, error = leg.missed[0]
+    verb = "misses by" if part.task.asks_velocity else "stops"
+    if part.task.asks_velocity:
+        return f"{part.name} {verb} {size(error, part.part.unit)}"
+    return f"{part.name} {verb} {far(part, error)}"
+
+
+def holding(shares: Sequence[Share]) -> str:
+    """Limits with their shares of the force, and the verb."""
+    if not shares:
+        return "the limits hold it back"
+    if len(shares) == 1:
+        return f"{shares[0].row.words} holds it back alone"
+    named = shares[:MOST]
+    words = [
+        f"{share.row.words} ({100.0 * share.share:.0f} %{' of the force' if i == 0 else ''})"
+        for i, share in enumerate(named)
+    ]
+    more = [f"{len(shares) - MOST} more"] if len(shares) > MOST else []
+    return f"{listed([*words, *more])} hold it back"
+
+
+def cure(found: Cure | None, shares: Sequence[Share], room: Room) -> str:
+    """What would do, and whether it was seen to."""
+    if found is None:
+        return "no wider limits were found with which the law gets there"
+    parts = []
+    for need in found.needs:
+        owner = None if need.space is None else room.limits[need.space]
+        parts.append(_need(need, owner is not None))
+    text = f"to get there {listed(parts)}"
+    if found.needs and not {s.row.name for s in shares} & {n.row.name for n in found.needs}:
+        text += " (idle now)"
+    if found.reached:
+        return f"{text} (tried: reached)"
+    if found.reached is None:
+        return f"{text} (not tried: it has no setting that gives so much)"
+    assert found.left
+    part, error = found.left.missed[0]
+    return f"{text}, but tried, the law then stops {far(part, error)}"
+
+
+def _need(need: Need, in_space: bool) -> str:
+    amount = size(need.amount, need.row.unit)
+    if not in_space:
+        return f"{need.row.words} would need {amount} more"
+    return f"{need.row.owner.replace('_', ' ')} would have to be {amount} farther out"
+
+
+def elsewhere(found: Elsewhere | None, leg: Leg) -> str:
+    """Where it would be reached inside the limits."""
+    assert found
+    return (
+        "it can be reached inside the limits from another configuration: "
+        f"{start(found.place.q, leg)}"
+    )
+
+
+def start(q: Array, leg: Leg) -> str:
+    """A configuration by arm, as a scenario's start has it."""
+    chain = leg.problem.chain
+    at = dict(zip(chain.joint_names, q.tolist(), strict=True))
+    arms = []
+    for arm in chain.arms:
+        numbers = ", ".join(f"{at[joint]:.2f}" for joint in chain.robot.arm_joints(arm))
+        arms.append(f"{arm.name} [{numbers}]")
+    return "; ".join(arms)
+
+
+def reach(found: OutOfReach, own_error: float) -> str:
+    """How far out of reach, which way, and what the limits cost beside."""
+    part = found.part
+    name, unit = part.task.name, part.part.unit
+    text = f"{name} is out of reach by {size(found.distance, unit)}"
+    if part.axes:
+        text += f" along {direction(found.gap)}"
+    elif part.part.name:
+        text += f" of {part.part.name}"
+    text += ", whatever the limits"
+    if part.axes and unit == "m":
+        goal = found.goal
+        goal.look(found.nearest.q)
+        text += f"; the nearest point is {point(_reached_point(found))}"
+    if found.shares:
+        limits = listed([f"{s.row.words} {100.0 * s.share:.0f} %" for s in found.shares[:MOST]])
+        text += f"; limits ({limits}) cost another {size(found.cost, unit)}"
+    if found.elsewhere is not None:
+        e = np.linalg.norm(found.elsewhere.e[part.rows])
+        text += f"; from another configuration {size(float(e), unit)}"
+    return text
+
+
+def _reached_point(found: OutOfReach) -> Array:
+    """The place of the task's point where it is nearest: the object's origin and its own error."""
+    task = found.part.task
+    goal = getattr(task, "goal", None)
+    wanted = getattr(goal, "position", goal)
+    if wanted is None or np.shape(wanted) != (3,):
+        return found.goal.state.p_WO
+    return np.array(wanted, float) - found.gap
+
+
+def direction(way: Array) -> str:
+    """``+x``, or a unit vector."""
+    u = way / max(float(np.linalg.norm(way)), 1e-300)
+    i = int(np.abs(u).argmax())
+    if abs(u[i]) > ALONG:
+        return f"{'+' if u[i] > 0 else '-'}{'xyz'[i]}"
+    return point(u, 2)
+
+
+def point(p: Array, digits: int = 3) -> str:
+    """``(0.210, 0.000, 0.100)``."""
+    rounded = np.round(p, digits) + 0.0
+    return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
+
+
+def contradiction(found: Contradiction, leg: Leg) -> str:
+    """Which tasks, and who comes first."""
+    where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
+    text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
+    mine = [(part, e) for part, e in leg.missed if part.task in found.tasks]
+    ranks = {_rank(task) for task in found.tasks}
+    offs = [f"{part.name} stays {size(e, part.part.unit)} off" for part, e in mine]
+    if len(ranks) > 1:
+        first = [task.name for task in found.tasks if _rank(task) == min(ranks)]
+        verb = "comes" if len(first) == 1 else "come"
+        return f"{text}; {listed(first)} {verb} first, {listed(offs)}"
+    sizes = {size(e, part.part.unit) for part, e in mine}
+    if len(mine) > 1 and len(sizes) == 1:
+        return f"{text}; they end {sizes.pop()} off each"
+    return f"{text}; {listed(offs)}"
+
+
+def _rank(task: Task) -> int:
+    return -1 if task.mode != "soft" else task.priority
+
+
+def freedoms(found: TooFewFreedoms) -> str:
+    """How many motions are asked for and left."""
+    name = found.goal.tasks[0].name
+    return f"{name} asks for {found.asked} motions, the loops leave {found.left}"
+
+
+def slow(shares: Sequence[Share]) -> str:
+    """Speeds that hold up."""
+    named = [f"{share.row.words} ({100.0 * share.share:.0f} %)" for share in shares[:MOST]]
+    return f"{listed(named)} {'holds' if len(named) == 1 else 'hold'} it up"
