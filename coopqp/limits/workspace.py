@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.checked import Array, Direction, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
+from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
 from coopqp.mark import Mark, PlaneMark
 from coopqp.row import Row
 from coopqp.state import State
@@ -95,16 +95,16 @@ class Workspace(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance of each point from the plane after each tick [m]."""
-        rows = self.rows(chain)
+    def room(self, chain: ClosedChain) -> RoomLeft:
+        """Distance of each point from the plane [m]."""
         points = _Points(chain, self._points(chain), self.frames)
-        _, distances, offset = self._plane()
-        d = np.zeros((len(v), len(rows)))
-        for state, row in zip(states_along(chain, q[1:]), d, strict=True):
+        n, _, offset = self._plane()
+
+        def left(state: State) -> Array:
             points.update(state)
-            distances(points.p, row)
-        return {row: d[:, i] - offset for i, row in enumerate(rows)}
+            return np.asarray(points.p.dot(n) - offset, float)
+
+        return left
 
     def eased(self, room: float) -> Workspace:
         """The plane moved away from the side that is allowed."""

@@ -19,7 +19,7 @@ from coopqp.study.explanation.shares import Share
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
 #: A longer run has so many times the time, and so much more [s].
-TIMES, MORE = 3.0, 2.0
+TIMES, MORE = 2.0, 2.0
 #: Speeds are the cause from this share of the force on.
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
-from coopqp.limit import bound_rows
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, bound_rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.rank import null_space
 from coopqp.row import Row
@@ -47,7 +48,9 @@ class Ticks:
         self._leg, problem = leg, leg.problem
         chain, dt = problem.chain, problem.dt
         self.state, self.stack = State(chain), TaskStack(problem.tasks, State(chain))
-        self._limits = [(k, Bounds(chain, [k], State(chain), dt)) for k in problem.limits]
+        self._limits = [
+            (Bounds(chain, [k], State(chain), dt), _sides(k, chain)) for k in problem.limits
+        ]
 
     def look(self, k: int) -> Array:
         """Bring all to tick k; what its tasks missed, wanted - J v."""
@@ -63,12 +66,11 @@ class Ticks:
         v, chain = self._leg.v[k], self._leg.problem.chain
         tightest: dict[tuple[int, str], tuple[float, Row]] = {}
         found = []
-        for limit, bounds in self._limits:
+        for bounds, sides in self._limits:
             bounds.update(self.state)
-            for i, row in enumerate(bound_rows(limit, chain, "lower")):
-                _tighter(tightest, (i, "lower"), v[i] - bounds.lb[i], row)
-            for i, row in enumerate(bound_rows(limit, chain, "upper")):
-                _tighter(tightest, (i, "upper"), bounds.ub[i] - v[i], row)
+            for i, (lower, upper) in enumerate(sides):
+                _tighter(tightest, (i, "lower"), v[i] - bounds.lb[i], lower)
+                _tighter(tightest, (i, "upper"), bounds.ub[i] - v[i], upper)
             left = bounds.h - bounds.G @ v
             found += [(bounds.rows[i], bounds.G[i].copy()) for i in np.flatnonzero(left < AT_BOUND)]
         for (i, side), (left, row) in tightest.items():
@@ -137,6 +139,12 @@ def _behind(leg: Leg, look: Ticks, ticks: range) -> list[int]:
     """Ticks in which the tasks were not followed, not more than can be looked at."""
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return [k for k in some if np.abs(look.look(k)).max(initial=0.0) > BEHIND]
+
+
+def _sides(limit: Limit, chain: ClosedChain) -> list[tuple[Row, Row]]:
+    """What its lower and upper bound of each joint are called."""
+    lower, upper = (bound_rows(limit, chain, side) for side in ("lower", "upper"))
+    return list(zip(lower, upper, strict=True))
 
 
 def _tighter(

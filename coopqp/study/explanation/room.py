@@ -1,7 +1,7 @@
 """The limits as geometry: where the joints may be, and what room there is in space.
 
-A limit is of place where its margins are lengths or angles; those of a joint bound its position,
-the others are rooms that must not become negative. What bounds speeds is not in here.
+Margins of joints that are lengths or angles bound their positions; limits in space say what room
+they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit
+from coopqp.limit import Limit, RoomLeft
 from coopqp.qp_law.bounds import Bounds
 from coopqp.row import Row
 from coopqp.state import State
@@ -46,25 +46,24 @@ class Room:
         self.rows: tuple[Row, ...] = ()
         self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._gradients: list[tuple[Bounds, list[int]]] = []
+        self._left: list[tuple[RoomLeft, Bounds]] = []
         self._state = State(chain)
         for limit in limits:
             self._add(limit)
 
     def _add(self, limit: Limit) -> None:
-        margins = _at(limit, self.chain, self.chain.q_start, self._dt)
-        found = {row: m for row, m in margins.items() if row.unit in PLACE_UNITS}
-        for row, margin in found.items():
-            if row.joint and row.side:
-                self._bound(row, margin)
-        bounds = Bounds(self.chain, [limit], self._state, self._dt)
-        names = [row.name for row in bounds.rows]
-        rooms = [row for row in found if not row.joint and row.name in names]
-        if rooms:
-            self._gradients.append((bounds, [names.index(row.name) for row in rooms]))
-            self.owners += [len(self.limits)] * len(rooms)
-            self.rows += tuple(rooms)
+        left = limit.room(self.chain)
+        if left is not None:
+            rows = limit.rows(self.chain)
+            self.owners += [len(self.limits)] * len(rows)
+            self.rows += rows
             self.limits.append(limit)
+            self._left.append((left, Bounds(self.chain, [limit], self._state, self._dt)))
+            return
+        q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
+        for row, margin in limit.margins(self.chain, q, v, self._dt).items():
+            if row.joint and row.side and row.unit in PLACE_UNITS:
+                self._bound(row, float(margin[0]))
 
     def _bound(self, row: Row, margin: float) -> None:
         i = self.chain.joint_names.index(row.joint)
@@ -79,21 +78,24 @@ class Room:
 
     def at(self, q: Array) -> Array:
         """The rooms in space at a configuration, shape (p,) [m]."""
-        found: list[float] = []
-        for limit in self.limits:
-            margins = _at(limit, self.chain, q, self._dt)
-            found += [m for row, m in margins.items() if row in self.rows]
-        return np.array(found)
+        if not self.rows:
+            return np.zeros(0)
+        self._look(q)
+        return np.concatenate([left(self._state) for left, _ in self._left])
 
     def gradient(self, q: Array) -> Array:
         """How they change with the joints, shape (p, n)."""
-        self._state.q[:] = q
-        self._state.update()
-        parts = []
-        for bounds, rows in self._gradients:
+        if not self.rows:
+            return np.zeros((0, self.chain.n))
+        self._look(q)
+        for _, bounds in self._left:
             bounds.update(self._state)
-            parts.append(-bounds.G[rows])
-        return np.vstack(parts) if parts else np.zeros((0, self.chain.n))
+        return np.vstack([-bounds.G for _, bounds in self._left])
+
+    def _look(self, q: Array) -> None:
+        if not np.array_equal(self._state.q, q):
+            self._state.q[:] = q
+            self._state.update()
 
     def overrun(self, q: Array) -> float:
         """By how much a configuration is outside [rad, m]."""
@@ -115,8 +117,3 @@ class Room:
                     found.append((row, -way))
         return found
 
-
-def _at(limit: Limit, chain: ClosedChain, q: Array, dt: float) -> dict[Row, float]:
-    """A limit's margins where all stand still."""
-    margins = limit.margins(chain, np.vstack([q, q]), np.zeros((1, chain.n)), dt)
-    return {row: float(margin[0]) for row, margin in margins.items()}
