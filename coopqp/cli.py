@@ -156,9 +156,14 @@ def mobility(
 
 @main.command()
 @click.argument("trace", type=click.Path(path_type=Path))
-@click.option("--tick", type=int, help="Which; the first that gave something up, else the last.")
+@click.option("--tick", type=int, help="Explain one tick, not the run.")
 @click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
-@click.option("--save", type=click.Path(path_type=Path), help="Keep the whole tick in this file.")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    help="Keep a tick in this file; if --tick is omitted, the "
+    "first that gave something up, else the last.",
+)
 @catalogued
 @JSON
 def explain(
@@ -169,20 +174,50 @@ def explain(
     catalog: Any,
     as_json: bool,
 ) -> None:
-    """Say why a tick could not do what its tasks asked.
+    """Say why a run did not reach its goal, and what would do.
 
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
     """
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import progress_bars
+    from coopqp.study.explanation import explain_run
+    from coopqp.study.trace_file import controllers_of, recording_from_trace
+
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    known = controllers_of(path)  # a trace that is missing is said before its scenario is
+    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
+    if tick is not None or save:
+        _explain_tick(path, scenario, controller, tick, save, as_json=as_json)
+        return
+    solving = [c for c in known if c in scenario.controllers and scenario.controllers[c].uses_solver]
+    recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
+    with progress_bars(["explaining"], 1) as progress:
+        report = (lambda share: progress("explaining", share)) if progress else lambda share: None
+        found = explain_run(scenario, recording, report)
+    if as_json:
+        click.echo(strict_json.text(found.as_json()))
+        return
+    of = f", phase {found.phase}" if found.phase else ""
+    click.echo(f"{path.parent.resolve().name}, {found.controller}{of}:")
+    click.echo(f"{found.sentence}.")
+
+
+def _explain_tick(
+    path: Path,
+    scenario: Any,
+    controller: str | None,
+    tick: int | None,
+    save: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Say what left a tick no motion, and keep it."""
     from dataclasses import asdict
 
     from coopqp.report import files, strict_json
     from coopqp.study import explanation
     from coopqp.study.recorded_tick import recorded_tick
-    from coopqp.study.trace_file import controllers_of
 
-    path = trace / "trace.csv" if trace.is_dir() else trace
-    controllers_of(path)  # a trace that is missing is said before its scenario is
-    scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
     record = recorded_tick(path, scenario, controller, tick)
     found = explanation.explain(record)
     if save:
@@ -206,12 +241,12 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study import explanation
+    from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
 
     record = TickRecord.read(file)
     answers = {
-        name: explanation.replay(record, solver_by_name(name, catalog))
+        name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
     from coopqp.report import strict_json, table

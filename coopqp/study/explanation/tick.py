@@ -65,28 +65,6 @@ class Explanation:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Replay:
-    """A saved tick solved again.
-
-    Attributes:
-        status: as verified.
-        v: the answer.
-        primal_residual, dual_residual: of the answer.
-        difference: largest distance to the answer that was saved [rad/s].
-    """
-
-    status: Status
-    v: Array
-    primal_residual: float
-    dual_residual: float
-    difference: float
-
-    def as_json(self) -> dict[str, Any]:
-        """For machines."""
-        return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
-
-
 def explain(record: TickRecord) -> Explanation:
     """The smallest relaxation of the limits that would let loops and tasks hold."""
     qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))
@@ -102,21 +80,6 @@ def explain(record: TickRecord) -> Explanation:
     relaxations = _named(record, answer) if answer is not None else ()
     return Explanation(
         missed, impossible, relaxations, _sentence(missed, impossible, relaxations, answer)
-    )
-
-
-def replay(record: TickRecord, solver: Solver) -> Replay:
-    """Solve a saved tick with any solver."""
-    qp = record.qp()
-    solution = Solution(qp)
-    solver.open(qp, solution)()
-    status = Verifier(qp, solution, record.budget, record.damping).check()
-    return Replay(
-        status,
-        solution.v.copy(),
-        float(solution.primal_residual),
-        float(solution.dual_residual),
-        float(np.abs(solution.v - np.array(record.first_answer)).max()),
     )
 
 

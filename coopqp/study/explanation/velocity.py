@@ -69,8 +69,8 @@ def explain(scenario: Scenario, controller: str, leg: Leg, room: Room) -> Veloci
     """
     part = next(part for part, _ in leg.missed if part.task.asks_velocity)
     k = len(leg.v) - 1
-    tasks = _contradicting(leg, k)
-    if len(tasks) > 1:
+    tasks = contradicting(leg)
+    if tasks:
         names = tuple(task.name for task in tasks)
         said = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return VelocityAnswer("contradiction", said, tasks=names)
@@ -81,7 +81,7 @@ def explain(scenario: Scenario, controller: str, leg: Leg, room: Room) -> Veloci
     if sum(share.share for share in held if is_speed(share.row)) > MOSTLY or not held:
         return _too_fast(leg, held, needed, part)
     found = way_of(scenario, controller, leg, room)
-    said = f"{words.holding(held)}; {words.cure(found, held, room)}"
+    said = f"{words.holding(held)}; {words.cure(found, held)}"
     return VelocityAnswer("limits", said, held, found)
 
 
@@ -130,10 +130,10 @@ def _freedom(look: Ticks, part: PartOfTask, u: Array) -> float:
     return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
 
 
-def _contradicting(leg: Leg, k: int) -> tuple[Task, ...]:
-    """Tasks whose velocities rule each other out; one or none where they do not."""
+def contradicting(leg: Leg) -> tuple[Task, ...]:
+    """Tasks whose velocities at the last tick rule each other out; none where they do not."""
     look = Ticks(leg)
-    look.look(k)
+    look.look(len(leg.v) - 1)
     Z, stack = null_space(look.state.J_loop), look.stack
     rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))
 
@@ -146,4 +146,5 @@ def _contradicting(leg: Leg, k: int) -> tuple[Task, ...]:
         return bool(np.linalg.norm(JZ @ y - wanted) > SOLVED * np.linalg.norm(wanted))
 
     tasks = tuple(task for task in stack.tasks if not task.joint_space)
-    return irreducible(tasks, fails) if tasks and fails(tasks) else ()
+    found = irreducible(tasks, fails) if tasks and fails(tasks) else ()
+    return found if len(found) > 1 else ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,13 +16,14 @@ from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, cure
 from coopqp.study.explanation.diagnosis import (
     BlockedByLimits,
+    Diagnosis,
     Elsewhere,
     NotBlocked,
     OutOfReach,
     TooFewFreedoms,
     diagnose,
 )
-from coopqp.study.explanation.goal import Goal, placed
+from coopqp.study.explanation.goal import Goal, PartOfTask, placed
 from coopqp.study.explanation.leg import Leg, Recording, legs
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
@@ -178,21 +179,29 @@ class _Whole:
         """The answer."""
         leg, base = self._leg, self._base
         places = [part for part, _ in leg.missed if part.task in self._goal.tasks]
+        velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
+        if velocities and (not places or velocity.contradicting(leg)):
+            return self._velocity()
         if not places:
-            velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
-            if velocities:
-                return self._velocity()
-            return replace(
-                base, kind="unplaced", sentence=f"{words.stops(leg)}; it asks for no place"
-            )
+            said = f"{words.stops(leg)}; it asks for no place"
+            return replace(base, kind="unplaced", sentence=said)
         found = diagnose(self._goal, self._room, leg.q[-1])
         self._report(0.4)
+        return self._velocity() if self._follows(found, velocities) else self._said(found)
+
+    def _follows(self, found: Diagnosis, velocities: Sequence[PartOfTask]) -> bool:
+        """Whether velocities are what is missed for a reason, and places only with them."""
+        return bool(velocities) and isinstance(found, NotBlocked)
+
+    def _said(self, found: Diagnosis) -> RunExplanation:
+        """What geometry says, in words."""
+        leg, base = self._leg, self._base
         if isinstance(found, NotBlocked):
             return self._late(found)
         if isinstance(found, BlockedByLimits):
             return self._limits(found)
         if isinstance(found, Elsewhere):
-            said = f"{self._held(found.shares)}; {words.elsewhere(found, leg)}"
+            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg)}"
             return replace(
                 base, kind="elsewhere", sentence=said, held_back=_held_back(found.shares)
             )
@@ -217,10 +226,9 @@ class _Whole:
         cured = cure(
             self._scenario, self._name, self._leg, self._goal, self._room, found, self._report
         )
-        said = f"{self._held(found.shares)}; {words.cure(cured, found.shares, self._room)}"
+        said = f"{self._held(found.shares)}; {words.cure(cured, found.shares)}"
         if found.elsewhere:
-            other = Elsewhere((), found.elsewhere)
-            said += f"; {words.elsewhere(other, self._leg)}"
+            said += f"; {words.elsewhere(found.elsewhere, self._leg)}"
         return self._with(cured, found.shares, said)
 
     def _with(self, cured: Cure | None, shares: tuple[Share, ...], said: str) -> RunExplanation:
@@ -238,8 +246,7 @@ class _Whole:
         )
 
     def _reach(self, found: OutOfReach) -> RunExplanation:
-        errors = {part.name: error for part, error in self._leg.missed}
-        said = words.reach(found, errors.get(found.part.name, 0.0))
+        said = words.reach(found)
         way = found.gap / max(found.distance, 1e-300)
         return replace(
             self._base,

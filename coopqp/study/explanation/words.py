@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
-from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, TooFewFreedoms
+from coopqp.study.explanation.diagnosis import OutOfReach, TooFewFreedoms
 from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.search import Place
+from coopqp.study.explanation.shares import Share, thing_of
 from coopqp.task import Task
 
 #: A direction this near to an axis is the axis.
@@ -36,18 +37,19 @@ def size(amount: float, unit: str) -> str:
     return f"{amount:.3g} {unit}"
 
 
-def far(part: PartOfTask, error: float) -> str:
-    """How far a task is off."""
-    return f"{size(error, part.part.unit)} short"
+def with_note(row: Row, note: str) -> str:
+    """A limit's words with a note in its brackets."""
+    words = row.words
+    return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
 def stops(leg: Leg) -> str:
     """What the worst part of a task ended off by."""
     part, error = leg.missed[0]
-    verb = "misses by" if part.task.asks_velocity else "stops"
+    amount = size(error, part.part.unit)
     if part.task.asks_velocity:
-        return f"{part.name} {verb} {size(error, part.part.unit)}"
-    return f"{part.name} {verb} {far(part, error)}"
+        return f"{part.name} misses by {amount}"
+    return f"{part.name} stops {amount} short"
 
 
 def holding(shares: Sequence[Share]) -> str:
@@ -58,47 +60,51 @@ def holding(shares: Sequence[Share]) -> str:
         return f"{shares[0].row.words} holds it back alone"
     named = shares[:MOST]
     words = [
-        f"{share.row.words} ({100.0 * share.share:.0f} %{' of the force' if i == 0 else ''})"
+        with_note(share.row, f"{100.0 * share.share:.0f} %{' of the force' if i == 0 else ''}")
         for i, share in enumerate(named)
     ]
     more = [f"{len(shares) - MOST} more"] if len(shares) > MOST else []
     return f"{listed([*words, *more])} hold it back"
 
 
-def cure(found: Cure | None, shares: Sequence[Share], room: Room) -> str:
+def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     """What would do, and whether it was seen to."""
     if found is None:
-        return "no wider limits were found with which the law gets there"
-    parts = []
-    for need in found.needs:
-        owner = None if need.space is None else room.limits[need.space]
-        parts.append(_need(need, owner is not None))
-    text = f"to get there {listed(parts)}"
-    if found.needs and not {s.row.name for s in shares} & {n.row.name for n in found.needs}:
-        text += " (idle now)"
+        return "even without limits of place the law does not get there"
+    now = {thing_of(share.row) for share in shares}
+    first = [need for need in found.needs if thing_of(need.row) in now]
+    later = [need for need in found.needs if thing_of(need.row) not in now]
+    text = f"to get there {_needs(first)}" if first else "to get there"
+    if later:
+        text += f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
     if found.reached:
         return f"{text} (tried: reached)"
     if found.reached is None:
-        return f"{text} (not tried: it has no setting that gives so much)"
+        return f"{text} (not tried: no setting gives so much)"
     assert found.left
-    part, error = found.left.missed[0]
-    return f"{text}, but tried, the law then stops {far(part, error)}"
+    return f"{text}; tried, but then {stops(found.left)}"
 
 
-def _need(need: Need, in_space: bool) -> str:
-    amount = size(need.amount, need.row.unit)
-    if not in_space:
-        return f"{need.row.words} would need {amount} more"
-    return f"{need.row.owner.replace('_', ' ')} would have to be {amount} farther out"
+def _needs(needs: Sequence[Need], *, alone: bool = True) -> str:
+    """Amounts, each beside its limit; the verb with the first."""
+    said = []
+    for need in needs:
+        name = need.row.words if need.space is None else _thing(need.row)
+        amount = size(need.amount, need.row.unit)
+        verb = "would need " if alone and not said else ""
+        said.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
+    return listed(said)
 
 
-def elsewhere(found: Elsewhere | None, leg: Leg) -> str:
+def _thing(row: Row) -> str:
+    """A limit in space as a whole."""
+    return row.owner.replace("_", " ")
+
+
+def elsewhere(place: Place, leg: Leg) -> str:
     """Where it would be reached inside the limits."""
-    assert found
-    return (
-        "it can be reached inside the limits from another configuration: "
-        f"{start(found.place.q, leg)}"
-    )
+    where = start(place.q, leg)
+    return f"it can be reached inside the limits from another configuration, such as {where}"
 
 
 def start(q: Array, leg: Leg) -> str:
@@ -112,11 +118,17 @@ def start(q: Array, leg: Leg) -> str:
     return "; ".join(arms)
 
 
-def reach(found: OutOfReach, own_error: float) -> str:
+def reach(found: OutOfReach) -> str:
     """How far out of reach, which way, and what the limits cost beside."""
     part = found.part
     name, unit = part.task.name, part.part.unit
-    text = f"{name} is out of reach by {size(found.distance, unit)}"
+    held = listed([with_note(s.row, f"{100.0 * s.share:.0f} %") for s in found.shares[:MOST]])
+    if found.cost > found.distance:
+        verb = "hold" if len(found.shares) > 1 else "holds"
+        text = f"{held} {verb} {name} back by {size(found.cost, unit)}; beyond that it"
+    else:
+        text = name
+    text += f" is out of reach by {size(found.distance, unit)}"
     if part.axes:
         text += f" along {direction(found.gap)}"
     elif part.part.name:
@@ -126,9 +138,8 @@ def reach(found: OutOfReach, own_error: float) -> str:
         goal = found.goal
         goal.look(found.nearest.q)
         text += f"; the nearest point is {point(_reached_point(found))}"
-    if found.shares:
-        limits = listed([f"{s.row.words} {100.0 * s.share:.0f} %" for s in found.shares[:MOST]])
-        text += f"; limits ({limits}) cost another {size(found.cost, unit)}"
+    if 0.0 < found.cost <= found.distance:
+        text += f"; limits cost another {size(found.cost, unit)}: {held}"
     if found.elsewhere is not None:
         e = np.linalg.norm(found.elsewhere.e[part.rows])
         text += f"; from another configuration {size(float(e), unit)}"
@@ -189,5 +200,5 @@ def freedoms(found: TooFewFreedoms) -> str:
 
 def slow(shares: Sequence[Share]) -> str:
     """Speeds that hold up."""
-    named = [f"{share.row.words} ({100.0 * share.share:.0f} %)" for share in shares[:MOST]]
+    named = [with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares[:MOST]]
     return f"{listed(named)} {'holds' if len(named) == 1 else 'hold'} it up"
