@@ -189,7 +189,9 @@ def explain(
     if tick is not None or save:
         _explain_tick(path, scenario, controller, tick, save, as_json=as_json)
         return
-    solving = [c for c in known if c in scenario.controllers and scenario.controllers[c].uses_solver]
+    solving = [
+        c for c in known if c in scenario.controllers and scenario.controllers[c].uses_solver
+    ]
     recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None

@@ -122,7 +122,9 @@ class Workspace(Limit):
     def _words(self, point: Array) -> str:
         """A point of the object in words."""
         if self.points is None:
-            sides = (f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True))
+            sides = (
+                f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True)
+            )
             return f"corner {' '.join(sides)}"
         return f"point ({', '.join(f'{c:g}' for c in point)})"
 

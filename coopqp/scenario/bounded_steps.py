@@ -31,7 +31,7 @@ Residual = Callable[[Array], tuple[Array, Array]]
 """From x to r and J, shapes (k,) and (k, n)."""
 
 Inequalities = Callable[[Array], tuple[Array, Array]]
-"""From x to G and h of G d <= h, shapes (p, n) and (p,); h is not negative, so that d = 0 may be."""
+"""From x to G and h of G d <= h, shapes (p, n) and (p,); h >= 0, so that d = 0 is allowed."""
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,7 @@ class _Reader:
     def _folder(self) -> Path:
         """Where relative paths begin."""
         read: Any = self._read
-        return (self._file.path.parent / read.folder).resolve()
+        return (self._file.path.parent / str(read.folder)).resolve()
 
     def _start(self) -> Start:
         read: Any = self._read

@@ -5,9 +5,10 @@ object, L the length that a radian counts as:
 
     r_i(q) = [p_i - p_WO; L log(R_i R_WO')],   minimise |r|^2 subject to lower <= q <= upper
 
-by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from many random configurations. What redundancy leaves is used to come away from the limits: every
-start found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and
-that with the largest margin wins. Passive joints are variables like all others.
+by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from
+many random configurations. What redundancy leaves is used to come away from the limits: every start
+found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and that
+with the largest margin wins. Passive joints are variables like all others.
 
 Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
 """

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +19,8 @@ from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.search import RESTARTS, Search
 from coopqp.task import Task
+
+T = TypeVar("T")
 
 #: Random beginnings of a free object, and how far they lie off [rad; m times the reach].
 FREE_STARTS, FREE_STEPS, FREE_STEP = 6, 80, 0.5
@@ -38,14 +41,12 @@ class Contradiction:
     any_robot: bool
 
 
-def irreducible(
-    tasks: Sequence[Task], fails: Callable[[tuple[Task, ...]], bool]
-) -> tuple[Task, ...]:
+def irreducible(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
     """A subset that fails and of which every smaller one holds (deletion filter).
 
     Args:
-        tasks: that fail together.
-        fails: whether a set of tasks cannot hold.
+        tasks: that fail together, or their names.
+        fails: whether a set of them cannot hold.
     """
     kept = tuple(tasks)
     for task in tasks:

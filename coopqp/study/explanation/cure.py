@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from coopqp.row import Row
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.diagnosis import BlockedByLimits
@@ -19,8 +21,6 @@ from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.rerun import Change, rerun
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import NEAR, Search
-
-import numpy as np
 
 #: What is told is more than the least by this share and this much [rad, m], rounded up.
 SHARE, MORE = 1.05, 5e-4

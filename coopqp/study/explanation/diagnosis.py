@@ -11,13 +11,12 @@ Searches from where the run has ended answer in turn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.rank import independent_rows, null_space
+from coopqp.rank import independent_rows
 from coopqp.study.explanation.contradiction import (
     Contradiction,
     on_a_free_object,
@@ -119,9 +118,7 @@ class OutOfReach:
         return float(np.linalg.norm(self.gap))
 
 
-Diagnosis = (
-    NotBlocked | BlockedByLimits | Elsewhere | Contradiction | TooFewFreedoms | OutOfReach
-)
+Diagnosis = NotBlocked | BlockedByLimits | Elsewhere | Contradiction | TooFewFreedoms | OutOfReach
 
 
 def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:

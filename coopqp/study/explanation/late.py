@@ -1,4 +1,4 @@
-"""A goal that geometry allows and the run missed: too slow, out of loop budget, too short, at rest."""
+"""A goal that geometry allows and the run missed: too slow, no loop budget, too short, at rest."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _falls(before: Leg, after: Leg) -> bool:
     """Whether more time brought it nearer."""
     errors = dict(zip((p.name for p in after.parts), after.errors.tolist(), strict=True))
     part, error = before.missed[0]
-    return errors[part.name] < (1.0 - FALLS) * error
+    return bool(errors[part.name] < (1.0 - FALLS) * error)
 
 
 def _arrival(goal: Goal, leg: Leg) -> float:

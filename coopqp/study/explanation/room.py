@@ -116,4 +116,3 @@ class Room:
                 if left < near:
                     found.append((row, -way))
         return found
-

@@ -95,7 +95,7 @@ class Search:
         return found
 
     def cost(self, place: Place) -> float:
-        """e' W e."""
+        """The weighted sum of squares, e' W e."""
         return float((self._root * place.e) @ (self._root * place.e))
 
     def _begin(self, rng: np.random.Generator, q: Array, *, near: bool) -> Array:

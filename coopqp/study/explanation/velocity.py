@@ -85,9 +85,7 @@ def explain(scenario: Scenario, controller: str, leg: Leg, room: Room) -> Veloci
     return VelocityAnswer("limits", said, held, found)
 
 
-def _too_fast(
-    leg: Leg, held: tuple[Share, ...], needed: float, part: PartOfTask
-) -> VelocityAnswer:
+def _too_fast(leg: Leg, held: tuple[Share, ...], needed: float, part: PartOfTask) -> VelocityAnswer:
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
     return VelocityAnswer("speed", why + more, held, tasks=(part.task.name,))

@@ -11,7 +11,6 @@ from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
 from coopqp.study.explanation.diagnosis import OutOfReach, TooFewFreedoms
-from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share, thing_of
@@ -76,7 +75,9 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     later = [need for need in found.needs if thing_of(need.row) not in now]
     text = f"to get there {_needs(first)}" if first else "to get there"
     if later:
-        text += f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
+        text += (
+            f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
+        )
     if found.reached:
         return f"{text} (tried: reached)"
     if found.reached is None:
@@ -87,7 +88,7 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
 
 def _needs(needs: Sequence[Need], *, alone: bool = True) -> str:
     """Amounts, each beside its limit; the verb with the first."""
-    said = []
+    said: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else _thing(need.row)
         amount = size(need.amount, need.row.unit)
