@@ -17,7 +17,7 @@ from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.scenario import Scenario
-from coopqp.solver import Status, causes_of
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
 
@@ -51,8 +51,9 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
                 "is damaged, or of another scenario"
             )
         status = tuple(row["status"] for row in rows[:-1])
-        for word in set(status):
-            causes_of(word)
+        unknown = {name for word in status for name in word.split("+")} - set(Status.__members__)
+        if unknown:
+            raise ValueError(f"no status '{min(unknown)}'")
         tau = any(row.get(f"tau[{joint}]") for row in rows[:1] for joint in joints)
         return Recording(
             controller=controller,
