@@ -35,7 +35,7 @@ from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import RunExplanation, explain_run, recording_of
 from coopqp.task import Task
-from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pointing
+from coopqp.tasks import Orientation, Pointing, PointOnPlane, PointOnPoint
 
 ROBOTS = {
     "NAO": "point_on_point",
@@ -118,7 +118,10 @@ def gap(chain: ClosedChain, q: Array) -> Array:
     pin.framesForwardKinematics(chain.model, data, q)
     X_0, *others = (data.oMf[frame] for frame in chain.frames[: chain.holding])
     return np.concatenate(
-        [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)] for X in others]
+        [
+            [*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
+            for X in others
+        ]
     )
 
 
@@ -184,7 +187,9 @@ def cured(outcome: Outcome) -> bool:
             x, y, z = (np.array(own.through) - need.amount * n).tolist()
             limits.append(replace(own, through=(x, y, z)))
     wider = Wider(replace(robot, model=model))
-    trace = run(replace(scenario, robot=wider, limits=tuple(limits)), controller="qp")
+    duration = outcome.found.time or scenario.duration
+    other = replace(scenario, robot=wider, limits=tuple(limits), duration=duration)
+    trace = run(other, controller="qp")
     return bool(trace.final_error[0] <= scenario.tasks[0].tolerance)
 
 
@@ -202,10 +207,15 @@ def scipy_distance(chain: ClosedChain, goal: Array, rng: np.random.Generator, st
             at = at + weight * data.oMf[frame].translation
         return np.concatenate([at - goal, 30.0 * gap(chain, q)])
 
+    def slope(q: Array) -> Array:
+        J = chain.object_jacobians(q)[: chain.holding]
+        mean = np.tensordot(chain.alpha[: chain.holding], J, axes=1)[:3]
+        return np.vstack([mean, 30.0 * (J[1:] - J[0]).reshape(-1, chain.n)])
+
     nearest = np.inf
     for i in range(starts):
         q = chain.q_start + (rng.normal(scale=0.7, size=chain.n) if i else 0.0)
-        answer = least_squares(residual, q, method="trf", max_nfev=200)
+        answer = least_squares(residual, q, slope, method="trf", max_nfev=300)
         if np.abs(gap(chain, answer.x)).max() < 2e-3:
             nearest = min(nearest, float(np.linalg.norm(answer.fun[:3])))
     return nearest
@@ -287,7 +297,9 @@ def two_axes(chain: ClosedChain, rng: np.random.Generator) -> list[Task]:
     R = chain.object_pose(chain.q_start).rotation
     tilted = [R @ pin.exp3(turn * np.array((0.0, 1.0, 0.0))) for turn in (0.15, -0.1)]
     return [
-        Pointing(name=f"look{i}", axis=(1, 0, 0), direction=tuple(T[:, 0].tolist()), profile=PROFILE)
+        Pointing(
+            name=f"look{i}", axis=(1, 0, 0), direction=tuple(T[:, 0].tolist()), profile=PROFILE
+        )
         for i, T in enumerate(tilted)
     ]
 
@@ -307,7 +319,7 @@ def bystander(chain: ClosedChain) -> Task:
         return Orientation(name="turned", rpy=tuple(rpy.tolist()), profile=PROFILE, weight=1e-3)
     p = chain.object_pose(chain.q_start).act(np.array((0.0, 0.0, 0.5)))
     axis = (0.0, 1.0, 0.0)
-    through = tuple((p + (0.0, 0.5, 0.0)).tolist())
+    through = tuple((p + np.array((0.0, 0.5, 0.0))).tolist())
     return PointOnPlane(name="beside", normal=axis, through=through, point=(0.0, 0.5, 0.5))
 
 
@@ -388,7 +400,9 @@ def times(done: list[Outcome]) -> None:
     for robot in ROBOTS:
         some = [o.seconds for o in done if o.robot == robot]
         if some:
-            print(f"  {robot}: {len(some)} explained in {np.median(some):.2f} s, most {max(some):.2f}")
+            print(
+                f"  {robot}: {len(some)} explained in {np.median(some):.2f} s, most {max(some):.2f}"
+            )
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from coopqp.study.explanation.diagnosis import BlockedByLimits
 from coopqp.study.explanation.excess import Excess, excess_at, least_excess
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.rerun import Change, rerun
+from coopqp.study.explanation.rerun import Change, arrival, longer, rerun
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import NEAR, Search
 
@@ -54,13 +54,13 @@ class Cure:
         reached: whether the rerun with exactly these amounts reached the goal; None if untried,
             because a limit has no setting that gives so much.
         left: what the rerun ended off by, as the leg tells; None where it reached.
-        way: whether the amounts are those of a run without limits of place.
+        time: that it takes then, where that is more than the run has [s].
     """
 
     needs: tuple[Need, ...]
     reached: bool | None
     left: Leg | None = None
-    way: bool = False
+    time: float | None = None
 
 
 Report = Callable[[float], None]
@@ -88,20 +88,32 @@ def cure(
     """
     least = least_excess(goal, room, _starts(goal, blocked))
     report(0.5)
-    first = _tried(scenario, controller, leg, room, least) if least else None
+    first = _tried(scenario, controller, leg, room, least, goal) if least else None
     if first and first.reached:
         return first
     report(0.7)
-    return way_of(scenario, controller, leg, room) or first
+    return way_of(scenario, controller, leg, room, goal) or first
 
 
-def way_of(scenario: Scenario, controller: str, leg: Leg, room: Room) -> Cure | None:
-    """What is enough by construction: the overrun of a run without limits of place."""
-    free = rerun(scenario, controller, leg.phase, Change(without_places=True))
+def way_of(
+    scenario: Scenario, controller: str, leg: Leg, room: Room, goal: Goal | None
+) -> Cure | None:
+    """What is enough by construction: the overrun of a run without limits of place.
+
+    Args:
+        scenario: as the controller holds it.
+        controller: its name.
+        leg: that missed.
+        room: its limits.
+        goal: of its tasks, to be given more time; None where that is no help.
+    """
+    change = Change(without_places=True)
+    free = rerun(scenario, controller, leg.phase, change)
+    if free.missed and goal:
+        free = rerun(scenario, controller, leg.phase, replace(change, longer=longer(leg)))
     if free.missed:
         return None
-    found = _tried(scenario, controller, leg, room, excess_at(room, free.q))
-    return Cure(found.needs, found.reached, found.left, way=True) if found else None
+    return _tried(scenario, controller, leg, room, excess_at(room, free.q), goal)
 
 
 def _starts(goal: Goal, blocked: BlockedByLimits) -> list[np.ndarray]:
@@ -116,7 +128,7 @@ def _starts(goal: Goal, blocked: BlockedByLimits) -> list[np.ndarray]:
 
 
 def _tried(
-    scenario: Scenario, controller: str, leg: Leg, room: Room, excess: Excess
+    scenario: Scenario, controller: str, leg: Leg, room: Room, excess: Excess, goal: Goal | None
 ) -> Cure | None:
     """A rerun with what would have to be given, as it is told."""
     needs = _needs(room, excess)
@@ -126,7 +138,13 @@ def _tried(
     if change is None:
         return Cure(needs, None)
     after = rerun(scenario, controller, leg.phase, change)
-    return Cure(needs, not after.missed, after if after.missed else None)
+    if not after.missed:
+        return Cure(needs, True)
+    if goal:
+        late = rerun(scenario, controller, leg.phase, replace(change, longer=longer(leg)))
+        if not late.missed:
+            return Cure(needs, True, time=arrival(goal, late))
+    return Cure(needs, False, after)
 
 
 def _needs(room: Room, excess: Excess) -> tuple[Need, ...]:

@@ -28,6 +28,8 @@ from coopqp.study.explanation.room import Room
 METRE, PROXIMAL, OFF = 4.0, 0.05, 100.0
 #: Steps, farthest that a joint goes in one [rad, m], how it shrinks, and where that ends.
 STEPS, STEP, SHRINK, SMALLEST = 60, 0.3, 0.6, 1e-5
+#: Newton steps after each, and a fall of the sum below which a step was none.
+NEWTON, ENOUGH = 2, 1e-6
 #: Singular values of the equalities below this ask nothing.
 CUT = 1e-5
 #: An excess below this is not named [rad, m].
@@ -126,21 +128,35 @@ class _Programs:
 
     def shrink(self, start: Array) -> Excess | None:
         """A local minimum near a start; None where the goal is lost."""
-        q, step = start.copy(), STEP
+        q, step = self._back(start), STEP
         merit, off = self._merit(q)
-        best = (merit, q) if off < 1.0 else None
+        if off >= 1.0:
+            return None
         for _ in range(STEPS):
             d = self._step(q, step)
             if d is None or step < SMALLEST:
                 break
-            trial_merit, off = self._merit(q + d)
-            if trial_merit < merit - 1e-7:
-                q, merit = q + d, trial_merit
-                if off < 1.0:
-                    best = (merit, q)
+            trial = self._back(q + d)
+            trial_merit, off = self._merit(trial)
+            if off < 1.0 and trial_merit < merit - ENOUGH:
+                q, merit, step = trial, trial_merit, min(STEP, step / SHRINK)
             else:
                 step *= SHRINK
-        return excess_at(self._room, best[1][None]) if best else None
+        return excess_at(self._room, q[None])
+
+    def _back(self, q: Array) -> Array:
+        """Newton steps to where the equalities hold again, so that long steps can be taken."""
+        for _ in range(NEWTON):
+            C, r = self._equalities(q)
+            q = q - np.linalg.lstsq(C, r, rcond=CUT)[0]
+        return q
+
+    def _equalities(self, q: Array) -> tuple[Array, Array]:
+        """Jacobian and residual of loops and goal."""
+        goal = self._goal
+        goal.look(q)
+        C = np.vstack([goal.state.J_loop, goal.stack.J])
+        return C, np.concatenate([goal.state.e_loop, goal.stack.e])
 
     def _merit(self, q: Array) -> tuple[float, float]:
         """Excess and what the equalities are off by; the latter in tolerances as well."""
@@ -156,12 +172,10 @@ class _Programs:
         return total + METRE * float(spaces.sum()) + OFF * float(off), missed
 
     def _step(self, q: Array, most: float) -> Array | None:
-        goal, room, qp, n = self._goal, self._room, self._qp, len(q)
-        goal.look(q)
-        C = np.vstack([goal.state.J_loop, goal.stack.J])
+        room, qp, n = self._room, self._qp, len(q)
+        C, r = self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
         kept = int((values > CUT).sum())
-        r = np.concatenate([goal.state.e_loop, goal.stack.e])
         qp.A[:], qp.b[:] = 0.0, 0.0
         qp.A[:kept, :n] = Vt[:kept]
         qp.b[:kept] = -(U[:, :kept].T @ r) / values[:kept]

@@ -12,14 +12,12 @@ from coopqp.study.explanation import words
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.motion import held_up, is_speed
-from coopqp.study.explanation.rerun import Change, rerun
+from coopqp.study.explanation.rerun import Change, arrival, longer, rerun
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
-#: A longer run has so many times the time, and so much more [s].
-TIMES, MORE = 2.0, 2.0
 #: Speeds are the cause from this share of the force on.
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
@@ -69,9 +67,9 @@ def explain(
         return late
     held = () if torques else held_up(leg)
     slow = sum(share.share for share in held if is_speed(share.row)) > MOSTLY
-    after = rerun(scenario, controller, leg.phase, Change(longer=TIMES * leg.t_end + MORE))
+    after = rerun(scenario, controller, leg.phase, Change(longer=longer(leg)))
     reached = not after.missed
-    time = _arrival(goal, after) if reached else None
+    time = arrival(goal, after) if reached else None
     if not reached and not _falls(leg, after):
         words_ = f"it rests although this is inside the limits: {words.start(place.q, leg)}"
         return Late("rest", words_, held, tried=False)
@@ -122,14 +120,3 @@ def _falls(before: Leg, after: Leg) -> bool:
     errors = dict(zip((p.name for p in after.parts), after.errors.tolist(), strict=True))
     part, error = before.missed[0]
     return bool(errors[part.name] < (1.0 - FALLS) * error)
-
-
-def _arrival(goal: Goal, leg: Leg) -> float:
-    """From when on all tasks are within their tolerances [s]."""
-    dt = leg.problem.dt
-    for k in range(len(leg.v), 0, -1):
-        goal.state.t = k * dt
-        goal.look(leg.q[k])
-        if goal.miss > 1.0:
-            return (k + 1) * dt
-    return dt

@@ -18,9 +18,13 @@ from coopqp.limit import Limit
 from coopqp.row import Row
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg, legs, recording_of
 from coopqp.study.explanation.room import PLACE_UNITS
 from coopqp.task import Task
+
+#: A longer run has so many times the time more, and so much [s].
+TIMES, MORE = 2.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,27 @@ def rerun(scenario: Scenario, controller: str, phase: int, change: Change) -> Le
     other = _changed(scenario, phase, change)
     trace = run(other, controller=controller)
     return list(legs(other, recording_of(trace)))[phase]
+
+
+def longer(leg: Leg) -> float:
+    """How much more time a longer run gets [s]."""
+    return TIMES * leg.t_end + MORE
+
+
+def arrival(goal: Goal, leg: Leg) -> float:
+    """From when on all tasks with a place are within their tolerances [s].
+
+    Args:
+        goal: of these tasks.
+        leg: that reached it.
+    """
+    dt = leg.problem.dt
+    for k in range(len(leg.v), 0, -1):
+        goal.state.t = k * dt
+        goal.look(leg.q[k])
+        if goal.miss > 1.0:
+            return (k + 1) * dt
+    return dt
 
 
 def _changed(scenario: Scenario, phase: int, change: Change) -> Scenario:

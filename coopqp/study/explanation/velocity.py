@@ -80,7 +80,7 @@ def explain(scenario: Scenario, controller: str, leg: Leg, room: Room) -> Veloci
     held = held_up(leg, range(max(0, k - LAST), k + 1))
     if sum(share.share for share in held if is_speed(share.row)) > MOSTLY or not held:
         return _too_fast(leg, held, needed, part)
-    found = way_of(scenario, controller, leg, room)
+    found = way_of(scenario, controller, leg, room, None)
     said = f"{words.holding(held)}; {words.cure(found, held)}"
     return VelocityAnswer("limits", said, held, found)
 

@@ -243,6 +243,7 @@ class _Whole:
             held_back=_held_back(shares),
             needed=needed,
             tried=cured.reached if cured else None,
+            time=cured.time if cured else None,
         )
 
     def _reach(self, found: OutOfReach) -> RunExplanation:

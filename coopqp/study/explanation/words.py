@@ -78,6 +78,8 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
         text += (
             f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
         )
+    if found.reached and found.time is not None:
+        return f"{text} and the run {found.time:.3g} s (tried: reached)"
     if found.reached:
         return f"{text} (tried: reached)"
     if found.reached is None:
