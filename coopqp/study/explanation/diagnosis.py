@@ -102,6 +102,7 @@ class OutOfReach:
         cost: by how much the limits keep it farther off [the part's unit]; 0 if not worth telling.
         shares: of these limits.
         elsewhere: a nearer place in another configuration, if there is one.
+        in_world: whether the gap is along the world's x, y and z.
     """
 
     goal: Goal
@@ -111,6 +112,7 @@ class OutOfReach:
     cost: float
     shares: tuple[Share, ...]
     elsewhere: Place | None
+    in_world: bool
 
     @property
     def distance(self) -> float:
@@ -216,7 +218,22 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
         cost=cost if told else 0.0,
         shares=held_back(goal, room, at.q) if told else (),
         elsewhere=best if nearer else None,
+        in_world=_in_world(goal, part, here.q),
     )
+
+
+def _in_world(goal: Goal, part: PartOfTask, q: Array) -> bool:
+    """Whether the part's rows are the world's coordinates of a point of the object.
+
+    Its Jacobian is then that of the object's origin but for a lever times the angular one.
+    """
+    if part.part.rows != 3 or part.part.unit != "m":
+        return False
+    goal.look(q)
+    J_v, J_w = goal.state.J_task[:3], goal.state.J_task[3:]
+    left = (goal.stack.J[part.rows] - J_v).T
+    left = left - J_w.T @ np.linalg.lstsq(J_w.T, left, rcond=None)[0]
+    return bool(np.linalg.norm(left) < 1e-9 * max(float(np.linalg.norm(J_v)), 1e-9))
 
 
 def _size(part: PartOfTask, e: Array) -> float:

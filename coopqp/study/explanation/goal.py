@@ -38,11 +38,6 @@ class PartOfTask:
     rows: slice
     name: str
 
-    @property
-    def axes(self) -> bool:
-        """Whether the rows are the world's x, y and z."""
-        return self.part.rows == 3 and self.part.unit in ("m", "m/s")
-
 
 class Goal:
     """What tasks ask for at one time.

@@ -31,7 +31,7 @@ class Late:
     """Why a run was late.
 
     Attributes:
-        kind: speed, budget, short, rest, model or motors.
+        kind: speed, budget, short, rest, model, motors or failed.
         sentence: in words.
         shares: of the limits that held it up.
         tried: whether a rerun reached the goal; None without one.
@@ -61,6 +61,10 @@ def explain(
     goal.look(leg.q[-1])
     if goal.miss <= 1.0:
         return Late("model", "by its model it has arrived; the rest is what the model gets wrong")
+    if leg.causes[-1][0] is Status.INFEASIBLE:
+        count = sum(not causes[0].usable for causes in leg.causes)
+        said = f"it stands still in {count} of {len(leg.causes)} ticks: not all could hold in them"
+        return Late("failed", f"{said}; --tick says what")
     if _out_of_budget(leg):
         return _budget(scenario, controller, leg)
     if torques and (late := _motors(leg)):

@@ -96,9 +96,10 @@ def _at_the_edge(leg: Leg, k: int, part: PartOfTask) -> VelocityAnswer:
     names = [name.rpartition(".")[2] for name in _row_names(leg, part)]
     i = int(np.abs(u).argmax())
     along = f"{'+' if u[i] > 0 else '-'}{names[i]}"
+    of = " of its own axes" if getattr(part.task, "axes", "world") == "object" else ""
     said = (
-        f"the object is at the edge of its reach along {along}: whatever the limits and speeds, "
-        "the loops leave no motion there"
+        f"the object is at the edge of its reach along {along}{of}: whatever the limits and "
+        "speeds, the loops leave no motion there"
     )
     way = np.zeros(3)
     for name, component in zip(names, u, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from coopqp.study.explanation.diagnosis import (
     TooFewFreedoms,
     diagnose,
 )
-from coopqp.study.explanation.goal import Goal, PartOfTask, placed
+from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.leg import Leg, Recording, legs
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
@@ -77,7 +77,7 @@ class RunExplanation:
         tasks: that contradict each other, or are out of reach.
         any_robot: whether they would on any other robot.
         distance: out of reach by so much, in the unit of what is missed most.
-        way: unit vector to the goal from the nearest point.
+        way: unit vector to the goal from the nearest point, where that is one of the world's.
         time: that would do [s].
         sentence: all of it in words.
     """
@@ -187,11 +187,9 @@ class _Whole:
             return replace(base, kind="unplaced", sentence=said)
         found = diagnose(self._goal, self._room, leg.q[-1])
         self._report(0.4)
-        return self._velocity() if self._follows(found, velocities) else self._said(found)
-
-    def _follows(self, found: Diagnosis, velocities: Sequence[PartOfTask]) -> bool:
-        """Whether velocities are what is missed for a reason, and places only with them."""
-        return bool(velocities) and isinstance(found, NotBlocked)
+        if velocities and isinstance(found, NotBlocked):
+            return self._velocity()
+        return self._said(found)
 
     def _said(self, found: Diagnosis) -> RunExplanation:
         """What geometry says, in words."""
@@ -256,7 +254,7 @@ class _Whole:
             held_back=_held_back(found.shares),
             tasks=(found.part.task.name,),
             distance=found.distance,
-            way=tuple(way.tolist()),
+            way=tuple(way.tolist()) if found.in_world else (),
         )
 
     def _late(self, found: NotBlocked) -> RunExplanation:

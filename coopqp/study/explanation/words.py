@@ -125,21 +125,23 @@ def reach(found: OutOfReach) -> str:
     """How far out of reach, which way, and what the limits cost beside."""
     part = found.part
     name, unit = part.task.name, part.part.unit
-    held = listed([with_note(s.row, f"{100.0 * s.share:.0f} %") for s in found.shares[:MOST]])
+    several = len(found.shares) > 1
+    held = listed(
+        [with_note(s.row, f"{100.0 * s.share:.0f} %") if several else s.row.words
+         for s in found.shares[:MOST]]
+    )  # fmt: skip
     if found.cost > found.distance:
-        verb = "hold" if len(found.shares) > 1 else "holds"
+        verb = "hold" if several else "holds"
         text = f"{held} {verb} {name} back by {size(found.cost, unit)}; beyond that it"
     else:
         text = name
     text += f" is out of reach by {size(found.distance, unit)}"
-    if part.axes:
+    if found.in_world:
         text += f" along {direction(found.gap)}"
     elif part.part.name:
         text += f" of {part.part.name}"
     text += ", whatever the limits"
-    if part.axes and unit == "m":
-        goal = found.goal
-        goal.look(found.nearest.q)
+    if found.in_world:
         text += f"; the nearest point is {point(_reached_point(found))}"
     if 0.0 < found.cost <= found.distance:
         text += f"; limits cost another {size(found.cost, unit)}: {held}"
@@ -150,13 +152,9 @@ def reach(found: OutOfReach) -> str:
 
 
 def _reached_point(found: OutOfReach) -> Array:
-    """The place of the task's point where it is nearest: the object's origin and its own error."""
-    task = found.part.task
-    goal = getattr(task, "goal", None)
-    wanted = getattr(goal, "position", goal)
-    if wanted is None or np.shape(wanted) != (3,):
-        return found.goal.state.p_WO
-    return np.array(wanted, float) - found.gap
+    """Where the point of the object that the task moves is, as near as it gets."""
+    found.goal.look(found.nearest.q)
+    return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
 
 
 def direction(way: Array) -> str:
@@ -179,6 +177,8 @@ def contradiction(found: Contradiction, leg: Leg) -> str:
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
     mine = [(part, e) for part, e in leg.missed if part.task in found.tasks]
+    if not mine:
+        return text
     ranks = {_rank(task) for task in found.tasks}
     offs = [f"{part.name} stays {size(e, part.part.unit)} off" for part, e in mine]
     if len(ranks) > 1:
