@@ -424,6 +424,16 @@ def test_a_law_that_knows_no_limits_is_not_blamed_on_them() -> None:
     assert found.kind == "reached"
 
 
+def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
+    """The pseudoinverse follows the stretching twist by pulling the hands apart."""
+    scenario = advice("nod")
+    found = explained(scenario, "pseudoinverse")
+    far = run(scenario, controller="pseudoinverse").loop_position.max()
+    assert far > 0.1
+    assert found.kind == "open"
+    assert f"open by {1e3 * far:.3g} mm" in found.sentence
+
+
 def test_a_run_of_nans_says_its_status() -> None:
     scenario = nao(REACH, duration=0.2)
     recording = recording_of(run(scenario, controller="qp"))

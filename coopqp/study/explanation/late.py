@@ -75,8 +75,7 @@ def explain(
     reached = not after.missed
     time = arrival(goal, after) if reached else None
     if not reached and not _falls(leg, after):
-        words_ = f"it rests although this is inside the limits: {words.start(place.q, leg)}"
-        return Late("rest", words_, held, tried=False)
+        return Late("rest", _rests(leg, place), held, tried=False)
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
     gain = "" if slow else f" (gain {leg.missed[0][0].task.gain:g} 1/s)"
     then = (
@@ -85,6 +84,13 @@ def explain(
         else f"after {after.t_end:.3g} s {words.stops(after)}"
     )
     return Late("speed" if slow else "short", f"{why}{gain}; {then}", held, reached, time)
+
+
+def _rests(leg: Leg, place: Place) -> str:
+    """Of a run that more time does not help."""
+    if not leg.problem.limits:
+        return "the law does not settle there, although the goal is in reach"
+    return f"it rests although this is inside the limits: {words.start(place.q, leg)}"
 
 
 def _out_of_budget(leg: Leg) -> bool:

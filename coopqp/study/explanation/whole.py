@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.controller_run import controller_of
+from coopqp.limit import states_along
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import late, velocity, words
@@ -29,6 +30,9 @@ from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
 
 Report = Callable[[float], None]
+
+#: A loop that comes open farther is not what a model got wrong [m], [rad].
+OPEN = (5e-3, 20e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +71,7 @@ class RunExplanation:
         controller: whose run.
         phase: that missed, empty where there is one only.
         tick: its last.
-        kind: reached, limits, elsewhere, reach, contradiction, freedom, speed, budget, short,
+        kind: reached, open, limits, elsewhere, reach, contradiction, freedom, speed, budget, short,
             rest, model, motors, failed or unplaced.
         missed: what ended outside its tolerance, the worst first.
         held_back: limits by their share of the force.
@@ -123,7 +127,9 @@ def explain_run(
     assert leg
     base = _base(run, leg)
     if not leg.missed:
-        return replace(base, kind="reached", sentence=_reached(leg))
+        opened = _opened(leg)
+        kind = "open" if opened else "reached"
+        return replace(base, kind=kind, sentence=opened or _reached(leg))
     failed = _failed(leg)
     if failed:
         return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
@@ -141,6 +147,20 @@ def _base(run: Recording, leg: Leg) -> RunExplanation:
         kind="",
         sentence="",
         missed=missed,
+    )
+
+
+def _opened(leg: Leg) -> str:
+    """Of a run whose tasks hold only because its loops do not."""
+    position = angle = 0.0
+    for state in states_along(leg.problem.chain, leg.q):
+        position = max(position, state.loop_position_error)
+        angle = max(angle, state.loop_orientation_error)
+    if position <= OPEN[0] and angle <= OPEN[1]:
+        return ""
+    return (
+        "no goal counts as reached: the loop came open by "
+        f"{words.size(position, 'm')} and {np.degrees(angle):.3g} degrees on the way"
     )
 
 
