@@ -27,7 +27,7 @@ def bench() -> Any:
 
 
 def test_what_is_called_curable_is_cured_by_exactly_what_is_said(bench: Any) -> None:
-    outcomes = [bench.explained(case) for case in islice(bench.blocked(7), 6)]
+    outcomes = [bench.explained(case) for case in islice(bench.blocked(7), 4)]
     missed = [outcome for outcome in outcomes if outcome.found.kind != "reached"]
     assert missed
     for outcome in missed:
@@ -37,12 +37,12 @@ def test_what_is_called_curable_is_cured_by_exactly_what_is_said(bench: Any) -> 
 
 
 def test_goals_out_of_reach_are_blamed_on_nothing_else(bench: Any) -> None:
-    kinds = [bench.explained(case).found.kind for case in islice(bench.far(7), 6)]
-    assert kinds == ["reach"] * 6
+    kinds = [bench.explained(case).found.kind for case in islice(bench.far(7), 2)]
+    assert kinds == ["reach"] * 2
 
 
 def test_tasks_that_contradict_each_other_are_named(bench: Any) -> None:
-    for case, names in islice(bench.pairs(7), 8):
+    for case, names in islice(bench.pairs(7), 6):
         found = bench.explained(case).found
         assert found.kind == "contradiction"
         assert set(found.tasks) == names
