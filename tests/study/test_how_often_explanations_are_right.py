@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "explanations.py"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
-def bench() -> Any:
-    given = importlib.util.spec_from_file_location("explanations", SCRIPT)
-    assert given
-    assert given.loader
-    module = importlib.util.module_from_spec(given)
-    sys.modules["explanations"] = module  # dataclasses look their module up there
-    given.loader.exec_module(module)
-    module.ROBOTS = {"NAO": "point_on_point", "planar pair": "planar_pair"}
-    yield module
-    del sys.modules["explanations"]
+def bench() -> Iterator[Any]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        cases = importlib.import_module("explained_cases")
+        patch.setattr(cases, "ROBOTS", {"NAO": "point_on_point", "planar pair": "planar_pair"})
+        yield importlib.import_module("explanations")
 
 
 def test_what_is_called_curable_is_cured_by_exactly_what_is_said(bench: Any) -> None:
