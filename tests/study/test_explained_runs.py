@@ -21,6 +21,7 @@ from coopqp.limits import (
     JointVelocity,
 )
 from coopqp.scenario.loader import load
+from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, recording_of
 from coopqp.tasks import Twist
 
@@ -48,6 +49,17 @@ def test_speeds_that_hold_up_are_named_with_the_time_that_would_do(
         for share in (1.0, 0.9)
     ]
     assert ends[0] <= scenario.tasks[0].tolerance < ends[1]
+
+
+def test_a_loop_budget_that_is_used_up_is_what_is_blamed() -> None:
+    """A thousandth of a millimetre: nearly every step is cut for it."""
+    budget = Budget(loop_position=1e-6, loop_orientation=1e-5)
+    scenario = replace(load("point_on_point"), kappa=0.0, budget=budget)
+    cut = [s for s in run(scenario, controller="qp").status[-20:] if s != "OPTIMAL"]
+    found = explained(scenario)
+    assert len(cut) > 5
+    assert (found.kind, found.tried, found.held_back) == ("budget", False, ())
+    assert "the loops' budget is used up (kappa 0)" in found.sentence
 
 
 def test_a_run_that_is_too_short_blames_nobody() -> None:
