@@ -178,60 +178,29 @@ def explain(
 
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
     """
-    from coopqp.report import strict_json
+    from coopqp.report import explained, files
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
+    from coopqp.study.recorded_tick import recorded_tick
     from coopqp.study.trace_file import controllers_of, recording_from_trace
 
     path = trace / "trace.csv" if trace.is_dir() else trace
     known = controllers_of(path)  # a trace that is missing is said before its scenario is
     scenario = _load(str(path.parent / "scenario.yaml"), catalog, None)
     if tick is not None or save:
-        _explain_tick(path, scenario, controller, tick, save, as_json=as_json)
+        record = recorded_tick(path, scenario, controller, tick)
+        click.echo(explained.tick_text(record, as_json=as_json))
+        if save:
+            files.write_one(save, record.text())
+            click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
         return
-    solving = [
-        c for c in known if c in scenario.controllers and scenario.controllers[c].uses_solver
-    ]
+    own = scenario.controllers
+    solving = [name for name in known if name in own and own[name].uses_solver]
     recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recording, report)
-    if as_json:
-        click.echo(strict_json.text(found.as_json()))
-        return
-    of = f", phase {found.phase}" if found.phase else ""
-    click.echo(f"{path.parent.resolve().name}, {found.controller}{of}:")
-    click.echo(f"{found.sentence}.")
-
-
-def _explain_tick(
-    path: Path,
-    scenario: Any,
-    controller: str | None,
-    tick: int | None,
-    save: Path | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Say what left a tick no motion, and keep it."""
-    from dataclasses import asdict
-
-    from coopqp.report import files, strict_json
-    from coopqp.study import explanation
-    from coopqp.study.recorded_tick import recorded_tick
-
-    record = recorded_tick(path, scenario, controller, tick)
-    found = explanation.explain(record)
-    if save:
-        files.write_one(save, record.text())
-    if as_json:
-        data = {"tick": record.tick, "status": record.status, **asdict(found)}
-        click.echo(strict_json.text(data))
-        return
-    click.echo(f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):")
-    click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
-    if save:
-        click.echo(f"wrote {save}")
+    click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
 
 
 @main.command()
