@@ -156,9 +156,14 @@ def mobility(
 
 @main.command()
 @click.argument("trace", type=click.Path(path_type=Path))
-@click.option("--tick", type=int, help="Which; the first that gave something up, else the last.")
+@click.option("--tick", type=int, help="Explain one tick, not the run.")
 @click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
-@click.option("--save", type=click.Path(path_type=Path), help="Keep the whole tick in this file.")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    help="Keep a tick in this file; if --tick is omitted, the "
+    "first that gave something up, else the last.",
+)
 @catalogued
 @JSON
 def explain(
@@ -169,29 +174,32 @@ def explain(
     catalog: Any,
     as_json: bool,
 ) -> None:
-    """Say why a tick could not do what its tasks asked.
+    """Say why a run did not reach its goal, and what would do.
 
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
     """
-    from dataclasses import asdict
-
-    from coopqp.report import files, strict_json
-    from coopqp.study import explanation
+    from coopqp.report import explained, files
+    from coopqp.report.terminal import progress_bars
+    from coopqp.study.explanation import explain_run
     from coopqp.study.recorded_tick import recorded_tick
+    from coopqp.study.trace_file import controllers_of, recording_from_trace
 
     path, scenario = _recorded(trace, catalog)
-    record = recorded_tick(path, scenario, controller, tick)
-    found = explanation.explain(record)
-    if save:
-        files.write_one(save, record.text())
-    if as_json:
-        data = {"tick": record.tick, "status": record.status, **asdict(found)}
-        click.echo(strict_json.text(data))
+    known = controllers_of(path)
+    if tick is not None or save:
+        record = recorded_tick(path, scenario, controller, tick)
+        click.echo(explained.tick_text(record, as_json=as_json))
+        if save:
+            files.write_one(save, record.text())
+            click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
         return
-    click.echo(f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):")
-    click.echo(f"{found.sentence[0].upper()}{found.sentence[1:]}.")
-    if save:
-        click.echo(f"wrote {save}")
+    own = scenario.controllers
+    solving = [name for name in known if name in own and own[name].uses_solver]
+    recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
+    with progress_bars(["explaining"], 1) as progress:
+        report = (lambda share: progress("explaining", share)) if progress else lambda share: None
+        found = explain_run(scenario, recording, report)
+    click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
 
 
 @main.command()
@@ -235,12 +243,12 @@ def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> 
     """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study import explanation
+    from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
 
     record = TickRecord.read(file)
     answers = {
-        name: explanation.replay(record, solver_by_name(name, catalog))
+        name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
     from coopqp.report import strict_json, table

@@ -29,13 +29,7 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
         UnknownNameError: no such controller.
         CoopqpError: the controller or the plant cannot be built for this scenario.
     """
-    chosen = scenario.controllers.get(controller)
-    if chosen is None:
-        known = scenario.catalog.entries("controllers")
-        if controller not in known:
-            raise UnknownNameError("controller", controller, {*known, *scenario.controllers})
-        chosen = known[controller].cls()
-        assert isinstance(chosen, Controller)  # what the catalogue holds there
+    chosen = controller_of(scenario, controller)
     if chosen.commands_torques and not scenario.plant.takes_torques:
         raise InvalidValueError(
             f"controller '{controller}' commands torques, which this plant does not take; use "
@@ -44,6 +38,26 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     solver = scenario.solver_name if chosen.uses_solver else None
     legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
     return join(legs) if scenario.phases else legs[0][1]
+
+
+def controller_of(scenario: Scenario, name: str) -> Controller:
+    """A controller of a scenario, or of its catalogue.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        name: in the scenario, or any controller's type name.
+
+    Raises:
+        UnknownNameError: no such controller.
+    """
+    if name in scenario.controllers:
+        return scenario.controllers[name]
+    known = scenario.catalog.entries("controllers")
+    if name not in known:
+        raise UnknownNameError("controller", name, {*known, *scenario.controllers})
+    chosen = known[name].cls()
+    assert isinstance(chosen, Controller)  # what the catalogue holds there
+    return chosen
 
 
 def _legs(

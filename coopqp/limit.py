@@ -39,6 +39,9 @@ class LimitRows:
 
 Tighten = Callable[[State, LimitRows], None]
 
+RoomLeft = Callable[[State], Array]
+"""What is left in space at a state, in the order of the limit's rows, shape (p,) [m]."""
+
 
 @spec
 class Limit(ABC):
@@ -81,9 +84,33 @@ class Limit(ABC):
         Returns:
             By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the
             row's unit, shape (T,); negative where the limit is broken. Sides without a limit are
-            left out.
+            left out. For a limit with :meth:`room`, that after each tick.
         """
-        return {}
+        left = self.room(chain)
+        if left is None:
+            return {}
+        found = np.array([left(state) for state in states_along(chain, q[1:])])
+        return dict(zip(self.rows(chain), found.T, strict=True)) if len(found) else {}
+
+    def room(self, chain: ClosedChain) -> RoomLeft | None:
+        """How far what it bounds is from it, for limits in space; None for all others.
+
+        Its :meth:`rows` are then velocity dampers: G = -d room/dq.
+
+        Args:
+            chain: what is limited.
+        """
+        return None
+
+    def eased(self, room: float) -> Limit | None:
+        """The same limit, but so much farther out; None where it has no setting for that.
+
+        ``explain`` runs with it what it says would do.
+
+        Args:
+            room: how much [m].
+        """
+        return None
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """What pictures show of it: where it is; nothing by default.
@@ -137,6 +164,7 @@ def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str 
         per: what the joint's unit is divided by, such as "/s".
     """
     name, unit = chain.joint_names[joint], chain.joint_units[joint]
+    of = "" if kind == "position" else f"{kind.replace('_', ' ')} of "
     return Row(
         name=f"limit.{kind}[{name}].{side}",
         kind="limit",
@@ -144,6 +172,7 @@ def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str 
         unit=f"{unit}{per}",
         joint=name,
         side=side,
+        label=f"{of}{name} ({side})",
         of_place=not per,
     )
 

@@ -25,6 +25,7 @@ class Row:
         unit: of what it bounds or asks for, such as "rad" or "m/s".
         joint: whose, where it belongs to one joint.
         side: which, where there are two.
+        label: what a sentence calls it, such as "RElbowRoll (upper)"; the name when empty.
         of_place: whether it bounds a place, so that its excess in a QP of velocities, times dt,
             has the unit given.
     """
@@ -35,10 +36,16 @@ class Row:
     unit: str = ""
     joint: str = ""
     side: Side | None = None
+    label: str = ""
     of_place: bool = False
 
     def __str__(self) -> str:
         return self.name
+
+    @property
+    def words(self) -> str:
+        """What a sentence calls it."""
+        return self.label or self.name
 
 
 def names_of(rows: Sequence[Row]) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
     )
     explained = typed("explain", out, "--tick", "200", "--save", saved)
     assert explained.exit_code == 0
-    assert "limit.position[RElbowRoll].upper" in explained.output
+    assert "RElbowRoll (upper)" in explained.output
     assert "task[reach].x" in explained.output
     answers = json.loads(typed("replay", saved, "--json").stdout)
     assert {"daqp", "osqp", "proxqp"} <= set(answers)
@@ -123,7 +123,11 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
     [
         (["explain", "/no/such"], "cannot be read"),
         (["explain", "OUT", "--tick", "99"], "has no tick 99; it has 0 to 9"),
-        (["explain", "OUT", "--controller", "pseudoinverse"], "unknown QP controller"),
+        (
+            ["explain", "OUT", "--tick", "3", "--controller", "pseudoinverse"],
+            "unknown QP controller",
+        ),
+        (["explain", "OUT", "--controller", "nobody"], "unknown controller 'nobody'"),
         (["replay", "OUT/metrics.json"], "is not a tick saved by"),
         (["replay", "/no/such"], "cannot be read"),
         (["stress", "--rollouts", "0"], "is not in the range"),

@@ -37,6 +37,7 @@ class ObjectSpeed(Limit):
                 kind="limit",
                 owner="object_speed",
                 unit=f"{unit}/s",
+                label=f"object speed along {axis} ({side})",
                 side=side,
             )
             for side in sides

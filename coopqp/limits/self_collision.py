@@ -24,7 +24,7 @@ import pinocchio as pin
 from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
+from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
 from coopqp.robot import Capsule
 from coopqp.row import Row
 from coopqp.state import State
@@ -61,7 +61,9 @@ class SelfCollision(Limit):
                 name=f"limit.self_collision[{a}|{b}]",
                 kind="limit",
                 owner="self_collision",
-                unit="m/s",
+                unit="m",
+                label=f"the distance of {a} and {b}",
+                of_place=True,
             )
             for a, b in self._pairs(chain)
         )
@@ -81,15 +83,19 @@ class SelfCollision(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance of each pair after each tick, less what is kept free [m]."""
+    def room(self, chain: ClosedChain) -> RoomLeft:
+        """Distance of each pair, less what is kept free [m]."""
         bodies = _Bodies(chain, self._pairs(chain))
-        d = np.zeros((len(v), len(bodies.d)))
-        for state, row in zip(states_along(chain, q[1:]), d, strict=True):
+
+        def left(state: State) -> Array:
             bodies.update(state)
-            row[:] = bodies.d
-        d -= self.distance
-        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(self.rows(chain))}
+            return np.asarray(bodies.d - self.distance, float)
+
+        return left
+
+    def eased(self, room: float) -> SelfCollision | None:
+        """A smaller distance; None where bodies would have to sink into each other."""
+        return replace(self, distance=self.distance - room) if room <= self.distance else None
 
     def _pairs(self, chain: ClosedChain) -> tuple[tuple[str, str], ...]:
         """Those given, or those that can meet.

@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.checked import Array, Direction, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, damp, movers, states_along
+from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
 from coopqp.mark import Mark, PlaneMark
 from coopqp.row import Row
 from coopqp.state import State
@@ -53,15 +53,20 @@ class Workspace(Limit):
         for frame in self.frames:
             if frame not in known:
                 raise UnknownNameError("frame", frame, known, f"{self.name}: ")
-        points = (f"object[{i}]" for i in range(len(self._points(chain))))
+        points = {
+            f"object[{i}]": f"{self._words(point)} of the object"
+            for i, point in enumerate(self._points(chain))
+        }
         return tuple(
             Row(
                 name=f"limit.{self.name}.{what}",
                 kind="limit",
                 owner=self.name,
-                unit="m/s",
+                unit="m",
+                label=f"the {self.name}, {words}",
+                of_place=True,
             )
-            for what in (*points, *self.frames)
+            for what, words in (points | {frame: frame for frame in self.frames}).items()
         )
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
@@ -90,16 +95,21 @@ class Workspace(Limit):
 
         return tighten
 
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance of each point from the plane after each tick [m]."""
-        rows = self.rows(chain)
+    def room(self, chain: ClosedChain) -> RoomLeft:
+        """Distance of each point from the plane [m]."""
         points = _Points(chain, self._points(chain), self.frames)
-        _, distances, offset = self._plane()
-        d = np.zeros((len(v), len(rows)))
-        for state, row in zip(states_along(chain, q[1:]), d, strict=True):
+        n, _, offset = self._plane()
+
+        def left(state: State) -> Array:
             points.update(state)
-            distances(points.p, row)
-        return {replace(row, unit="m"): d[:, i] - offset for i, row in enumerate(rows)}
+            return np.asarray(points.p.dot(n) - offset, float)
+
+        return left
+
+    def eased(self, room: float) -> Workspace:
+        """The plane moved away from the side that is allowed."""
+        x, y, z = (np.array(self.through) - room * unit(self.normal)).tolist()
+        return replace(self, through=(x, y, z))
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The plane."""
@@ -108,6 +118,15 @@ class Workspace(Limit):
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
         n = unit(self.normal)
         return n, lambda p, out: p.dot(n, out), float(n @ np.array(self.through))
+
+    def _words(self, point: Array) -> str:
+        """A point of the object in words."""
+        if self.points is None:
+            sides = (
+                f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True)
+            )
+            return f"corner {' '.join(sides)}"
+        return f"point ({', '.join(f'{c:g}' for c in point)})"
 
     def _points(self, chain: ClosedChain) -> Array:
         """Points of the object, shape (k, 3)."""

@@ -40,7 +40,7 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         "trace.csv": trace_csv(comparison),
     }
     if comparison.scenario.source:
-        contents["scenario.yaml"] = comparison.scenario.source  # for explain and replay
+        contents["scenario.yaml"] = comparison.scenario.portable  # for explain and replay
     try:
         return _replace_all(contents, folder)
     except OSError as error:

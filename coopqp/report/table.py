@@ -10,7 +10,7 @@ from rich.text import Text
 
 from coopqp.comparison import Comparison
 from coopqp.report.cells import Cell, cells
-from coopqp.study.explanation import Replay
+from coopqp.study.replay import Replay
 from coopqp.study.stress import Summary
 from coopqp.study.tick_record import TickRecord
 

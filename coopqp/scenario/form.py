@@ -114,6 +114,13 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
     """The model of a scenario file."""
     keys: dict[str, Any] = {
         "description": (str, Field(default="", description="One sentence for the report.")),
+        "folder": (
+            str,
+            Field(
+                default="",
+                description="Where relative paths begin; the file's own folder if omitted.",
+            ),
+        ),
         "robot": (one_of(catalog, "robots"), Field(description="Which robot.")),
         "grasp": (
             one_of(catalog, "grasps") | None,
@@ -275,7 +282,9 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
         """A robot inside a robot, such as one of several."""
         return chosen(robot.validate_json(json.dumps(value), context=context))[1]
 
-    context = {"folder": file.path.parent, "robot": read_robot}
+    folder = file.data.get("folder")
+    begin = file.path.parent / folder if isinstance(folder, str) else file.path.parent
+    context = {"folder": begin, "robot": read_robot}
     faults = _phases_or_not(file)
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.

@@ -144,6 +144,13 @@ def solver_names(catalog: Catalog) -> tuple[str, ...]:
     return tuple(sorted({*catalog.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"}))
 
 
+def has_files(robot: Any) -> bool:
+    """Whether a robot in a file, or one inside it, is given by files of its own."""
+    if isinstance(robot, dict):
+        return "path" in robot or any(has_files(value) for value in robot.values())
+    return False
+
+
 class _Reader:
     """From the file to the scenario; collects the faults that only show together."""
 
@@ -181,6 +188,7 @@ class _Reader:
             seed=read.seed,
             on_infeasible=read.on_infeasible,
             source=self._file.path.read_text(encoding="utf-8"),
+            folder=self._folder() if has_files(self._file.data["robot"]) else None,
             catalog=self._catalog,
         )
         self._check_problems(scenario)
@@ -206,6 +214,11 @@ class _Reader:
         if read.grasps:
             return {arm: chosen(slot)[1] for arm, slot in read.grasps.items()}
         return chosen(read.grasp)[1] if read.grasp else Rigid()
+
+    def _folder(self) -> Path:
+        """Where relative paths begin."""
+        read: Any = self._read
+        return (self._file.path.parent / str(read.folder)).resolve()
 
     def _start(self) -> Start:
         read: Any = self._read

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -52,6 +54,7 @@ class Scenario:
         seed: of everything random.
         on_infeasible: see :class:`coopqp.controller.ControlProblem`.
         source: text of the file it was read from.
+        folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.
 
     Raises:
@@ -82,6 +85,7 @@ class Scenario:
     seed: int = 0
     on_infeasible: OnInfeasible = "scale"
     source: str = ""
+    folder: Path | None = None
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -99,6 +103,14 @@ class Scenario:
     def drift_gain(self) -> float:
         """kappa, or 1/dt where it was omitted [1/s]."""
         return 1.0 / self.dt if self.kappa == math.inf else self.kappa
+
+    @property
+    def portable(self) -> str:
+        """The source as it can be read from another folder on this machine."""
+        if self.folder is None:
+            return self.source
+        kept = [line for line in self.source.splitlines(True) if not line.startswith("folder:")]
+        return "".join([*kept, f"\nfolder: {json.dumps(str(self.folder))}\n"])
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""

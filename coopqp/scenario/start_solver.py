@@ -5,13 +5,10 @@ object, L the length that a radian counts as:
 
     r_i(q) = [p_i - p_WO; L log(R_i R_WO')],   minimise |r|^2 subject to lower <= q <= upper
 
-by damped Gauss-Newton steps, each a QP with bounds; J_i the Jacobian of r_i, mu the damping:
-
-    minimise |r + J d|^2 + mu |d|^2   subject to  lower <= q + d <= upper,  |d| <= STEP
-
-from many random configurations. What redundancy leaves is used to come away from the limits: every
-start found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and
-that with the largest margin wins. Passive joints are variables like all others.
+by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from
+many random configurations. What redundancy leaves is used to come away from the limits: every start
+found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and that
+with the largest margin wins. Passive joints are variables like all others.
 
 Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
 """
@@ -30,12 +27,9 @@ from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
 from coopqp.held_object import HeldObject
 from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
-from coopqp.qp import QP, Rows
 from coopqp.robot import RobotModel
-from coopqp.row import joint_rows
+from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.scenario import by_arm
-from coopqp.solver import Solution
-from coopqp.solvers import Daqp
 
 Progress = Callable[[int, int], None]
 """Called after each try with the number of tries made and the most there can be."""
@@ -48,12 +42,6 @@ STEPS, STEP = 80, 0.5
 
 #: A start is closed when no part of r is larger [m].
 CLOSED = 1e-11
-
-#: A try has ended elsewhere when a step changes |r|^2 by less than this share.
-STUCK = 1e-6
-
-#: Damping mu at first, at least and at most [m2/rad2].
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-11, 1e3
 
 #: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
 CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
@@ -274,10 +262,8 @@ class _Search:
         self.nearest = problem.middle.copy()
         self.tries = self.found = 0
         self._margin, self._gap = -np.inf, np.inf
-        joints = [problem.model.names[1 + j] for j in self.columns]
-        self._qp = QP(Rows(joint_rows(joints, ["rad"] * len(joints))))
-        self._solution = Solution(self._qp)
-        self._solve = Daqp().open(self._qp, self._solution)
+        self._bounds = problem.lower[self.columns], problem.upper[self.columns]
+        self._steps = BoundedSteps(len(self.columns))
 
     def run(self, report: Callable[[int], None]) -> None:
         """Try until enough starts are found or the tries are used up."""
@@ -304,26 +290,16 @@ class _Search:
 
     def _close(self, q: Array) -> float:
         """Levenberg-Marquardt from q, which is moved; returns the largest part of r at the end."""
-        problem, mu, columns = self.problem, DAMPING, self.columns
-        r, J = problem.residual(q, self.arms)
-        for _ in range(STEPS):
-            if np.abs(r).max() < CLOSED or mu > MOST_DAMPING:
-                break
-            J = J[:, columns]
-            curvature, slope = J.T @ J, J.T @ r
-            while mu <= MOST_DAMPING:
-                trial = q.copy()
-                trial[columns] += self._step(q, curvature, slope, np.full(len(columns), mu))
-                trial_r, trial_J = problem.residual(trial, self.arms)
-                if trial_r @ trial_r < r @ r:
-                    break
-                mu *= 4.0
-            else:
-                break
-            stuck = trial_r @ trial_r > (1.0 - STUCK) * (r @ r)
-            q[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, LEAST_DAMPING)
-            if stuck:
-                break
+        problem, columns, at = self.problem, self.columns, q.copy()
+
+        def residual(x: Array) -> tuple[Array, Array]:
+            at[columns] = x
+            r, J = problem.residual(at, self.arms)
+            return r, J[:, columns]
+
+        x, stop = q[columns], Stop(STEPS, STEP, lambda r: bool(np.abs(r).max() < CLOSED))
+        r = self._steps.descend(x, residual, self._bounds, stop)
+        q[columns] = x
         return float(np.abs(r).max())
 
     def _center(self, q: Array) -> None:
@@ -332,27 +308,12 @@ class _Search:
         pull = 1.0 / problem.half[columns] ** 2
         for _ in range(CENTERING_STEPS):
             r, J = problem.residual(q, self.arms)
-            J = J[:, columns]
+            J, x = J[:, columns], q[columns]
             slope = CLOSING_WEIGHT * J.T @ r + pull * (q - problem.middle)[columns]
-            step = self._step(q, CLOSING_WEIGHT * J.T @ J, slope, pull + LEAST_DAMPING)
-            q[columns] += step
-            if np.abs(step).max() < 1e-3:
+            curvature, damping = CLOSING_WEIGHT * J.T @ J, pull + LEAST_DAMPING
+            q[columns] = self._steps.step(x, curvature, slope, damping, self._bounds, STEP)
+            if np.abs(q[columns] - x).max() < 1e-3:
                 break
-
-    def _step(self, q: Array, curvature: Array, slope: Array, damping: Array) -> Array:
-        """The step inside the limits that is best for the quadratic model."""
-        qp, at = self._qp, q[self.columns]
-        lower, upper = self.problem.lower[self.columns], self.problem.upper[self.columns]
-        qp.P[:] = curvature
-        qp.P.reshape(-1)[:: qp.n + 1] += damping
-        qp.q[:] = slope
-        np.maximum(lower - at, -STEP, out=qp.lb)
-        np.minimum(upper - at, STEP, out=qp.ub)
-        self._solve()
-        if not self._solution.status.usable:
-            return np.zeros(qp.n)
-        step = np.clip(self._solution.v, qp.lb, qp.ub)
-        return np.asarray(np.clip(at + step, lower, upper) - at, float)
 
 
 def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:

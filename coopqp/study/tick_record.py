@@ -98,7 +98,7 @@ class TickRecord:
             raise CoopqpError(f"{path}: is not a tick saved by 'coopqp explain --save'") from None
 
     def fits(self) -> bool:
-        """Whether all shapes belong together."""
+        """Whether all shapes belong together, and a QP of these numbers can be solved."""
         n, p, m = len(self.variables), len(self.inequality_rows), len(self.equality_rows)
         k = len(self.task_rows)
         shapes = (
@@ -112,6 +112,9 @@ class TickRecord:
             and all(np.shape(rows) == (count, n) for rows, count in tables if count)
             and self.inequalities == p
             and len(self.lb_rows) == len(self.ub_rows) == n
+            and all(np.isfinite(np.array(of, float)).all() for of in (self.P, self.C, self.J))
+            and self.damping > 0.0
+            and self.dt > 0.0
         )
 
     def qp(self) -> QP:

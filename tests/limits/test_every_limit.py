@@ -165,3 +165,58 @@ def test_what_sank_in_a_little_is_asked_back_and_what_started_deep_is_not() -> N
     room, h = np.array([0.02, 0.0, -0.5 * SHALLOW, -2.0 * SHALLOW]), np.zeros(4)
     damp(room, np.full(4, 10.0), np.zeros(4, bool), h)
     assert h.tolist() == pytest.approx([0.2, 0.0, -5.0 * SHALLOW, 0.0])
+
+
+IN_SPACE = [limit for limit in EXAMPLES if type(limit).room is not Limit.room]
+
+
+@pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
+def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: ClosedChain) -> None:
+    """-G against central differences of the room, at random configurations with closed loops."""
+    rng = np.random.default_rng(0)
+    left = limit.room(held_box)
+    assert left
+    for _ in range(5):
+        state = State(held_box, held_box.q_start + rng.uniform(-0.1, 0.1, held_box.n))
+        state.close_loops(20)
+        q, rows = state.q.copy(), empty_rows(held_box, limit)
+        limit.bind(held_box, DT)(state, rows)
+        for i in range(held_box.n):
+            step = 1e-6 * np.eye(held_box.n)[i]
+            ahead, here, behind = (left(State(held_box, q + s * step)) for s in (1, 0, -1))
+            # Where an edge takes over from another the distance has a kink.
+            smooth = np.abs((ahead - here) - (here - behind)) < 1e-9
+            assert smooth.mean() > 0.7
+            slope = (ahead - behind)[smooth] / 2e-6
+            np.testing.assert_allclose(slope, -rows.G[smooth, i], atol=1e-6)
+
+
+@pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
+def test_an_eased_limit_leaves_so_much_more_and_nothing_else(
+    limit: Limit, held_box: ClosedChain
+) -> None:
+    eased = limit.eased(0.004)
+    assert eased
+    assert type(eased) is type(limit)
+    before, after = limit.room(held_box), eased.room(held_box)
+    assert before
+    assert after
+    state = State(held_box)
+    np.testing.assert_allclose(after(state) - before(state), 0.004, atol=1e-12)
+    assert limit.rows(held_box) == eased.rows(held_box)
+
+
+def test_limits_that_are_not_in_space_cannot_be_eased() -> None:
+    assert [limit.eased(0.01) for limit in EXAMPLES if limit not in IN_SPACE] == [None] * 4
+    assert SelfCollision(distance=0.01).eased(0.02) is None
+
+
+def test_rows_have_words_for_people(held_box: ClosedChain) -> None:
+    corners = [row.words for row in TABLE.rows(held_box)]
+    assert corners[0] == "the table, corner -x -y -z of the object"
+    assert corners[7] == "the table, corner +x +y +z of the object"
+    assert corners[8] == "the table, RHand"
+    margins = JointPosition().margins(
+        held_box, np.vstack([held_box.q_start] * 2), np.zeros((1, held_box.n)), DT
+    )
+    assert "RElbowRoll (upper)" in {row.words for row in margins}

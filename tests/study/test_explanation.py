@@ -22,7 +22,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation import Explanation, Relaxation, explain
-from coopqp.tasks import PointOnPoint
+from coopqp.tasks import PointOnPlane, PointOnPoint
 
 LATE = (150, 220, 299)
 GOAL, GAIN, DURATION = np.array([0.10, -0.05, 0.04]), 5.0, 2.0  # of joint_limit_stress
@@ -95,10 +95,11 @@ def test_elbows_at_their_limits_are_named(compared: Comparison, law: QPLaw, tick
     assert set(found.missed) <= {"task[reach].x", "task[reach].y", "task[reach].z"}
     assert found.missed
     assert found.impossible == ()
-    for name in (*names, *found.missed):
-        assert name in found.sentence
-    for relaxation in found.relaxations:
-        assert f"{relaxation.amount:.3g} rad more" in found.sentence
+    for words in (*(r.words for r in found.relaxations), *found.missed):
+        assert words in found.sentence
+    # One tick knows no amount that would do.
+    assert "would do" not in found.sentence
+    assert "more would" not in found.sentence
 
 
 @pytest.mark.parametrize("tick", LATE)
@@ -306,3 +307,68 @@ def test_relaxations_are_listed_from_the_largest(compared: Comparison, law: QPLa
     found = explain(record(law, at(compared, law, 250), 250)).relaxations
     assert isinstance(found[0], Relaxation)
     assert [r.amount for r in found] == sorted((r.amount for r in found), reverse=True)
+
+
+# Tasks against each other; what comes now and what next
+
+
+@pytest.mark.parametrize("mode", ["soft", "hard"])
+def test_tasks_that_ask_for_different_motions_are_named_and_not_the_loops(
+    mode: str, chain: ClosedChain
+) -> None:
+    """One height asked for twice; the loops leave that motion."""
+    z = float(State(chain).p_WO[2])
+    tasks = [
+        PointOnPlane(name=name, normal=(0, 0, 1), through=(0, 0, z + up), profile=STEP, mode=mode)  # type: ignore[arg-type]
+        for name, up in (("low", -0.02), ("high", 0.02))
+    ]
+    beside = PointOnPlane(name="beside", normal=(0, 1, 0), through=(0, 0.01, 0), profile=STEP)
+    found = explain(first_tick(chain, tasks[0], beside, tasks[1]))
+    assert set(found.contradicting) == {"low", "high"}
+    assert found.impossible == ()
+    assert found.relaxations == ()
+    assert "low and high ask for motions that rule each other out" in found.sentence
+    assert "loops alone" not in found.sentence
+
+
+def test_a_task_that_repeats_another_is_not_called_impossible(chain: ClosedChain) -> None:
+    """Both are held up by the same speeds, and by nothing else."""
+    task = PointOnPoint(name="dash", goal=NEAR, profile=STEP, gain=50.0)
+    limits = (JointPosition(), JointVelocity(scale=0.01))
+    found = explain(first_tick(chain, task, replace(task, name="again"), limits=limits))
+    assert found.impossible == ()
+    assert found.contradicting == ()
+    assert {r.name.split("[")[0] for r in found.relaxations} == {"limit.velocity"}
+
+
+def test_what_is_at_its_bound_comes_first_and_the_rest_is_said_to_come_next() -> None:
+    """At a twentieth of the joints' speed some are at their limit and others near it."""
+    slow = replace(
+        load("point_on_point"), limits=(JointPosition(), JointVelocity(scale=0.05))
+    ).problem()
+    law = QPController().build(slow)
+    assert isinstance(law, QPLaw)
+    state = law.start()
+    for _ in ticks(law, state, 80):
+        pass
+    kept = record(law, state, 80)
+    found, v = explain(kept), np.array(kept.answer)
+    now, coming = found.sentence.split("; next would come ")
+    names, most = law.problem.chain.joint_names, 0.05 * law.problem.chain.velocity
+    assert {r.now for r in found.relaxations} == {True, False}
+    for relaxation in found.relaxations:
+        i = names.index(relaxation.name.removeprefix("limit.velocity[").split("]")[0])
+        assert relaxation.now == (abs(abs(v[i]) - most[i]) < 1e-6)
+        assert names[i] in (now if relaxation.now else coming)
+        if relaxation.now and relaxation.name in found.holding:
+            assert f"{relaxation.amount:.3g} rad/s short" in now
+
+
+def test_a_tick_that_could_not_be_decided_says_its_status(chain: ClosedChain) -> None:
+    """Zeros answer a state of NaNs, and mean nothing."""
+    here = State(chain).p_WO.tolist()
+    task = PointOnPoint(name="stay", goal=tuple(here), profile=STEP)
+    kept = replace(first_tick(chain, task), status="NOT_FINITE")
+    assert explain(kept).sentence == (
+        "the tick stands still: the state or the answer has NaN or infinite values"
+    )

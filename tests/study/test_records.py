@@ -22,7 +22,8 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.row import names_of
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
-from coopqp.study.explanation import explain, replay
+from coopqp.study.explanation import explain
+from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
 from coopqp.tasks import PointOnPoint
 

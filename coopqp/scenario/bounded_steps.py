@@ -1,0 +1,149 @@
+"""Least squares inside bounds: Levenberg-Marquardt whose steps are QPs.
+
+With r(x) the residual, J its Jacobian and mu the damping, a step d solves
+
+    minimise    |r + J d|^2 + mu |d|^2
+    subject to  lower <= x + d <= upper,   |d_i| <= most,   G d <= h
+
+and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.qp import QP, Rows
+from coopqp.row import Row
+from coopqp.solver import Solution
+from coopqp.solvers import Daqp
+
+#: Damping mu at first, at least and at most, in units of J'J.
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-11, 1e3
+
+#: The search has ended when a step changes |r|^2 by less than this share.
+STUCK = 1e-6
+
+Residual = Callable[[Array], tuple[Array, Array]]
+"""From x to r and J, shapes (k,) and (k, n)."""
+
+Inequalities = Callable[[Array], tuple[Array, Array]]
+"""From x to G and h of G d <= h, shapes (p, n) and (p,); h >= 0, so that d = 0 is allowed."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a search ends.
+
+    Attributes:
+        steps: most of them.
+        most: farthest that a variable goes in one.
+        enough: whether a residual is small enough.
+        stuck: share of |r|^2 by which a step must change it to go on.
+    """
+
+    steps: int
+    most: float
+    enough: Callable[[Array], bool]
+    stuck: float = STUCK
+
+
+class BoundedSteps:
+    """Steps in n variables with p inequalities.
+
+    Args:
+        n: number of variables.
+        p: number of inequalities.
+    """
+
+    def __init__(self, n: int, p: int = 0) -> None:
+        variables = tuple(Row(name=f"x[{i}]", kind="joint") for i in range(n))
+        inequalities = tuple(Row(name=f"row[{i}]", kind="limit") for i in range(p))
+        self._qp = QP(Rows(variables, inequalities))
+        self._solution = Solution(self._qp)
+        self._solve = Daqp().open(self._qp, self._solution)
+
+    def descend(
+        self,
+        x: Array,
+        residual: Residual,
+        bounds: tuple[Array, Array],
+        stop: Stop,
+        inequalities: Inequalities | None = None,
+    ) -> Array:
+        """The residual at the end of the way down from x, which is moved there.
+
+        Args:
+            x: where to begin, inside the bounds, shape (n,).
+            residual: what shall become small.
+            bounds: lower and upper, shape (n,).
+            stop: when to end.
+            inequalities: rows that every step keeps.
+        """
+        mu = DAMPING
+        r, J = residual(x)
+        for _ in range(stop.steps):
+            if stop.enough(r) or mu > MOST_DAMPING:
+                break
+            curvature, slope = J.T @ J, J.T @ r
+            self._limit(x, bounds, stop.most, inequalities)
+            while mu <= MOST_DAMPING:
+                trial = self.step(x, curvature, slope, np.full(len(x), mu), bounds)
+                trial_r, trial_J = residual(trial)
+                if trial_r @ trial_r < r @ r:
+                    break
+                mu *= 4.0
+            else:
+                break
+            stuck = trial_r @ trial_r > (1.0 - stop.stuck) * (r @ r)
+            x[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, LEAST_DAMPING)
+            if stuck:
+                break
+        return r
+
+    def step(
+        self,
+        x: Array,
+        curvature: Array,
+        slope: Array,
+        damping: Array,
+        bounds: tuple[Array, Array],
+        most: float | None = None,
+    ) -> Array:
+        """Where the step goes that is best for the quadratic model; x where there is none.
+
+        Args:
+            x: from where, shape (n,).
+            curvature: of the model, shape (n, n).
+            slope: of the model, shape (n,).
+            damping: added to the diagonal, shape (n,).
+            bounds: lower and upper, shape (n,).
+            most: farthest that a variable goes; as :meth:`descend` has set it when omitted.
+        """
+        qp = self._qp
+        if most is not None:
+            self._limit(x, bounds, most, None)
+        qp.P[:] = curvature
+        qp.P.reshape(-1)[:: qp.n + 1] += damping
+        qp.q[:] = slope
+        self._solve()
+        if not self._solution.status.usable:
+            return x.copy()
+        step = np.clip(self._solution.v, qp.lb, qp.ub)
+        return np.asarray(np.clip(x + step, *bounds), float)
+
+    def _limit(
+        self,
+        x: Array,
+        bounds: tuple[Array, Array],
+        most: float,
+        inequalities: Inequalities | None,
+    ) -> None:
+        qp, (lower, upper) = self._qp, bounds
+        np.maximum(lower - x, -most, out=qp.lb)
+        np.minimum(upper - x, most, out=qp.ub)
+        if inequalities:
+            qp.G[:], qp.h[:] = inequalities(x)

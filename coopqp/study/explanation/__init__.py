@@ -1,0 +1,30 @@
+"""Why a run did not reach its goal and what would do, and why a tick fell short.
+
+whole          a run: from its end to a sentence
+leg            a phase of a run as it was
+goal, room     where tasks want the arms to be; where limits let them
+search         inverse kinematics inside or without the limits
+diagnosis      limits, reach, contradiction, too few freedoms
+shares         which limits hold back, by force
+excess, cure   what would do, and a rerun that shows it
+rerun          the run again with something changed
+contradiction  tasks that cannot hold together
+motion, late   what slows a run that geometry does not block
+velocity       velocities that could not be followed
+words          the sentences
+tick           one tick: what leaves it no motion
+"""
+
+from coopqp.study.explanation.leg import Recording, recording_of
+from coopqp.study.explanation.tick import Explanation, Relaxation, explain
+from coopqp.study.explanation.whole import RunExplanation, explain_run
+
+__all__ = [
+    "Explanation",
+    "Recording",
+    "Relaxation",
+    "RunExplanation",
+    "explain",
+    "explain_run",
+    "recording_of",
+]

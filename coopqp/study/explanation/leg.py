@@ -1,0 +1,119 @@
+"""A phase of a run as it was: what was asked in it, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.controller_run import controller_of
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status, causes_of
+from coopqp.study.explanation.goal import PartOfTask, parts_of
+from coopqp.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What a trace tells of one controller's run.
+
+    Attributes:
+        controller: its name.
+        q: shape (T + 1, n). v: shape (T, n) [rad, m; rad/s, m/s].
+        status: of each tick, as written.
+        errors: at the end of its phase, by the name of each part of a task.
+        tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
+    """
+
+    controller: str
+    q: Array
+    v: Array
+    status: tuple[str, ...]
+    errors: Mapping[str, float]
+    tau: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """A phase of a run.
+
+    Attributes:
+        problem: what the controller was built for; without limits where it heeds none.
+        phase: its index in the schedule. name: its name, empty where there is one only.
+        first: its first tick.
+        q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
+        causes: of each tick.
+        parts: of all tasks. errors: at the end, by the parts' order [the part's unit].
+    """
+
+    problem: ControlProblem
+    phase: int
+    name: str
+    first: int
+    q: Array
+    v: Array
+    tau: Array
+    causes: tuple[tuple[Status, ...], ...]
+    parts: tuple[PartOfTask, ...]
+    errors: Array
+
+    @property
+    def t_end(self) -> float:
+        """Since the phase began [s]."""
+        return len(self.v) * self.problem.dt
+
+    @property
+    def missed(self) -> tuple[tuple[PartOfTask, float], ...]:
+        """Parts that ended outside their tolerance, with their errors, the worst first."""
+        found = [
+            (part, float(error))
+            for part, error in zip(self.parts, self.errors, strict=True)
+            if not error <= part.part.tolerance
+        ]
+        return tuple(sorted(found, key=lambda pair: -pair[1] / pair[0].part.tolerance))
+
+
+def recording_of(trace: Trace) -> Recording:
+    """A run in memory."""
+    errors = zip((task.name for task in trace.tasks), trace.final_error.tolist(), strict=True)
+    return Recording(
+        controller=trace.controller,
+        q=trace.q,
+        v=trace.v,
+        status=trace.status,
+        errors=dict(errors),
+        tau=trace.signals.get("tau", np.zeros((0, 0))),
+    )
+
+
+def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
+    """The phases of a run, each with its own chain.
+
+    Args:
+        scenario: as the controller holds it, :meth:`Scenario.held_by`.
+        run: of the controller.
+    """
+    ends = (*scenario.first_ticks, scenario.ticks)
+    problems = scenario.problems(lambda first: run.q[first])
+    heeds = "limits" in controller_of(scenario, run.controller).heeds
+    spans = zip(problems, scenario.schedule, pairwise(ends), strict=True)
+    for i, (problem, phase, (first, end)) in enumerate(spans):
+        parts = tuple(parts_of(phase.tasks, problem.chain))
+        begin = f"{phase.name}." if scenario.phases else ""
+        ticks = slice(first, end)
+        yield Leg(
+            problem=problem if heeds else replace(problem, limits=()),
+            phase=i,
+            name=phase.name,
+            first=first,
+            q=run.q[first : end + 1],
+            v=run.v[ticks],
+            tau=run.tau[ticks],
+            causes=tuple(causes_of(word) for word in run.status[ticks]),
+            parts=parts,
+            errors=np.array([run.errors[begin + part.name] for part in parts], float),
+        )

@@ -1,0 +1,118 @@
+"""The limits as geometry: where the joints may be, and what room there is in space.
+
+Margins of joints that are lengths or angles bound their positions; limits in space say what room
+they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit, RoomLeft
+from coopqp.qp_law.bounds import Bounds
+from coopqp.row import Row
+from coopqp.state import State
+
+PLACE_UNITS = ("m", "rad")
+#: This near to it a limit is at its bound [rad, m].
+AT_BOUND = 1e-4
+
+
+class Room:
+    """What limits leave.
+
+    Args:
+        chain: what is limited.
+        limits: all that count.
+        dt: control period [s].
+
+    Attributes:
+        lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
+        sides: the row of each finite joint bound, by index and side.
+        rows: of the rooms in space.
+        owners: the limit that each of these rows belongs to, as an index into ``limits``.
+        limits: those with rooms in space.
+    """
+
+    def __init__(self, chain: ClosedChain, limits: Sequence[Limit], dt: float) -> None:
+        self.chain, self._dt = chain, dt
+        self.lower, self.upper = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
+        self.sides: dict[tuple[int, str], Row] = {}
+        self.rows: tuple[Row, ...] = ()
+        self.owners: list[int] = []
+        self.limits: list[Limit] = []
+        self._left: list[tuple[RoomLeft, Bounds]] = []
+        self._state = State(chain)
+        for limit in limits:
+            self._add(limit)
+
+    def _add(self, limit: Limit) -> None:
+        left = limit.room(self.chain)
+        if left is not None:
+            rows = limit.rows(self.chain)
+            self.owners += [len(self.limits)] * len(rows)
+            self.rows += rows
+            self.limits.append(limit)
+            self._left.append((left, Bounds(self.chain, [limit], self._state, self._dt)))
+            return
+        q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
+        for row, margin in limit.margins(self.chain, q, v, self._dt).items():
+            if row.joint and row.side and row.unit in PLACE_UNITS:
+                self._bound(row, float(margin[0]))
+
+    def _bound(self, row: Row, margin: float) -> None:
+        i = self.chain.joint_names.index(row.joint)
+        at = float(self.chain.q_start[i])
+        end = at - margin if row.side == "lower" else at + margin
+        tighter = end > self.lower[i] if row.side == "lower" else end < self.upper[i]
+        if tighter:
+            (self.lower if row.side == "lower" else self.upper)[i] = end
+            # Two limits of one place, such as braking before a stop, are one to people.
+            label = row.label.rpartition(" of ")[2]
+            self.sides[i, str(row.side)] = replace(row, label=label)
+
+    def at(self, q: Array) -> Array:
+        """The rooms in space at a configuration, shape (p,) [m]."""
+        if not self.rows:
+            return np.zeros(0)
+        self._look(q)
+        return np.concatenate([left(self._state) for left, _ in self._left])
+
+    def gradient(self, q: Array) -> Array:
+        """How they change with the joints, shape (p, n)."""
+        if not self.rows:
+            return np.zeros((0, self.chain.n))
+        self._look(q)
+        for _, bounds in self._left:
+            bounds.update(self._state)
+        return np.vstack([-bounds.G for _, bounds in self._left])
+
+    def _look(self, q: Array) -> None:
+        if not np.array_equal(self._state.q, q):
+            self._state.q[:] = q
+            self._state.update()
+
+    def overrun(self, q: Array) -> float:
+        """By how much a configuration is outside [rad, m]."""
+        joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
+        return float(max(joints, -self.at(q).min(initial=0.0))) if self.rows else float(joints)
+
+    def at_bound(self, q: Array, near: float = AT_BOUND) -> list[tuple[Row, Array]]:
+        """The limits that a configuration is at, each with the joint motion that breaks it."""
+        found = []
+        for (i, side), row in self.sides.items():
+            outward = np.zeros(len(q))
+            outward[i] = -1.0 if side == "lower" else 1.0
+            left = q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
+            if left < near:
+                found.append((row, outward))
+        if self.rows:
+            for row, left, way in zip(self.rows, self.at(q), self.gradient(q), strict=True):
+                if left < near:
+                    found.append((row, -way))
+        return found

@@ -1,0 +1,310 @@
+"""Why a whole run did not reach its goal, and what would do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from coopqp.controller_run import controller_of
+from coopqp.limit import states_along
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
+from coopqp.study.explanation import late, velocity, words
+from coopqp.study.explanation.contradiction import Contradiction
+from coopqp.study.explanation.cure import Cure, cure
+from coopqp.study.explanation.diagnosis import (
+    BlockedByLimits,
+    Diagnosis,
+    Elsewhere,
+    NotBlocked,
+    OutOfReach,
+    TooFewFreedoms,
+    diagnose,
+)
+from coopqp.study.explanation.goal import Goal, placed
+from coopqp.study.explanation.leg import Leg, Recording, legs
+from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.shares import Share
+
+Report = Callable[[float], None]
+
+#: A loop that comes open farther is not what a model got wrong [m], [rad].
+OPEN = (5e-3, 20e-3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Missed:
+    """A part of a task that ended outside its tolerance."""
+
+    task: str
+    error: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldBack:
+    """A limit that holds back, with its share of the force."""
+
+    limit: str
+    words: str
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needed:
+    """What a limit would have to give [rad or m]."""
+
+    limit: str
+    words: str
+    amount: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunExplanation:
+    """Why a run did not reach its goal.
+
+    Attributes:
+        controller: whose run.
+        phase: that missed, empty where there is one only.
+        tick: its last.
+        kind: reached, open, limits, elsewhere, reach, contradiction, freedom, speed, budget, short,
+            rest, model, motors, failed or unplaced.
+        missed: what ended outside its tolerance, the worst first.
+        held_back: limits by their share of the force.
+        needed: what limits would have to give.
+        tried: whether a rerun with all of that, or with the time needed, reached the goal; None
+            where nothing was tried.
+        tasks: that contradict each other, or are out of reach.
+        any_robot: whether they would on any other robot.
+        distance: out of reach by so much, in the unit of what is missed most.
+        way: unit vector to the goal from the nearest point, where that is one of the world's.
+        time: that would do [s].
+        sentence: all of it in words.
+    """
+
+    controller: str
+    phase: str
+    tick: int
+    kind: str
+    sentence: str
+    missed: tuple[Missed, ...] = ()
+    held_back: tuple[HeldBack, ...] = ()
+    needed: tuple[Needed, ...] = ()
+    tried: bool | None = None
+    tasks: tuple[str, ...] = ()
+    any_robot: bool = False
+    distance: float | None = None
+    way: tuple[float, ...] = ()
+    time: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return asdict(self)
+
+
+def explain_run(
+    scenario: Scenario, run: Recording, report: Report = lambda share: None
+) -> RunExplanation:
+    """Say why a run did not reach its goals.
+
+    Args:
+        scenario: that was run.
+        run: of one of its controllers.
+        report: called now and then with the share that is done.
+
+    Raises:
+        CoopqpError: no such controller, or the scenario cannot be run again.
+    """
+    held = scenario.held_by(run.controller)
+    leg = None
+    for leg in legs(held, run):
+        if leg.missed:
+            break
+    assert leg
+    base = _base(run, leg)
+    if not leg.missed:
+        opened = _opened(leg)
+        kind = "open" if opened else "reached"
+        return replace(base, kind=kind, sentence=opened or _reached(leg))
+    failed = _failed(leg)
+    if failed:
+        return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
+    return _Whole(held, run, leg, base, report).explained()
+
+
+def _base(run: Recording, leg: Leg) -> RunExplanation:
+    missed = tuple(
+        Missed(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
+    )
+    return RunExplanation(
+        controller=run.controller,
+        phase=leg.name,
+        tick=leg.first + len(leg.v) - 1,
+        kind="",
+        sentence="",
+        missed=missed,
+    )
+
+
+def _opened(leg: Leg) -> str:
+    """Of a run whose tasks hold only because its loops do not."""
+    position = angle = 0.0
+    for state in states_along(leg.problem.chain, leg.q):
+        position = max(position, state.loop_position_error)
+        angle = max(angle, state.loop_orientation_error)
+    if position <= OPEN[0] and angle <= OPEN[1]:
+        return ""
+    return (
+        "no goal counts as reached: the loop came open by "
+        f"{words.size(position, 'm')} and {np.degrees(angle):.3g} degrees on the way"
+    )
+
+
+def _reached(leg: Leg) -> str:
+    given_up = [causes for causes in leg.causes if Status.TASKS_GIVEN_UP in causes]
+    if not given_up:
+        return "every goal is reached"
+    return (
+        f"every goal is reached, but in {len(given_up)} ticks hard or scaled tasks were given up; "
+        "--tick says why"
+    )
+
+
+def _failed(leg: Leg) -> str:
+    """Why the last tick stood still, where that is no answer of geometry's."""
+    last = leg.causes[-1][0]
+    if last.usable or last in (Status.INFEASIBLE, Status.LOOP_BUDGET):
+        return "" if np.isfinite(leg.q[-1]).all() else "the joints are no finite numbers any more"
+    count = sum(not causes[0].usable for causes in leg.causes)
+    return f"it stands still in {count} of {len(leg.causes)} ticks: {last.value}"
+
+
+class _Whole:
+    """One explanation on its way."""
+
+    def __init__(
+        self, scenario: Scenario, run: Recording, leg: Leg, base: RunExplanation, report: Report
+    ) -> None:
+        self._scenario, self._name, self._leg = scenario, run.controller, leg
+        self._base, self._report = base, report
+        problem = leg.problem
+        self._goal = Goal(problem.chain, placed(problem.tasks, problem.chain), leg.t_end)
+        self._room = Room(problem.chain, problem.limits, problem.dt)
+
+    def explained(self) -> RunExplanation:
+        """The answer."""
+        leg, base = self._leg, self._base
+        places = [part for part, _ in leg.missed if part.task in self._goal.tasks]
+        velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
+        if velocities and (not places or velocity.contradicting(leg)):
+            return self._velocity()
+        if not places:
+            said = f"{words.stops(leg)}; it asks for no place"
+            return replace(base, kind="unplaced", sentence=said)
+        found = diagnose(self._goal, self._room, leg.q[-1])
+        self._report(0.4)
+        if velocities and isinstance(found, NotBlocked):
+            return self._velocity()
+        return self._said(found)
+
+    def _said(self, found: Diagnosis) -> RunExplanation:
+        """What geometry says, in words."""
+        leg, base = self._leg, self._base
+        if isinstance(found, NotBlocked):
+            return self._late(found)
+        if isinstance(found, BlockedByLimits):
+            return self._limits(found)
+        if isinstance(found, Elsewhere):
+            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg)}"
+            return replace(
+                base, kind="elsewhere", sentence=said, held_back=_held_back(found.shares)
+            )
+        if isinstance(found, Contradiction):
+            return replace(
+                base,
+                kind="contradiction",
+                sentence=words.contradiction(found, leg),
+                tasks=tuple(task.name for task in found.tasks),
+                any_robot=found.any_robot,
+            )
+        if isinstance(found, TooFewFreedoms):
+            said = f"{words.stops(leg)}; {words.freedoms(found)}"
+            tasks = (found.goal.tasks[0].name,)
+            return replace(base, kind="freedom", sentence=said, tasks=tasks)
+        return self._reach(found)
+
+    def _held(self, shares: tuple[Share, ...]) -> str:
+        return f"{words.stops(self._leg)}; {words.holding(shares)}"
+
+    def _limits(self, found: BlockedByLimits) -> RunExplanation:
+        cured = cure(
+            self._scenario, self._name, self._leg, self._goal, self._room, found, self._report
+        )
+        said = f"{self._held(found.shares)}; {words.cure(cured, found.shares)}"
+        if found.elsewhere:
+            said += f"; {words.elsewhere(found.elsewhere, self._leg)}"
+        return self._with(cured, found.shares, said)
+
+    def _with(self, cured: Cure | None, shares: tuple[Share, ...], said: str) -> RunExplanation:
+        needed = tuple(
+            Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
+            for n in (cured.needs if cured else ())
+        )
+        return replace(
+            self._base,
+            kind="limits",
+            sentence=said,
+            held_back=_held_back(shares),
+            needed=needed,
+            tried=cured.reached if cured else None,
+            time=cured.time if cured else None,
+        )
+
+    def _reach(self, found: OutOfReach) -> RunExplanation:
+        said = words.reach(found)
+        way = found.gap / max(found.distance, 1e-300)
+        return replace(
+            self._base,
+            kind="reach",
+            sentence=said,
+            held_back=_held_back(found.shares),
+            tasks=(found.part.task.name,),
+            distance=found.distance,
+            way=tuple(way.tolist()) if found.in_world else (),
+        )
+
+    def _late(self, found: NotBlocked) -> RunExplanation:
+        torques = controller_of(self._scenario, self._name).commands_torques
+        answer = late.explain(
+            self._scenario, self._name, self._leg, self._goal, torques=torques, place=found.place
+        )
+        return replace(
+            self._base,
+            kind=answer.kind,
+            sentence=f"{words.stops(self._leg)}; {answer.sentence}",
+            held_back=_held_back(answer.shares),
+            tried=answer.tried,
+            time=answer.time,
+        )
+
+    def _velocity(self) -> RunExplanation:
+        answer = velocity.explain(self._scenario, self._name, self._leg, self._room)
+        if answer.kind == "limits":
+            said = f"{words.stops(self._leg)}; {answer.sentence}"
+            return self._with(answer.cure, answer.shares, said)
+        return replace(
+            self._base,
+            kind=answer.kind,
+            sentence=f"{words.stops(self._leg)}; {answer.sentence}",
+            held_back=_held_back(answer.shares),
+            tasks=answer.tasks,
+            way=answer.way,
+        )
+
+
+def _held_back(shares: tuple[Share, ...]) -> tuple[HeldBack, ...]:
+    return tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)

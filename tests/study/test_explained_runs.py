@@ -1,0 +1,186 @@
+"""Runs that are late, in phases, of other laws, or in files that are damaged."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import typed
+from explained import ADVICE, REACH, advice, explained, nao, nearest, of_case
+from laws import LIMITS, STEP
+from scenario_files import HEAD, PHASES, TAIL, phased
+
+from coopqp.controller_run import run
+from coopqp.limits import (
+    JointAcceleration,
+    JointPosition,
+    JointVelocity,
+)
+from coopqp.scenario.loader import load
+from coopqp.solver import Budget
+from coopqp.study.explanation import explain_run, recording_of
+from coopqp.tasks import Twist
+
+# Speed, time, budget
+
+
+@pytest.mark.parametrize(
+    ("limits", "word"),
+    [
+        ((JointPosition(), JointVelocity(scale=0.02)), "velocity of "),
+        ((*LIMITS, JointAcceleration(max=0.05)), "acceleration of "),
+    ],
+)
+def test_speeds_that_hold_up_are_named_with_the_time_that_would_do(
+    limits: tuple[Any, ...], word: str
+) -> None:
+    """A run of that time reaches the goal, one of nine tenths of it does not."""
+    scenario = replace(load("point_on_point"), limits=limits)
+    found = explained(scenario)
+    assert (found.kind, found.tried) == ("speed", True)
+    assert found.time is not None
+    assert found.held_back[0].words.startswith(word)
+    ends = [
+        run(replace(scenario, duration=share * found.time), controller="qp").final_error[0]
+        for share in (1.0, 0.9)
+    ]
+    assert ends[0] <= scenario.tasks[0].tolerance < ends[1]
+
+
+def test_a_loop_budget_that_is_used_up_is_what_is_blamed() -> None:
+    """A thousandth of a millimetre: nearly every step is cut for it."""
+    budget = Budget(loop_position=1e-6, loop_orientation=1e-5)
+    scenario = replace(load("point_on_point"), kappa=0.0, budget=budget)
+    cut = [s for s in run(scenario, controller="qp").status[-20:] if s != "OPTIMAL"]
+    found = explained(scenario)
+    assert len(cut) > 5
+    assert (found.kind, found.tried, found.held_back) == ("budget", False, ())
+    assert "the loops' budget is used up (kappa 0)" in found.sentence
+
+
+def test_a_run_that_is_too_short_blames_nobody() -> None:
+    task = replace(REACH, gain=2.0, profile=STEP)
+    found = explained(nao(task, duration=1.0))
+    assert (found.kind, found.tried, found.held_back) == ("short", True, ())
+    assert "nothing is in the way; the run ends too early" in found.sentence
+
+
+def test_a_twist_that_is_too_fast_is_told_by_how_much() -> None:
+    scenario = nao(Twist(name="tele", velocity={"z": 2.0}), duration=0.3)
+    found = explained(scenario)
+    assert found.kind == "speed"
+    assert "times the speed there is" in found.sentence
+    assert all(held.words.startswith("velocity of ") for held in found.held_back)
+
+
+# Phases, other laws, damaged runs
+
+
+def test_the_phase_that_missed_is_explained_and_not_the_last(tmp_path: Path) -> None:
+    far = "goal: [0.37, 0.01, 0.06], gain: 5, profile: {duration: 0.4}"
+    text = (HEAD + PHASES + TAIL).replace(
+        "goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.4}", far, 1
+    )
+    scenario = phased(tmp_path, text)
+    found = explained(scenario)
+    assert (found.phase, found.kind, found.tick) == ("carry", "reach", 59)
+    way = nearest(scenario.chain, (0.37, 0.01, 0.06))
+    assert found.distance == pytest.approx(float(np.linalg.norm(way)), abs=5e-4)
+
+
+def test_a_later_phase_is_explained_with_its_own_chain(tmp_path: Path) -> None:
+    """The open left arm is asked beyond its elbow's limit; the law reaches what it then may."""
+    text = (HEAD + PHASES + TAIL).replace("left: [0.5, 0.5, -1.0, -0.7, 0.1]", "LElbowRoll: 0.3")
+    scenario = phased(tmp_path, text)
+    found = explained(scenario)
+    chain = scenario.chain
+    i = chain.joint_names.index("LElbowRoll")
+    assert (found.phase, found.kind, found.tried) == ("alone", "limits", True)
+    assert [held.limit for held in found.held_back] == ["limit.position[LElbowRoll].upper"]
+    (need,) = found.needed
+    assert need.amount >= 0.3 - chain.upper[i] - 0.01  # the task's own tolerance
+
+
+def test_a_law_that_knows_no_limits_is_not_blamed_on_them() -> None:
+    found = explained(load("joint_limit_stress"), "pseudoinverse")
+    assert found.kind == "reached"
+
+
+def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
+    """The pseudoinverse follows the stretching twist by pulling the hands apart."""
+    scenario = advice("nod")
+    found = explained(scenario, "pseudoinverse")
+    far = run(scenario, controller="pseudoinverse").loop_position.max()
+    assert far > 0.1
+    assert found.kind == "open"
+    assert f"open by {1e3 * far:.3g} mm" in found.sentence
+
+
+def test_a_run_of_nans_says_its_status() -> None:
+    scenario = nao(REACH, duration=0.2)
+    recording = recording_of(run(scenario, controller="qp"))
+    recording.q[-1, 0] = np.nan
+    status = (*recording.status[:-1], "NOT_FINITE")
+    found = explain_run(scenario, replace(recording, status=status, errors={"reach": np.nan}))
+    assert found.kind == "failed"
+    assert "the state or the answer has NaN or infinite values" in found.sentence
+
+
+# From files
+
+
+def test_a_robot_beside_its_scenario_is_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Written elsewhere, and explained from another folder; the rail's limit is in metres."""
+    for file in ("gantry.yaml", "gantry.urdf"):
+        shutil.copy(ADVICE / file, tmp_path / file)
+    text = (tmp_path / "gantry.yaml").read_text(encoding="utf-8")
+    far = tmp_path / "far.yaml"
+    far.write_text(text.replace("[0.75, 0.1, 0]", "[1.25, 0.1, 0]"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    assert typed("compare", "far.yaml", "--controllers", "qp", "--out", out).exit_code == 0
+    monkeypatch.chdir("/")
+    said = typed("explain", out)
+    assert said.exit_code == 0
+    assert "rail (upper)" in said.output
+    assert "mm more (tried: reached)" in said.output
+    assert of_case("gantry").kind == "reached"
+
+
+DAMAGES = {
+    "columns": lambda text: "\n".join(line[: line.rfind(",", 0, 200)] for line in text.split("\n")),
+    "rows": lambda text: "\n".join(text.split("\n")[:6]) + "\n",
+    "text": lambda text: text.replace("0.7", "zero", 1),
+    "status": lambda text: text.replace("OPTIMAL", "FINE"),
+    "binary": lambda text: text[:300] + "\x00\x01" + text[300:],
+}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short run."""
+    folder = tmp_path_factory.mktemp("written")
+    short = folder / "short.yaml"
+    text = load("point_on_point").source.replace("duration: 3.0", "duration: 0.1")
+    short.write_text(text.replace("duration: 2.0", "duration: 0.1"), encoding="utf-8")
+    out = folder / "out"
+    assert typed("compare", short, "--controllers", "qp", "--out", out).exit_code == 0
+    return out
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_traces_are_refused_in_one_line(damage: str, written: Path, tmp_path: Path) -> None:
+    out, trace = tmp_path, tmp_path / "trace.csv"
+    shutil.copy(written / "scenario.yaml", out / "scenario.yaml")
+    text = (written / "trace.csv").read_text(encoding="utf-8")
+    trace.write_text(DAMAGES[damage](text), encoding="utf-8")
+    result = typed("explain", out)
+    assert result.exit_code == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "damaged" in result.stderr or "is not a trace.csv" in result.stderr
