@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.pool import Pool
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -25,10 +26,17 @@ def in_parallel(
     if jobs <= 1:
         yield from map(work, items)
         return
-    with multiprocessing.Pool(jobs, _leave_interrupts) as pool:
+    with _pool(jobs) as pool:
         yield from pool.imap_unordered(work, items, chunksize=8)
 
 
-def _leave_interrupts() -> None:
-    """Ctrl-C is the parent's to hear, who then ends the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _pool(jobs: int) -> Pool:
+    """Workers that leave Ctrl-C to their parent, who then ends them.
+
+    They inherit that it is blocked; and it cannot come while they are only half made.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return multiprocessing.Pool(jobs)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
