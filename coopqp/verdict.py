@@ -95,9 +95,9 @@ def _beyond(overrun: Overrun) -> str:
     """A limit other than a joint's, and how far it was broken."""
     row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
     if row.unit not in ("m", "rad"):
-        return f"exceeds {row.name} by {far}"
+        return f"exceeds the {row.words} by {far}"
     start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
-    return f"goes {far} beyond {row.name}{start}"
+    return f"goes {far} beyond {row.words}{start}"
 
 
 def _way_back(trace: Trace, outside: Array, worst: int) -> str:

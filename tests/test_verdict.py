@@ -87,7 +87,7 @@ def test_a_wall_that_stops_the_motion_is_named(walled: Comparison) -> None:
 
 def test_who_goes_through_a_wall_is_told_by_how_much(walled: Comparison) -> None:
     trace = walled.traces["pseudoinverse"]
-    (far,) = re.findall(r"goes (\d+) mm beyond limit.table", walled.verdicts["pseudoinverse"])
+    (far,) = re.findall(r"goes (\d+) mm beyond the table, corner", walled.verdicts["pseudoinverse"])
     corners = np.array(np.meshgrid(*[(-s / 2, s / 2) for s in walled.scenario.held.size]))
     lowest = min(
         float((p[:, None] + R @ corners.reshape(3, -1))[2].min())
@@ -103,13 +103,13 @@ def test_the_audit_has_one_line_for_a_wall(walled: Comparison) -> None:
     lines = [limit.name for limit in audit.limits_of(walled.traces["qp"])]
     assert lines.count("table") == 1
     assert lines.count("position of RElbowRoll") == 1
-    assert "table (limit.table.object[" in audit.rows(walled.traces)
+    assert "table (the table, corner " in audit.rows(walled.traces)
 
 
 def test_acceleration_of_a_law_without_limits_is_told() -> None:
     limits = (JointPosition(), JointVelocity(), JointAcceleration(max=1.0))
     found = judged(nao(PointOnPoint(goal=(0.19, 0.0, 0.03), gain=20.0), limits=limits))
-    assert "exceeds limit.acceleration[" in found.verdicts["pseudoinverse"]
+    assert "exceeds the acceleration of " in found.verdicts["pseudoinverse"]
     assert "exceeds" not in found.verdicts["qp"]
 
 

@@ -63,7 +63,7 @@ def rows(traces: Mapping[str, Trace]) -> str:
     for name, trace in audited(traces).items():
         for limit in _tightest(trace):
             value, unit = length(limit.least, limit.row.unit)
-            where = "" if limit.row.joint else f" ({limit.row.name})"
+            where = "" if limit.row.joint else f" ({limit.row.words})"
             cells = (
                 html.escape(f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"),
                 str(int(limit.active.sum())),
