@@ -5,7 +5,9 @@
     ├── UnknownNameError           no such task, joint, frame ...; names the nearest ones
     ├── GraspError                 the arms cannot hold the object as asked
     ├── ScenarioError              all faults of one scenario file, each with its line
-    └── MissingDependencyError     an optional package is not installed (also an ImportError)
+    ├── UnreadableFileError        a file is missing, too large, a pipe, or not text
+    ├── MissingDependencyError     an optional package is not installed (also an ImportError)
+    └── InternalError              a fault of coopqp itself, to be reported
 
 Errors belong to the border, where things are read and built. Inside a tick nothing is raised:
 what goes wrong there is a :class:`coopqp.solver.Status`.
@@ -43,6 +45,23 @@ class MissingDependencyError(CoopqpError, ImportError):
 
     def __init__(self, what: str, extra: str) -> None:
         super().__init__(f"{what} needs: pip install 'coopqp[{extra}]'")
+
+
+class UnreadableFileError(CoopqpError):
+    """A file that cannot be read.
+
+    Attributes:
+        place: the file, or a line in it.
+        why: what keeps it from being read.
+    """
+
+    def __init__(self, place: object, why: str) -> None:
+        self.place, self.why = str(place), why
+        super().__init__(f"{place}: {why}")
+
+
+class InternalError(CoopqpError):
+    """Something that nobody foresaw; what was done until then is kept."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -94,7 +95,7 @@ def shipped() -> dict[str, Path]:
 def find(path: str | Path) -> Path:
     """The file behind a path or the name of a shipped scenario."""
     given = Path(path)
-    return given if given.exists() else shipped().get(str(path), given)
+    return given if os.path.exists(given) else shipped().get(str(path), given)  # any name
 
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
@@ -165,7 +166,7 @@ class _Reader:
             kappa=math.inf if read.kappa is None else read.kappa,
             seed=read.seed,
             on_infeasible=read.on_infeasible,
-            source=self._file.path.read_text(encoding="utf-8"),
+            source=self._file.text,
             catalog=self._catalog,
         )
         self._check_problems(scenario)

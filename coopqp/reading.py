@@ -1,0 +1,62 @@
+"""Reading files that strangers wrote: only plain files, only up to a size, text with its place."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from coopqp.errors import UnreadableFileError
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """What a file holds.
+
+    Pipes and devices are refused without being waited for: some never end, some never begin.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        UnreadableFileError: no such file, no plain file, or a larger one.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
+    except ValueError as error:  # a name that no file can have
+        raise UnreadableFileError(repr(str(path)), f"cannot be read: {error}") from None
+    with open(descriptor, "rb") as stream:
+        mode = os.fstat(descriptor).st_mode
+        if stat.S_ISDIR(mode):
+            raise UnreadableFileError(path, "cannot be read: is a folder, needs a file")
+        if not stat.S_ISREG(mode):
+            raise UnreadableFileError(path, "cannot be read: is a pipe or a device, needs a file")
+        try:
+            content = stream.read(most + 1)
+        except OSError as error:
+            raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
+    if len(content) > most:
+        words = f"is larger than {_size(most)}, the most that is read of such a file"
+        raise UnreadableFileError(path, words)
+    return content
+
+
+def read_text(path: Path, most: int) -> str:
+    """The same as text in UTF-8.
+
+    Raises:
+        UnreadableFileError: also where it is no such text, with the line.
+    """
+    content = read_bytes(path, most)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        words = f"byte 0x{content[error.start]:02x} is no UTF-8; save the file as text in UTF-8"
+        raise UnreadableFileError(f"{path}:{line}", words) from None
+
+
+def _size(count: int) -> str:
+    return f"{count >> 20} MiB" if count >= 1 << 20 else f"{count >> 10} KiB"
