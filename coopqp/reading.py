@@ -27,16 +27,18 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
     except ValueError as error:  # a name that no file can have
         raise UnreadableFileError(repr(str(path)), f"cannot be read: {error}") from None
-    with open(descriptor, "rb") as stream:
+    try:
         mode = os.fstat(descriptor).st_mode
         if stat.S_ISDIR(mode):
             raise UnreadableFileError(path, "cannot be read: is a folder, needs a file")
         if not stat.S_ISREG(mode):
             raise UnreadableFileError(path, "cannot be read: is a pipe or a device, needs a file")
-        try:
+        with open(descriptor, "rb", closefd=False) as stream:
             content = stream.read(most + 1)
-        except OSError as error:
-            raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
+    except OSError as error:
+        raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
+    finally:
+        os.close(descriptor)
     if len(content) > most:
         words = f"is larger than {_size(most)}, the most that is read of such a file"
         raise UnreadableFileError(path, words)
@@ -54,7 +56,7 @@ def read_text(path: Path, most: int) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        words = f"byte 0x{content[error.start]:02x} is no UTF-8; save the file as text in UTF-8"
+        words = f"is not a text file in UTF-8: has the byte 0x{content[error.start]:02x}"
         raise UnreadableFileError(f"{path}:{line}", words) from None
 
 
