@@ -202,7 +202,7 @@ def test_a_file_that_is_no_robot_is_refused(
 
 
 def test_a_folder_or_binary_file_is_no_robot(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="cannot be read: Is a directory"):
+    with pytest.raises(InvalidValueError, match="cannot be read: is a folder"):
         Urdf(path=tmp_path, arms=TIPS).build()
     (tmp_path / "b.urdf").write_bytes(bytes(range(256)))
     with pytest.raises(InvalidValueError, match="is not a URDF file"):
