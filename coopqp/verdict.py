@@ -28,8 +28,8 @@ ROUNDING = 1e-9
 def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
     parts = [
-        _arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _gap(metrics),
-        _ticks(metrics),
+        *_broken(trace), _arrival(trace), _limits(trace), _speed(trace), _loop(metrics),
+        _gap(metrics), _ticks(metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
@@ -115,6 +115,12 @@ def _gap(metrics: Mapping[str, Any]) -> str:
 def _round(value: float) -> str:
     """Two digits, and never an exponent for large numbers."""
     return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
+
+
+def _broken(trace: Trace) -> list[str]:
+    """What is first to be said where code raised an error, or the plant broke down."""
+    said = [failure for failure in trace.failures if failure.note]
+    return [f"stands still from {trace.t[said[0].tick]:.3g} s: {said[0].note}"] if said else []
 
 
 def _ticks(metrics: Mapping[str, Any]) -> str:

@@ -61,6 +61,33 @@ def raised(error: Exception, file: str | None = None) -> str:
     return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
 
 
+def culprit(error: Exception, plugins: Sequence[tuple[str, object]]) -> str:
+    """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught.
+        plugins: whose code may have raised it, with the words for each; of several the outermost
+            counts, and of those with the same code all.
+    """
+    called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+    for code in called:
+        named = [words for words, plugin in plugins if code in _codes(type(plugin))]
+        if named:
+            return f"{' or '.join(named)}: {raised(error, code.co_filename)}"
+    return raised(error)
+
+
+def _codes(cls: type) -> set[types.CodeType]:
+    """All code that is written inside a class."""
+    found = set[types.CodeType]()
+    waiting = [value.__code__ for value in vars(cls).values() if hasattr(value, "__code__")]
+    while waiting:
+        code = waiting.pop()
+        found.add(code)
+        waiting += [const for const in code.co_consts if isinstance(const, types.CodeType)]
+    return found
+
+
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
     """Whether a value is faulted only because one inside it is wrong.
 

@@ -42,6 +42,7 @@ class TaskDynamics:
         self.gains = np.repeat([float(task.gain) for task in problem.tasks], self.tasks.sizes)
         self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
         self._ahead = State(problem.chain)
+        self._effort = problem.chain.model.effortLimit
 
     def update(self, state: State) -> None:
         """Everything for a measured state."""
@@ -57,6 +58,18 @@ class TaskDynamics:
         np.subtract(self.drift, self.e_dot, self.drift)
         self.drift /= STEP
         self.dynamics.update(state.q, v)
+
+    def holding(self, state: State, brake_time: float) -> Array:
+        """The weight, and a brake that stops the joints, within the motors' limits [N m].
+
+        Args:
+            state: for which the dynamics are up to date.
+            brake_time: in which motion dies out [s].
+        """
+        dynamics = self.dynamics
+        brake = dynamics.A.dot(state.v) / brake_time
+        tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
+        return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
     def inverse_inertia(self) -> Array:
         """Acceleration of the task rows per wrench on them, the loops closed, shape (k, k).

@@ -29,6 +29,9 @@ from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
 from coopqp.task import Task
 
+#: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
+MOST_KEPT = 4_000_000
+
 Start = Mapping[str, float | Sequence[float]]
 
 
@@ -123,6 +126,20 @@ class Scenario:
     def ticks(self) -> int:
         """Number of control periods."""
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
+
+    def check_size(self) -> None:
+        """Refuse runs of which more would be kept than ``MOST_KEPT``.
+
+        Raises:
+            InvalidValueError: with how long they may be.
+        """
+        each = max(1, len(self.controllers)) * len(self.robot_model.joint_names)
+        if self.ticks * each > MOST_KEPT:
+            raise InvalidValueError(
+                f"found {self.ticks} ticks, more than are kept; needs at most {MOST_KEPT // each} "
+                f"with {len(self.controllers)} controllers and {len(self.robot_model.joint_names)} "
+                "joints, so make the duration shorter, or dt longer"
+            )
 
     @cached_property
     def robot_model(self) -> RobotModel:
