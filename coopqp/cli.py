@@ -11,31 +11,18 @@ from typing import Any
 import click
 
 from coopqp import __version__
-from coopqp.errors import CoopqpError
+from coopqp.ending import Group
 
 COLLECTIONS = (
     "robots", "grasps", "tasks", "limits", "controllers", "solvers", "plants", "metrics",
     "scenarios",
 )  # fmt: skip
 
-BAD_INPUT = 2  # exit code, the same that click uses for wrong options
 
-
-class _Group(click.Group):
-    """Commands whose bad input ends in one clear message per fault, and exit code 2."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except CoopqpError as error:
-            for line in str(error).splitlines():
-                click.echo(f"error: {line}", err=True)
-            ctx.exit(BAD_INPUT)
-
-
-@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="coopqp")
-def main() -> None:
+@click.option("--debug", is_flag=True, help="Show the traceback of what is a fault of coopqp.")
+def main(debug: bool) -> None:
     """Compare QP control of arms that hold one object with the pseudoinverse laws.
 
     Begin with: coopqp compare point_on_point --out out/point_on_point
@@ -358,12 +345,17 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    written = files.write(comparison, out) if out else []
+    for name, why in comparison.refused.items():
+        click.echo(f"warning: {name} is left out: {why}", err=True)
+    for fault in comparison.faults:
+        click.echo(f"warning: {fault}", err=True)
     if as_json:
         click.echo(files.metrics_json(comparison), nl=False)
-        return
-    console().print(table.summary(comparison))
-    for path in written:
+    else:
+        console().print(table.summary(comparison))
+    # Written last: what goes wrong here takes nothing away from what the run has shown.
+    written = files.write(comparison, out) if out else []
+    for path in written if not as_json else ():
         click.echo(f"wrote {path}")
 
 
