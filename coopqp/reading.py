@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from coopqp.errors import UnreadableFileError
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """What a file holds.
+@contextmanager
+def open_bytes(path: Path) -> Iterator[BinaryIO]:
+    """A file to read from.
 
     Pipes and devices are refused without being waited for: some never end, some never begin.
 
-    Args:
-        path: of the file.
-        most: bytes that it may have.
-
     Raises:
-        UnreadableFileError: no such file, no plain file, or a larger one.
+        UnreadableFileError: no such file, or no plain file; also where reading fails.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -34,11 +34,25 @@ def read_bytes(path: Path, most: int) -> bytes:
         if not stat.S_ISREG(mode):
             raise UnreadableFileError(path, "cannot be read: is a pipe or a device, needs a file")
         with open(descriptor, "rb", closefd=False) as stream:
-            content = stream.read(most + 1)
+            yield stream
     except OSError as error:
         raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
     finally:
         os.close(descriptor)
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """What a file holds.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        UnreadableFileError: as :func:`open_bytes`, or a larger file.
+    """
+    with open_bytes(path) as stream:
+        content = stream.read(most + 1)
     if len(content) > most:
         words = f"is larger than {_size(most)}, the most that is read of such a file"
         raise UnreadableFileError(path, words)

@@ -41,16 +41,17 @@ def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
-        _sweep(folder)
-        new = _new_folder(folder)
-        for name, content in contents.items():
-            _write(new / name, content)
-        before = {link.name for link in folder.iterdir() if _is_ours(link)}
-        _adopt(contents, folder)
-        _link(POINTER, new.name, folder)  # the step
-        for name in before - set(contents):
-            (folder / name).unlink()
-        _sweep(folder)
+        try:
+            new = _new_folder(folder)
+            for name, content in contents.items():
+                _write(new / name, content)
+            before = {link.name for link in folder.iterdir() if _is_ours(link)}
+            _adopt(contents, folder)
+            _link(POINTER, new.name, folder)  # the step
+            for name in before - set(contents):
+                (folder / name).unlink()
+        finally:
+            _sweep(folder)
     return [folder / name for name in contents]
 
 
@@ -160,7 +161,6 @@ def _new_folder(folder: Path) -> Path:
 
 
 def _write(path: Path, content: str) -> None:
-    with open(path, "w", encoding="utf-8", newline="") as stream:
-        stream.write(content)
-        stream.flush()
+    path.write_text(content, encoding="utf-8", newline="")
+    with open(path, "rb") as stream:
         os.fsync(stream.fileno())
