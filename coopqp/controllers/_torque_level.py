@@ -94,7 +94,10 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
     missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
     if rows > found.motor_freedom_start or found.tasks_rank < rows:
+        why = f"missing: {'; '.join(missing)}"
+        if not missing:
+            why = f"only {found.tasks_rank} of the rows are independent, so drop a task"
         raise GraspError(
             f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
-            f"{found.motor_freedom_start} object motions; missing: {'; '.join(missing)}"
+            f"{found.motor_freedom_start} object motions; {why}"
         )

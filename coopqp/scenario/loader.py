@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
 from coopqp.scenario.trial import blamed
-from coopqp.scenario.yaml import YamlFile, read_yaml
+from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
 from coopqp.task import Task
@@ -79,11 +80,14 @@ def _solved(
     file: YamlFile, scenario: Scenario, seed: int, progress: Progress | None
 ) -> StartSolution:
     robot = built(file, ["robot"], lambda: scenario.robot_model)
-    return built(
-        file,
-        ["start"],
-        lambda: solve_start(robot, scenario.grasps, scenario.held, seed=seed, progress=progress),
-    )
+    near: Start = file.data.get("start_near") or {}
+    built(file, ["start_near"], lambda: robot.configuration(near))
+
+    def solved() -> StartSolution:
+        grasps, held = scenario.grasps, scenario.held
+        return solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
+
+    return built(file, ["start"], solved)
 
 
 def shipped() -> dict[str, Path]:
@@ -166,7 +170,7 @@ class _Reader:
             kappa=math.inf if read.kappa is None else read.kappa,
             seed=read.seed,
             on_infeasible=read.on_infeasible,
-            source=self._file.text,
+            source=_movable(self._file, self._read),
             catalog=self._catalog,
         )
         self._check_problems(scenario)
@@ -251,6 +255,29 @@ class _Reader:
                 f"the reference of '{task.name}' arrives at {end:g} s, after the end at "
                 f"{duration:g} s; make it shorter or the duration longer",
             )
+
+
+def _movable(file: YamlFile, read: Any) -> str:
+    """The text of the file, with the folder of its paths, so that a copy elsewhere can be read."""
+    if read.folder or not _names_files(file.data.get("robot"), file.path.parent):
+        return file.text
+    folder = json.dumps(str(file.path.parent.resolve()))
+    text = f"folder: {folder}   # from where the paths below count\n{file.text}"
+    try:
+        same = parsed(file.path, text).data == {"folder": json.loads(folder), **file.data}
+    except ScenarioError:  # a file that begins with --- or {
+        same = False
+    return text if same else file.text
+
+
+def _names_files(value: Any, folder: Path) -> bool:
+    """Whether a text in a value is the relative path of something in a folder."""
+    if isinstance(value, dict | list):
+        inside = value.values() if isinstance(value, dict) else value
+        return any(_names_files(part, folder) for part in inside)
+    if not isinstance(value, str) or not value or os.path.isabs(value):
+        return False
+    return os.path.exists(folder / value)
 
 
 def _plugins(slots: Sequence[BaseModel]) -> tuple[Any, ...]:

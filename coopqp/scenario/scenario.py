@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +60,7 @@ class Scenario:
         catalog: what it can name; its metrics are measured.
 
     Raises:
-        InvalidValueError: dt or a duration is no time.
+        InvalidValueError: dt or a duration is no time; a field is of another type.
     """
 
     name: str
@@ -88,6 +90,9 @@ class Scenario:
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        strange = list(_strangers(self))
+        if strange:
+            raise InvalidValueError("\n".join(strange))
         wrong = period_fault(self.dt)
         found = [f"dt: {wrong}"] if wrong else []
         found += [
@@ -194,6 +199,39 @@ class Scenario:
             if first:
                 chain = chain.handed_over(where(first), phase.released)
             yield self.problem(phase, chain)
+
+
+#: What the fields of a scenario are, and what is in those that hold several.
+KINDS: dict[str, tuple[Any, Any]] = {
+    "name": (str, None), "description": (str, None), "source": (str, None),
+    "solver_name": (str, None), "robot": (Robot, None), "start": (Mapping, None),
+    "tasks": (Sequence, Task), "secondary": (Sequence, Task), "limits": (Sequence, Limit),
+    "phases": (Sequence, Phase), "controllers": (Mapping, Controller), "grasp_of": (Mapping, Grasp),
+    "grasps": (Grasp | Mapping, Grasp), "weights": (Mapping | None, Real), "plant": (Plant, None),
+    "held": (HeldObject, None), "disturbance": (Disturbance, None), "solver": (Solver, None),
+    "budget": (Budget, None), "seed": (Integral, None), "dt": (Real, None),
+    "duration": (Real, None), "kappa": (Real, None), "on_infeasible": (str, None),
+    "catalog": (Catalog, None),
+}  # fmt: skip
+
+
+def _strangers(scenario: Scenario) -> Iterator[str]:
+    """Fields that are of another type than they must be."""
+    for name, (kind, part) in KINDS.items():
+        value = getattr(scenario, name)
+        text = isinstance(value, str) and kind is Sequence
+        if text or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            yield f"{name}: found {value!r:.60}, needs {_called(kind)}"
+        elif part is not None and isinstance(value, Mapping | Sequence):
+            inside = value.values() if isinstance(value, Mapping) else value
+            for found in inside:
+                if not isinstance(found, part):
+                    yield f"{name}: found {found!r:.60} in it, needs {_called(part)}"
+
+
+def _called(kind: Any) -> str:
+    words = {Real: "a number", Integral: "a whole number", str: "a text", Mapping: "a mapping"}
+    return words.get(kind) or f"a {getattr(kind, '__name__', str(kind))}"
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:

@@ -104,6 +104,15 @@ def read_yaml(path: Path) -> YamlFile:
         text = read_text(path, MOST_BYTES)
     except UnreadableFileError as error:
         raise _refused(error.place, error.why) from None
+    return parsed(path, text)
+
+
+def parsed(path: Path, text: str) -> YamlFile:
+    """The same from what a file holds.
+
+    Raises:
+        ScenarioError: as :func:`read_yaml`.
+    """
     builder = _Builder(path, text)
     try:
         root = builder.document()

@@ -164,7 +164,7 @@ def test_binary_missing_and_unreadable_files_are_refused(tmp_path: Path) -> None
         TickRecord.read(binary)
     with pytest.raises(CoopqpError, match="cannot be read: No such file"):
         TickRecord.read(tmp_path / "none.json")
-    with pytest.raises(CoopqpError, match="cannot be read: Is a directory"):
+    with pytest.raises(CoopqpError, match="cannot be read: is a folder"):
         TickRecord.read(tmp_path)
 
 
