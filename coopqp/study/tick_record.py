@@ -131,6 +131,8 @@ class TickRecord:
             (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
         )  # fmt: skip
         tables = ((self.C, p + m), (self.J, k))
+        if any(len(row) != n for table in (self.P, self.C, self.J) for row in table):
+            return False
         return (
             all(np.shape(values) == shape for values, shape in shapes)
             and all(np.shape(rows) == (count, n) for rows, count in tables if count)
