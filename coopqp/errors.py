@@ -72,7 +72,7 @@ class Fault:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.message}"
+        return one_line(f"{self.place}: {self.message}")
 
 
 class ScenarioError(CoopqpError):
@@ -81,6 +81,12 @@ class ScenarioError(CoopqpError):
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+def one_line(text: str) -> str:
+    """The text without line breaks or control characters, which names in files may have."""
+    joined = "; ".join(text.splitlines())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in joined)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:

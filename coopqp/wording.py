@@ -53,7 +53,7 @@ def raised(error: Exception, file: str | None = None) -> str:
 
     Args:
         error: caught.
-        file: whose line counts; that which raised the error if omitted.
+        file: whose line counts; the last that is no library if omitted.
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]

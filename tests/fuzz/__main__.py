@@ -10,6 +10,8 @@ import argparse
 import sys
 from collections import Counter
 
+import click
+
 from .workers import Worker
 
 
@@ -26,11 +28,13 @@ def main() -> int:
         if outcome.wrong:
             wrong += 1
             if wrong <= asked.show:
-                print(f"seed {outcome.seed}: {outcome.kind} {outcome.ended}\n{outcome.words}", flush=True)
+                click.echo(f"seed {outcome.seed}: {outcome.kind} {outcome.ended}")
+                click.echo(outcome.words)
         if k % 500 == 499:
-            print(f"{k + 1} cases: {dict(sorted(ended.items()))}", flush=True)
+            click.echo(f"{k + 1} cases: {dict(sorted(ended.items()))}")
     worker.end()
-    print(f"{asked.cases} cases from seed {asked.seed}: {wrong} wrong; {dict(sorted(ended.items()))}")
+    counts = dict(sorted(ended.items()))
+    click.echo(f"{asked.cases} cases from seed {asked.seed}: {wrong} wrong; {counts}")
     return 1 if wrong else 0
 
 

@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+import tempfile
 import traceback
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -34,6 +35,8 @@ KINDS = ("scenario", "scenario", "scenario", "robot", "trace", "tick")
 TICKS = 3
 #: Seeds that need no package of robots.
 NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several")
+#: What is wrong with a file as a whole, and has no line.
+WHOLE = ("cannot be read", "the file is empty", "is larger")
 PLACED = re.compile(r"\S.*:\d+(: |$)")
 
 
@@ -67,12 +70,12 @@ def run_case(seed: int, folder: Path) -> Outcome:
     heard = io.StringIO()
     try:
         with redirect_stdout(heard), redirect_stderr(heard):
-            {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}[kind](rng, folder)
+            MAKERS[kind](rng, folder)
     except InternalError as error:
         return Outcome(kind, seed, "raises", str(error))
     except CoopqpError as error:
         return _refusal(kind, seed, error)
-    except Exception:
+    except Exception:  # noqa: BLE001 - what it is for
         return Outcome(kind, seed, "raises", traceback.format_exc())
     return Outcome(kind, seed, "prints" if heard.getvalue() else "runs", heard.getvalue())
 
@@ -80,11 +83,9 @@ def run_case(seed: int, folder: Path) -> Outcome:
 def _refusal(kind: str, seed: int, error: CoopqpError) -> Outcome:
     """A refusal, and whether each of its lines has the place that it could have."""
     said = str(error)
-    whole = ("cannot be read", "the file is empty", "has no <", "is not a tick saved by", "is larger")
-    for line in said.splitlines():
-        if isinstance(error, ScenarioError) and not PLACED.match(line):
-            if not any(words in line for words in whole):
-                return Outcome(kind, seed, "no line", said)
+    for line in said.splitlines() if isinstance(error, ScenarioError) else ():
+        if not (PLACED.match(line) or any(words in line for words in WHOLE)):
+            return Outcome(kind, seed, "no line", said)
     return Outcome(kind, seed, "refused", said)
 
 
@@ -147,19 +148,15 @@ def _short(scenario: Scenario) -> Scenario:
 
 
 @cache
-def _kept() -> tuple[Scenario, dict[str, str], str]:
-    """A short run: its scenario, its files and one tick of it."""
+def _kept() -> tuple[Scenario, str]:
+    """A short run: its scenario and its trace."""
     scenario = _short(load(SEEDS / "phases.yaml", catalog()))
-    scenario = replace(scenario, source=(SEEDS / "phases.yaml").read_text(encoding="utf-8"))
-    comparison = compare(scenario, controllers=["qp", "pseudoinverse"])
-    trace = files.trace_csv(comparison)
-    path = Path("/") / "trace.csv"
-    return scenario, {"trace.csv": trace}, str(path)
+    return scenario, files.trace_csv(compare(scenario, controllers=["qp", "pseudoinverse"]))
 
 
 def _trace(rng: Random, folder: Path) -> None:
-    scenario, written, _ = _kept()
-    lines = written["trace.csv"].splitlines(keepends=True)
+    scenario, written = _kept()
+    lines = written.splitlines(keepends=True)
     path = folder / "trace.csv"
     if rng.random() < 0.5:
         content = mutations.text(rng, "".join(lines), (SEEDS / "urdf.yaml").read_text())
@@ -177,12 +174,10 @@ def _trace(rng: Random, folder: Path) -> None:
 
 @cache
 def _tick_text() -> str:
-    import tempfile
-
-    scenario, written, _ = _kept()
+    scenario, written = _kept()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trace.csv"
-        path.write_text(written["trace.csv"], encoding="utf-8")
+        path.write_text(written, encoding="utf-8")
         return recorded_tick(path, scenario, "qp", 1).text()
 
 
@@ -198,3 +193,6 @@ def _tick(rng: Random, folder: Path) -> None:
     record = TickRecord.read(path)
     solver = rng.choice(("daqp", "osqp", "proxqp"))
     explanation.replay(record, solver_by_name(solver, catalog()))
+
+
+MAKERS = {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}

@@ -12,25 +12,28 @@ from typing import Any
 
 #: Pieces of text that parsers stumble over.
 PIECES = (
-    "!!float ", "!!set ", "!!binary ", "!x ", "&a ", "*a", "<<: *a", "<<: ", "- ", "? ", ": ", "%YAML 9.9\n",
-    "---\n", "...\n", "\t", "\x00", "\x07", "[", "{", "]", "}", '"', "'", "|", ">", "#", "\ufeff", "\u2028",
-    "\N{PILE OF POO}", "\N{ARABIC-INDIC DIGIT THREE}", "[" * 60, "{a: " * 60, "1e999", "0x", "-.inf", "~", "\\ud800",
-    "<!DOCTYPE r [<!ENTITY a 'b'>]>", "&a;", "&#0;", "<![CDATA[", "<!--", "-->", "</", "/>", '="', "<include file='dual.xml'/>",
-    ",", ",,,", "\r", "\n\n", "1_0", "0o8", "=", "nan", "inf",
+    "!!float ", "!!set ", "!!binary ", "!x ", "&a ", "*a", "<<: *a", "<<: ", "- ", "? ", ": ",
+    "%YAML 9.9\n", "---\n", "...\n", "\t", "\x00", "\x07", "[", "{", "]", "}", '"', "'", "|", ">",
+    "#", "\ufeff", "\u2028", "\N{PILE OF POO}", "\N{ARABIC-INDIC DIGIT THREE}", "[" * 60,
+    "{a: " * 60, "1e999", "0x", "-.inf", "~", "\\ud800", "<!DOCTYPE r [<!ENTITY a 'b'>]>", "&a;",
+    "&#0;", "<![CDATA[", "<!--", "-->", "</", "/>", '="', "<include file='dual.xml'/>", ",",
+    ",,,", "\r", "\n\n", "1_0", "0o8", "=", "nan", "inf",
 )  # fmt: skip
 #: Values that no key, or few, can have.
 VALUES: tuple[Any, ...] = (
-    None, True, False, "", "x", "qp", "rigid", "nao_t14", "solve", 0, -0.0, 1, -1, 2, 9, 1e308, -1e308,
-    5e-324, 1e-300, 1e-12, 1e6, 1e9, 1e12, 1e19, 10**25, -(10**30), 0.5, math.inf, -math.inf, math.nan,
-    [], {}, [[]], [{}], {"": {}}, [0, 0, 0], [1, 2, 3, 4, 5], [0.0] * 40, "\ud800", "\N{PILE OF POO}",
-    "a" * 5000, "\n", "../..", "/dev/zero", "/", ".", "dual.urdf", "a\0b", "1e5", "0.1", "right", "left",
+    None, True, False, "", "x", "qp", "rigid", "nao_t14", "solve", 0, -0.0, 1, -1, 2, 9, 1e308,
+    -1e308, 5e-324, 1e-300, 1e-12, 1e6, 1e9, 1e12, 1e19, 10**25, -(10**30), 0.5, math.inf,
+    -math.inf, math.nan, [], {}, [[]], [{}], {"": {}}, [0, 0, 0], [1, 2, 3, 4, 5], [0.0] * 40,
+    "\ud800", "\N{PILE OF POO}", "a" * 5000, "\n", "../..", "/dev/zero", "/", ".", "dual.urdf",
+    "a\0b", "1e5", "0.1", "right", "left",
 )  # fmt: skip
 #: Words in the attribute of an XML file.
 WORDS = (
-    "", " ", "a b c", "nan", "inf -inf 0", "1", "1 2", "1 2 3", "0 0 0", "1 2 3 4", "-1", "1e308", "1e-320",
-    "1e9 0 0", "0x10", "1,2,3", "1_0", "true", "false", "zz", "fixed", "floating", "continuous", "prismatic",
-    "planar", "ball", "free", "slide", "hinge", "r1", "l2", "base", "rl3", "world", "auto", "degree", "../x",
-    "/dev/zero", "\N{PILE OF POO}", "a" * 3000, "1 " * 500,
+    "", " ", "a b c", "nan", "inf -inf 0", "1", "1 2", "1 2 3", "0 0 0", "1 2 3 4", "-1", "1e308",
+    "1e-320", "1e9 0 0", "0x10", "1,2,3", "1_0", "true", "false", "zz", "fixed", "floating",
+    "continuous", "prismatic", "planar", "ball", "free", "slide", "hinge", "r1", "l2", "base",
+    "rl3", "world", "auto", "degree", "../x", "/dev/zero", "\N{PILE OF POO}", "a" * 3000,
+    "1 " * 500,
 )  # fmt: skip
 
 
@@ -57,7 +60,11 @@ def _cut(rng: Random, content: str, other: str) -> str:
 
 def _flip(rng: Random, content: str, other: str) -> str:
     at = _at(rng, content)
-    return content[:at] + chr(rng.choice((0, 9, 10, 32, 45, 46, 58, 91, 123, 160, 255))) + content[at + 1 :]
+    return (
+        content[:at]
+        + chr(rng.choice((0, 9, 10, 32, 45, 46, 58, 91, 123, 160, 255)))
+        + content[at + 1 :]
+    )
 
 
 def _lines(rng: Random, content: str, other: str) -> str:
