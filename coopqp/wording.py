@@ -57,6 +57,8 @@ def raised(error: Exception, file: str | None = None) -> str:
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]
+    if file is None:  # who called a library tells more than where in it that ended
+        own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
     return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
 

@@ -114,9 +114,8 @@ def main() -> int:
         publish(contents(1), folder)
         left = [path.name for path in folder.iterdir() if path.name.startswith(".report-")]
         assert len(left) == 1, f"left behind: {left}"
-    click.echo(
-        f"{asked.kills} kills, {versions} with a new report; {steps} at each step: none broken"
-    )
+    told = f"{asked.kills} kills, {versions} with a new report; {steps} at each step"
+    click.echo(f"{told}: none broken")
     return 0
 
 
