@@ -84,7 +84,7 @@ def compare(
     if len(refused) == 1 and not traces:
         raise next(iter(refused.values()))
     if not traces:
-        raise CoopqpError("\n".join(map(str, refused.values())))
+        raise CoopqpError("\n".join(dict.fromkeys(map(str, refused.values()))))
     why = {name: str(error) for name, error in refused.items()}
     return replace(summarize(scenario, traces), refused=why)
 
