@@ -45,8 +45,9 @@ class Osqp(Solver):
             (values.ravel(), index.ravel(), np.arange(n + 1) * (1 + rows)), shape=(n + rows, n)
         )
         backend = osqp.OSQP()
-        backend.setup(
-            P, qp.q, A, qp.lower, qp.upper,
+        least, most = np.minimum(qp.lower, qp.upper), np.maximum(qp.lower, qp.upper)
+        backend.setup(  # refuses bounds that cross, which a tick may have
+            P, qp.q, A, least, most,
             eps_abs=self.eps_abs, eps_rel=0.0, eps_prim_inf=self.eps_prim_inf,
             max_iter=self.max_iter, verbose=False, polishing=True, warm_starting=True,
         )  # fmt: skip
