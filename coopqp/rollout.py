@@ -113,22 +113,28 @@ class GuardedPlant(PlantModel):
         """As the plant does; where that fails, everything stays as it was."""
         if self.broken:
             return
-        before = [_Kept(found) for found in dict.fromkeys((self.truth(state), state))]
+        before = self._kept(state)
         try:
             with np.errstate(all="ignore"):  # what overflows is found below
                 self._plant.step(state, command)
                 self.measured = self._plant.measured
                 self._told = None
-                for found in (self.truth(state), state):
-                    _check(found)
+                _check(state)
+                if self.truth(state) is not state:
+                    _check(self.truth(state))
         except Exception as error:  # noqa: BLE001 - a plant may be the user's, or blow up
             words = str(error) if isinstance(error, _BreakdownError) else raised(error)
             self.broken = f"the plant: {words}"
             for kept in before:
                 kept.put_back()
-            self._told = before[0].state
+            self._told = before[-1].state
             for signal in self.signals.values():
                 signal[:] = 0.0
+
+    def _kept(self, state: State) -> list[_Kept]:
+        """The state, and what is true where that is another one."""
+        true = self.truth(state)
+        return [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
 
     def truth(self, state: State) -> State:
         """As the plant says after its last step that did not fail."""
