@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from coopqp.controller_run import Progress, run
-from coopqp.errors import InvalidValueError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.metric import Metric
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 from coopqp.verdict import verdict
+from coopqp.wording import raised
 
 
 @dataclass(frozen=True)
@@ -22,15 +25,20 @@ class Comparison:
         traces: by controller.
         metrics: by controller, then by metric.
         verdicts: one sentence each, by controller.
+        refused: why a controller could not be run, by controller.
+        faults: what metrics raised, one sentence each.
     """
 
     scenario: Scenario
     traces: Mapping[str, Trace]
     metrics: Mapping[str, Mapping[str, Any]]
     verdicts: Mapping[str, str]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    faults: Sequence[str] = ()
 
     def __str__(self) -> str:
-        return "\n".join(f"{name}: {said}" for name, said in self.verdicts.items())
+        said = {**self.verdicts, **{name: f"left out: {why}" for name, why in self.refused.items()}}
+        return "\n".join(f"{name}: {words}" for name, words in said.items())
 
     def as_json(self) -> dict[str, Any]:
         """What ``metrics.json`` holds."""
@@ -39,6 +47,7 @@ class Comparison:
             "kappa": self.scenario.drift_gain,
             "dt": self.scenario.dt,
             "controllers": {name: dict(values) for name, values in self.metrics.items()},
+            **({"refused": dict(self.refused)} if self.refused else {}),
         }
 
 
@@ -55,22 +64,49 @@ def compare(
         controllers: their names; the scenario's own when omitted.
         progress: called every few ticks.
 
+    A controller that cannot be used for the scenario is left out, and the comparison says so.
+
     Raises:
-        CoopqpError: as :func:`run`.
+        CoopqpError: none of them can be run: as :func:`run`.
     """
     names = list(controllers) or list(scenario.controllers)
     if not names:
         raise InvalidValueError("controllers: none given, and the scenario has none")
-    traces = {name: run(scenario, controller=name, progress=progress) for name in names}
-    return summarize(scenario, traces)
+    traces: dict[str, Trace] = {}
+    refused: dict[str, CoopqpError] = {}
+    for name in names:
+        try:
+            traces[name] = run(scenario, controller=name, progress=progress)
+        except CoopqpError as error:
+            if isinstance(error, UnknownNameError) and error.kind == "controller":
+                raise
+            refused[name] = error
+    if len(refused) == 1 and not traces:
+        raise next(iter(refused.values()))
+    if not traces:
+        raise CoopqpError("\n".join(dict.fromkeys(map(str, refused.values()))))
+    why = {name: str(error) for name, error in refused.items()}
+    return replace(summarize(scenario, traces), refused=why)
 
 
 def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
-    """Metrics and verdicts of traces."""
+    """Metrics and verdicts of traces; a metric that raises is None."""
+    faults: list[str] = []
     entries = scenario.catalog.entries("metrics")
     metrics = {
-        name: {key: entry.cls().measure(trace) for key, entry in entries.items()}
+        name: {key: _measured(key, entry.cls(), trace, faults) for key, entry in entries.items()}
         for name, trace in traces.items()
     }
     verdicts = {name: verdict(trace, metrics[name]) for name, trace in traces.items()}
-    return Comparison(scenario, traces, metrics, verdicts)
+    return Comparison(scenario, traces, metrics, verdicts, faults=tuple(dict.fromkeys(faults)))
+
+
+def _measured(name: str, metric: Metric, trace: Trace, faults: list[str]) -> Any:
+    """The value of a metric, checked to be one that JSON can hold."""
+    try:
+        value = metric.measure(trace)
+        json.dumps(value)
+    except Exception as error:  # noqa: BLE001 - a metric may be the user's
+        faults.append(f"metric '{name}': {raised(error)}")
+        return None
+    return value

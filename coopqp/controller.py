@@ -20,7 +20,7 @@ from coopqp.loop_observer import LoopObserver
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import Memory, State
 from coopqp.task import Task
-from coopqp.wording import Location, dotted
+from coopqp.wording import Location, culprit, dotted
 
 TELL_APART = "add 'name:' to tell them apart"
 
@@ -126,6 +126,7 @@ class Command:
             status, is not usable, v = 0, or torques only hold.
         scale: least share of its speed at which a scaled task runs; 1 without scaled tasks.
         drift: share of the drift correction that is done.
+        note: what else is to be said of a tick that stood still, such as what a task raised.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
@@ -133,6 +134,7 @@ class Command:
         self.tau = np.zeros(n) if torques else None
         self.causes: tuple[Status, ...] = (Status.OPTIMAL,)
         self.scale = self.drift = 1.0
+        self.note = ""
 
     @property
     def status(self) -> Status:
@@ -153,7 +155,7 @@ class Command:
         other.v[:] = self.v
         other.tau = None if self.tau is None else self.tau.copy()
         other.causes = self.causes
-        other.scale, other.drift = self.scale, self.drift
+        other.scale, other.drift, other.note = self.scale, self.drift, self.note
         return other
 
 
@@ -189,17 +191,22 @@ class Law(ABC):
 
         Computes the kinematics of q first, so that they are never those of another q.
         """
+        self.command.note = ""
         if not self._fits(state):
-            return self._refuse(Status.WRONG_STATE)
+            return self.refuse(Status.WRONG_STATE)
         if not math.isfinite(state.q.dot(state.q) + state.v.dot(state.v) + state.t):
-            return self._refuse(Status.NOT_FINITE)
+            return self.refuse(Status.NOT_FINITE)
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
         wrong = [] if self._observer.update(state) else [Status.NOT_MEASURED]
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
-        command = self.decide(state)
+        try:
+            command = self.decide(state)
+        except Exception as error:  # noqa: BLE001 - code of plug-ins may raise anything
+            command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
+            self.hold_still(state)
         if wrong:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
@@ -210,14 +217,36 @@ class Law(ABC):
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
         return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
 
-    def _refuse(self, why: Status) -> Command:
-        """Stand still at a state from which nothing can be decided."""
+    def refuse(self, why: Status, note: str = "") -> Command:
+        """Stand still where nothing can be decided.
+
+        Args:
+            why: the status.
+            note: what else is to be said.
+        """
         command = self.command
         command.v[:] = 0.0
         if command.tau is not None:
             command.tau[:] = 0.0
         command.say(why)
+        command.note = note
         return command
+
+    def hold_still(self, state: State) -> None:
+        """Write torques that keep the arms where they are; for laws in velocities zero does.
+
+        Args:
+            state: with its kinematics up to date.
+        """
+        return
+
+    def _plugins(self) -> list[tuple[str, object]]:
+        """Whose code a tick runs, with words for each."""
+        problem = self.problem
+        tasks = ((f"task '{task.name}'", task) for task in (*problem.tasks, *problem.secondary))
+        limits = ((f"limit '{type_name(type(limit))}'", limit) for limit in problem.limits)
+        solver = (f"solver '{type_name(type(problem.solver))}'", problem.solver)
+        return [*tasks, *limits, solver]
 
     @abstractmethod
     def decide(self, state: State) -> Command:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from coopqp.checked import Array
 from coopqp.controller import Controller
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
 from coopqp.plant import PlantModel
 from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
+from coopqp.wording import raised
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
@@ -35,9 +38,26 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
             f"controller '{controller}' commands torques, which this plant does not take; use "
             "plant: rigid_body or plant: mujoco"
         )
+    scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
-    legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
-    return join(legs) if scenario.phases else legs[0][1]
+    with _own_words(controller):
+        legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
+        return join(legs) if scenario.phases else legs[0][1]
+
+
+@contextmanager
+def _own_words(controller: str) -> Iterator[None]:
+    """One line for what nobody foresaw, so that other controllers can be run all the same.
+
+    Raises:
+        InternalError: with what was raised, and where.
+    """
+    try:
+        yield
+    except CoopqpError:
+        raise
+    except Exception as error:
+        raise InternalError(f"{controller}: {raised(error)}") from error
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:
@@ -96,6 +116,10 @@ def _legs(
             state=state,
         )
         yield PhaseInfo(phase.name, first, phase.released), leg
+        last = first == scenario.first_ticks[-1]
+        if not last and leg.failures and leg.failures[-1].cause == Status.PLANT_FAILED.value:
+            words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
+            raise InvalidValueError(f"{name}: {words}")
         ended = plant, state
 
 

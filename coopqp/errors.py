@@ -5,7 +5,9 @@
     ├── UnknownNameError           no such task, joint, frame ...; names the nearest ones
     ├── GraspError                 the arms cannot hold the object as asked
     ├── ScenarioError              all faults of one scenario file, each with its line
-    └── MissingDependencyError     an optional package is not installed (also an ImportError)
+    ├── UnreadableFileError        a file is missing, too large, a pipe, or not text
+    ├── MissingDependencyError     an optional package is not installed (also an ImportError)
+    └── InternalError              a fault of coopqp itself, to be reported
 
 Errors belong to the border, where things are read and built. Inside a tick nothing is raised:
 what goes wrong there is a :class:`coopqp.solver.Status`.
@@ -45,6 +47,23 @@ class MissingDependencyError(CoopqpError, ImportError):
         super().__init__(f"{what} needs: pip install 'coopqp[{extra}]'")
 
 
+class UnreadableFileError(CoopqpError):
+    """A file that cannot be read.
+
+    Attributes:
+        place: the file, or a line in it.
+        why: what keeps it from being read.
+    """
+
+    def __init__(self, place: object, why: str) -> None:
+        self.place, self.why = str(place), why
+        super().__init__(f"{place}: {why}")
+
+
+class InternalError(CoopqpError):
+    """Something that nobody foresaw; what was done until then is kept."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """One thing wrong with a file: where it is and what to do about it."""
@@ -53,7 +72,7 @@ class Fault:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.message}"
+        return one_line(f"{self.place}: {self.message}")
 
 
 class ScenarioError(CoopqpError):
@@ -62,6 +81,12 @@ class ScenarioError(CoopqpError):
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+def one_line(text: str) -> str:
+    """The text without line breaks or control characters, which names in files may have."""
+    joined = "; ".join(text.splitlines())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in joined)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array, Pose, spec, unit
+from coopqp.errors import InvalidValueError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,17 @@ class PassiveJoint:
     placement: pin.SE3
     lower: float = -math.inf
     upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        if wrong := range_fault(self.lower, self.upper):
+            raise InvalidValueError(f"passive joint {self.name}: {wrong}")
+
+
+def range_fault(lower: float | None, upper: float | None) -> str:
+    """What is wrong with two limits, None for none; empty if nothing is."""
+    if lower is None or upper is None or lower < upper:
+        return ""
+    return f"lower: found {lower:g}, needs less than upper, {upper:g}"
 
 
 @spec

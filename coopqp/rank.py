@@ -52,8 +52,12 @@ def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
 def least_squares(matrix: Array, wanted: Array) -> Array:
     """The x of least norm that brings matrix x nearest to what is wanted, shape (n,).
 
+    NaN where a number is not finite, which LAPACK would print about, or never end.
+
     Args:
         matrix: shape (m, n).
         wanted: shape (m,), or (m, r) for r of them side by side, which gives shape (n, r).
     """
+    if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
+        return np.full((matrix.shape[1], *wanted.shape[1:]), np.nan)
     return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=RANK_TOLERANCE)[0], float)

@@ -107,6 +107,7 @@ class RobotModel:
                 f"robot {self.name}: nq = {self.model.nq} but nv = {self.model.nv}; "
                 "floating and continuous joints must be locked or made revolute"
             )
+        _hold_both_ways(self.model)
         for arm in self.arms:
             if not self.model.existFrame(arm.tip):
                 frames = [frame.name for frame in self.model.frames]
@@ -189,6 +190,17 @@ def unit_of(joint: Any) -> str:
 PER_VELOCITY = (
     "velocityLimit", "effortLimit", "armature", "damping", "rotorInertia", "rotorGearRatio"
 )  # fmt: skip
+
+
+def _hold_both_ways(model: pin.Model) -> None:
+    """Make speed and effort limits hold in both directions.
+
+    pinocchio 4 gives a joint that is added without limits a least speed that is above its largest,
+    and then refuses to put the model beside another one.
+    """
+    for key in ("Velocity", "Effort"):
+        if hasattr(model, f"lower{key}Limit"):
+            setattr(model, f"lower{key}Limit", -np.array(getattr(model, f"upper{key}Limit")))
 
 
 def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:

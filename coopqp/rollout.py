@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 import pinocchio as pin
@@ -18,11 +19,14 @@ from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
+from coopqp.wording import raised
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
 
 PROGRESS_EVERY = 50  # ticks
+#: Joints that are beyond these are nowhere [rad or m], [rad/s or m/s].
+FARTHEST, FASTEST = 1e8, 1e12
 
 
 def rollout(
@@ -53,8 +57,9 @@ def rollout(
         All that happened.
     """
     state = law.start(q_measured=plant.measured) if state is None else state
-    recorder = _Recorder(law, plant, state, ticks)
-    for k, (command, us) in enumerate(drive(law, plant, state, ticks)):
+    guarded = GuardedPlant(plant)
+    recorder = _Recorder(law, guarded, state, ticks)
+    for k, (command, us) in enumerate(drive(law, guarded, state, ticks)):
         recorder.instant(k, state)
         recorder.tick(k, command, us, state)
         if progress and k % PROGRESS_EVERY == 0:
@@ -77,12 +82,99 @@ def drive(law: Law, plant: PlantModel, state: State, ticks: int) -> Iterator[tup
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
     """
+    guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
     for _ in range(ticks):
         before = time.perf_counter_ns()
-        command = law.tick(state)
+        broken = guarded.broken
+        command = law.refuse(Status.PLANT_FAILED, broken) if broken else law.tick(state)
         yield command, 1e-3 * (time.perf_counter_ns() - before)
-        plant.step(state, command)
+        guarded.step(state, command)
+        if guarded.broken:
+            state.t += law.problem.dt
     state.update()
+
+
+class GuardedPlant(PlantModel):
+    """A plant that, where it breaks down, stays where it was: what raises or leaves all numbers.
+
+    Args:
+        plant: any.
+
+    Attributes:
+        broken: what happened; empty so far.
+    """
+
+    def __init__(self, plant: PlantModel) -> None:
+        super().__init__()
+        self._plant, self.broken = plant, ""
+        self.signals, self.measured = plant.signals, plant.measured
+        self._told: State | None = None  # what is true, where that is not the state itself
+
+    def step(self, state: State, command: Command) -> None:
+        """As the plant does; where that fails, everything stays as it was."""
+        if self.broken:
+            return
+        before = self._kept(state)
+        try:
+            with np.errstate(all="ignore"):  # what overflows is found below
+                self._plant.step(state, command)
+                self.measured = self._plant.measured
+                self._told = None
+                _check(state)
+                if self.truth(state) is not state:
+                    _check(self.truth(state))
+        except Exception as error:  # noqa: BLE001 - a plant may be the user's, or blow up
+            words = str(error) if isinstance(error, _BreakdownError) else raised(error)
+            self.broken = f"the plant: {words}"
+            for kept in before:
+                kept.put_back()
+            self._told = before[-1].state
+            for signal in self.signals.values():
+                signal[:] = 0.0
+
+    def _kept(self, state: State) -> list[_Kept]:
+        """The state, and what is true where that is another one."""
+        true = self.truth(state)
+        return [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
+
+    def truth(self, state: State) -> State:
+        """As the plant says after its last step that did not fail."""
+        if self._told is None:
+            self._told = self._plant.truth(state)
+        return self._told
+
+    def resume(self, before: PlantModel) -> None:
+        """As the plant does."""
+        self._plant.resume(before)
+
+
+class _Kept:
+    """Joints of a state, to be put back at rest."""
+
+    def __init__(self, state: State) -> None:
+        self.state, self._t, self._q = state, state.t, state.q.copy()
+        self._measured = state.q_measured
+
+    def put_back(self) -> None:
+        state = self.state
+        state.t, state.q[:], state.q_measured = self._t, self._q, self._measured
+        state.v[:] = 0.0
+        state.update()
+
+
+def _check(state: State) -> None:
+    """Refuse joints that are nowhere.
+
+    Raises:
+        _BreakdownError: a joint's position or speed is no number, or beyond all.
+    """
+    q, v = state.q, state.v
+    if not (q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2):
+        raise _BreakdownError("its joints run away")
+
+
+class _BreakdownError(Exception):
+    """Joints are nowhere."""
 
 
 class _Recorder:
@@ -129,7 +221,11 @@ class _Recorder:
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
         for stack, error in self._measured:
-            stack.update(true)
+            try:
+                stack.update(true)
+            except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+                error[k] = np.nan
+                continue
             for i, (_, part) in enumerate(self._parts):
                 if i not in self._velocities:
                     error[k, i] = np.linalg.norm(stack.e[part])
@@ -165,14 +261,15 @@ class _Recorder:
             self.inaccurate[k] = True
         elif not status.usable:
             self.usable[k] = False
-            self.failures.append(Failure(k, status.value))
+            self.failures.append(Failure(k, status.value, command.note))
 
     def _margins(self) -> dict[Row, Array]:
         """What every limit had left after each tick."""
         problem = self._law.problem
         found: dict[Row, Array] = {}
         for limit in problem.limits:
-            found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
+            with suppress(Exception):  # a tick that met the same error names it
+                found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
         return found
 
     def _leverage(self) -> Array:
@@ -181,7 +278,9 @@ class _Recorder:
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
-        return leverage(self._measured[0][0], parts, self._velocities, start, end)
+        with suppress(Exception):  # a tick that met the same error names it
+            return leverage(self._measured[0][0], parts, self._velocities, start, end)
+        return np.ones(len(parts))
 
     def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
         """Everything recorded, frozen."""

@@ -53,6 +53,8 @@ class Status(enum.Enum):
     LOOP_BUDGET = "stands still: the loop budget is used up"
     WRONG_STATE = "the state belongs to a chain with other joints or arms"
     OVERWRITTEN = "state.q is not what was commanded; write measurements to q_measured", True
+    RAISED = "stands still: code of a task, a limit, a solver or the controller raised an error"
+    PLANT_FAILED = "stands still: what is controlled broke down, or its simulation did"
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
 

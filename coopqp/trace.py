@@ -52,10 +52,17 @@ class PhaseInfo:
 
 @dataclass(frozen=True)
 class Failure:
-    """A tick whose answer could not be used."""
+    """A tick whose answer could not be used.
+
+    Attributes:
+        tick: which.
+        cause: what its status says.
+        note: what else is to be said, such as what a task raised.
+    """
 
     tick: int
     cause: str
+    note: str = ""
 
 
 Legs = Sequence[tuple["PhaseInfo", "Trace"]]

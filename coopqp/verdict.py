@@ -34,8 +34,8 @@ MOST_NAMES = 3
 def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
     parts = [
-        _arrival(trace), _limits(trace), _speed(trace), _loop(metrics), _gap(metrics),
-        _motors(trace), _ticks(metrics),
+        *_broken(trace), _arrival(trace), _limits(trace), _speed(trace), _loop(metrics),
+        _gap(metrics), _motors(trace), _ticks(trace, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
@@ -151,12 +151,18 @@ def _motors(trace: Trace) -> str:
     return f"saturates the motor of {trace.joints[worst]} in {percent}"
 
 
-def _ticks(metrics: Mapping[str, Any]) -> str:
+def _broken(trace: Trace) -> list[str]:
+    """What is first to be said where code raised an error, or the plant broke down."""
+    said = [failure for failure in trace.failures if failure.note]
+    return [f"stands still from {trace.t[said[0].tick]:.3g} s: {said[0].note}"] if said else []
+
+
+def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:
     failed = metrics["failed_ticks"]
     given_up = metrics["fallback_ticks"]
     said = []
     if failed:
-        said.append(f"holds still in {failed} of {metrics['ticks']} ticks: {_cause(metrics)}")
+        said.append(f"holds still in {failed} of {metrics['ticks']} ticks: {_cause(trace)}")
     said += [
         f"{words} in {given_up[cause]} of {metrics['ticks']} ticks"
         for cause, words in GIVEN_UP.items()
@@ -165,10 +171,10 @@ def _ticks(metrics: Mapping[str, Any]) -> str:
     return "; ".join(said)
 
 
-def _cause(metrics: Mapping[str, Any]) -> str:
-    """Why most of the failed ticks failed."""
-    ((cause, _),) = Counter(failure["cause"] for failure in metrics["failures"]).most_common(1)
-    return str(cause).removeprefix("stands still: ")
+def _cause(trace: Trace) -> str:
+    """Why most of the failed ticks failed, without what is said first already."""
+    ((cause, _),) = Counter(failure.cause for failure in trace.failures).most_common(1)
+    return cause.removeprefix("stands still: ")
 
 
 def _listed(names: tuple[str, ...]) -> str:

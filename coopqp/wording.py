@@ -53,12 +53,41 @@ def raised(error: Exception, file: str | None = None) -> str:
 
     Args:
         error: caught.
-        file: whose line counts; that which raised the error if omitted.
+        file: whose line counts; the last that is no library if omitted.
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]
+    if file is None:  # who called a library tells more than where in it that ended
+        own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
     return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def culprit(error: Exception, plugins: Sequence[tuple[str, object]]) -> str:
+    """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught.
+        plugins: whose code may have raised it, with the words for each; of several the outermost
+            counts, and of those with the same code all.
+    """
+    called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+    for code in called:
+        named = [words for words, plugin in plugins if code in _codes(type(plugin))]
+        if named:
+            return f"{' or '.join(named)}: {raised(error, code.co_filename)}"
+    return raised(error)
+
+
+def _codes(cls: type) -> set[types.CodeType]:
+    """All code that is written inside a class."""
+    found = set[types.CodeType]()
+    waiting = [value.__code__ for value in vars(cls).values() if hasattr(value, "__code__")]
+    while waiting:
+        code = waiting.pop()
+        found.add(code)
+        waiting += [const for const in code.co_consts if isinstance(const, types.CodeType)]
+    return found
 
 
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:

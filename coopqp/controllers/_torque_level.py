@@ -42,6 +42,7 @@ class TaskDynamics:
         self.gains = np.repeat([float(task.gain) for task in problem.tasks], self.tasks.sizes)
         self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
         self._ahead = State(problem.chain)
+        self._effort = problem.chain.model.effortLimit
 
     def update(self, state: State) -> None:
         """Everything for a measured state."""
@@ -57,6 +58,18 @@ class TaskDynamics:
         np.subtract(self.drift, self.e_dot, self.drift)
         self.drift /= STEP
         self.dynamics.update(state.q, v)
+
+    def holding(self, state: State, brake_time: float) -> Array:
+        """The weight, and a brake that stops the joints, within the motors' limits [N m].
+
+        Args:
+            state: for which the dynamics are up to date.
+            brake_time: in which motion dies out [s].
+        """
+        dynamics = self.dynamics
+        brake = dynamics.A.dot(state.v) / brake_time
+        tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
+        return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
     def inverse_inertia(self) -> Array:
         """Acceleration of the task rows per wrench on them, the loops closed, shape (k, k).
@@ -81,7 +94,10 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
     missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
     if rows > found.motor_freedom_start or found.tasks_rank < rows:
+        why = f"missing: {'; '.join(missing)}"
+        if not missing:
+            why = f"only {found.tasks_rank} of the rows are independent, so drop a task"
         raise GraspError(
             f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
-            f"{found.motor_freedom_start} object motions; missing: {'; '.join(missing)}"
+            f"{found.motor_freedom_start} object motions; {why}"
         )

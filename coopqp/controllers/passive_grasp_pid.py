@@ -124,6 +124,12 @@ class TorquePid(Law):
         self._model.advance(memory, level.e_dot, integrate=integrate)
         return command
 
+    def hold_still(self, state: State) -> None:
+        """Hold the weight and brake."""
+        assert self.command.tau is not None
+        self._level.dynamics.update(state.q, state.v)
+        self.command.tau[:] = self._level.holding(state, BRAKE_TIME)
+
     def _feed_forward(self, state: State) -> Array:
         dynamics, level = self._level.dynamics, self._level
         if not self._inverse:
@@ -134,6 +140,8 @@ class TorquePid(Law):
         return np.asarray(dynamics.A.dot(a_r) + dynamics.H, float)
 
 
+#: In which motion dies out where a tick has no answer [s].
+BRAKE_TIME = 0.05
 #: kp [1/s], ki [1/s2], kd [-] of the kinematic level.
 KINEMATIC_GAINS = (5.0, 2.0, 0.0)
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.

@@ -147,9 +147,9 @@ class SaturationNullSpaceLaw(Law):
                 bounds.update(state)
                 if self._solve(bounds, cause):
                     return self.command
-            return self._refuse(Status.INFEASIBLE)
+            return self.refuse(Status.INFEASIBLE)
         except np.linalg.LinAlgError:  # a singular value decomposition did not converge
-            return self._refuse(Status.SOLVER_ERROR)
+            return self.refuse(Status.SOLVER_ERROR)
 
     def _solve(self, bounds: Bounds, cause: Status) -> bool:
         """Write the command; False where the bounds leave none."""
@@ -161,7 +161,7 @@ class SaturationNullSpaceLaw(Law):
         tasks = saturate(rows.tasks.J, rows.tasks.wanted, J_c, loops.v, lb, ub)
         answer = tasks or Saturated(loops.v, 0.0)
         if not np.isfinite(answer.v).all():
-            self._refuse(Status.NOT_FINITE)
+            self.refuse(Status.NOT_FINITE)
             return True
         np.clip(answer.v, lb, ub, out=command.v)
         command.scale, command.drift = answer.scale, loops.scale

@@ -24,7 +24,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.checked import NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
@@ -92,7 +92,7 @@ class TorqueQpLaw(Law):
             self._model.update(state.memory, self._level.tasks.e)
             self._model.advance(state.memory, self._level.e_dot, integrate=integrate)
         else:
-            command.tau[:] = self._holding(state)
+            command.tau[:] = self._level.holding(state, self._settings.damping_time)
             self.solution.v[:] = 0.0
         return command
 
@@ -140,13 +140,11 @@ class TorqueQpLaw(Law):
             room = (bounds.h - bounds.G.dot(v)) / dt
             np.maximum(room, -most * np.abs(bounds.G).sum(axis=1), out=qp.h)
 
-    def _holding(self, state: State) -> Array:
-        """The weight, and a brake that stops the joints, within the motors' limits."""
-        dynamics = self._level.dynamics
-        brake = dynamics.A.dot(state.v) / self._settings.damping_time
-        tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
-        effort = self.problem.chain.model.effortLimit
-        return np.asarray(np.minimum(np.maximum(tau, -effort), effort), float)
+    def hold_still(self, state: State) -> None:
+        """Hold the weight and brake."""
+        assert self.command.tau is not None
+        self._level.dynamics.update(state.q, state.v)
+        self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
 
 
 def _rows(chain: ClosedChain, actuated: Sequence[int], inequalities: tuple[Row, ...]) -> Rows:

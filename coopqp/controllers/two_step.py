@@ -51,7 +51,7 @@ class TwoStepLaw(Law):
             J_c, drift = self._rows.loops
             G_others = J_c[:, self._others]
             if self._others and not np.linalg.cond(G_others) < SINGULAR_CONDITION:
-                return self._refuse(Status.SOLVER_ERROR)
+                return self.refuse(Status.SOLVER_ERROR)
             right = np.column_stack([-J_c[:, self._actuated], drift])
             solved = np.linalg.solve(G_others, right)
             self._motion[self._others], self._drift[self._others] = solved[:, :-1], solved[:, -1]
@@ -59,9 +59,9 @@ class TwoStepLaw(Law):
             J_a, h_dot = tasks.J @ self._motion, tasks.wanted - tasks.J @ self._drift
             command.v[:] = self._motion @ least_squares(J_a, h_dot) + self._drift
         except np.linalg.LinAlgError:  # a singular value decomposition did not converge
-            return self._refuse(Status.SOLVER_ERROR)
+            return self.refuse(Status.SOLVER_ERROR)
         if not np.isfinite(command.v).all():
-            return self._refuse(Status.NOT_FINITE)
+            return self.refuse(Status.NOT_FINITE)
         command.say(Status.OPTIMAL)
         return command
 

@@ -8,7 +8,7 @@ from typing import Literal
 import pinocchio as pin
 
 from coopqp.checked import Array, Direction, spec
-from coopqp.grasp import Grasp, PassiveJoint, axis_frame
+from coopqp.grasp import Grasp, PassiveJoint, axis_frame, range_fault
 
 
 @spec
@@ -23,6 +23,10 @@ class Prismatic(Grasp):
     """Lower limit [m]; none if omitted."""
     upper: float | None = None
     """Upper limit [m]; none if omitted."""
+
+    def __post_init__(self) -> None:
+        if wrong := range_fault(self.lower, self.upper):
+            raise ValueError(wrong)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         """One slide."""

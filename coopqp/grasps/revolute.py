@@ -13,7 +13,7 @@ from typing import Literal
 import pinocchio as pin
 
 from coopqp.checked import Array, Direction, Vector3, spec
-from coopqp.grasp import Grasp, PassiveJoint, axis_frame
+from coopqp.grasp import Grasp, PassiveJoint, axis_frame, range_fault
 
 
 @spec
@@ -30,6 +30,10 @@ class Revolute(Grasp):
     """Lower limit [rad]; none if omitted."""
     upper: float | None = None
     """Upper limit [rad]; none if omitted."""
+
+    def __post_init__(self) -> None:
+        if wrong := range_fault(self.lower, self.upper):
+            raise ValueError(wrong)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         """One hinge."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.trace import Failure, Trace
 
 
 @spec
@@ -15,4 +15,8 @@ class Failures(Metric):
 
     def measure(self, trace: Trace) -> list[dict[str, Any]]:
         """Over the whole run."""
-        return [{"tick": failure.tick, "cause": failure.cause} for failure in trace.failures]
+        return [{"tick": failure.tick, "cause": _written(failure)} for failure in trace.failures]
+
+
+def _written(failure: Failure) -> str:
+    return f"{failure.cause}: {failure.note}" if failure.note else failure.cause

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,14 +13,21 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import AXES
 from coopqp.comparison import Comparison
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, InternalError
+from coopqp.report import folder as report_folder
 from coopqp.report import strict_json
+from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
 from coopqp.trace import Trace
+from coopqp.wording import raised
+
+NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write ``report.html``, ``metrics.json`` and ``trace.csv``; all of them or none.
+    """Write ``report.html``, ``metrics.json``, ``trace.csv`` and ``scenario.yaml``.
+
+    They change all at once, also when the process is killed (:mod:`coopqp.report.folder`).
 
     Args:
         comparison: from :func:`coopqp.compare`.
@@ -33,19 +38,26 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
 
     Raises:
         CoopqpError: the folder cannot be made or written to.
+        InternalError: the page could not be drawn; all else is written.
     """
-    contents = {
-        "report.html": render(comparison),
-        "metrics.json": metrics_json(comparison),
-        "trace.csv": trace_csv(comparison),
-    }
+    contents = {"metrics.json": metrics_json(comparison), "trace.csv": trace_csv(comparison)}
     if comparison.scenario.source:
         contents["scenario.yaml"] = comparison.scenario.portable  # for explain and replay
+    fault: Exception | None = None
     try:
-        return _replace_all(contents, folder)
+        contents["report.html"] = render(comparison)
+    except Exception as error:  # noqa: BLE001 - a finished run is not lost for its pictures
+        fault = error
+    try:
+        written = publish(contents, folder)
     except OSError as error:
         reason = error.strerror or str(error)
         raise CoopqpError(f"cannot write the report to '{folder}': {reason}") from error
+    if fault:
+        kept = ", ".join(path.name for path in written)
+        words = f"the page cannot be drawn: {raised(fault)}; {kept} are written to '{folder}'"
+        raise InternalError(words) from fault
+    return [folder / name for name in NAMES if name in contents]
 
 
 def write_one(path: Path, content: str) -> None:
@@ -55,25 +67,18 @@ def write_one(path: Path, content: str) -> None:
         CoopqpError: it cannot be written.
     """
     try:
-        _replace_all({path.name: content}, path.parent)
+        replace_file(path, content)
     except OSError as error:
         raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be written to, before a long run and not after it.
+    """Refuse a folder that no report can be written to, before a long run and not after it.
 
     Raises:
-        CoopqpError: it is a file, or cannot be made or written to.
+        CoopqpError: with the reason.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".coopqp-", dir=folder):
-            pass
-    except FileExistsError:
-        raise CoopqpError(f"'{folder}' is not a folder") from None
-    except OSError as error:
-        raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
+    report_folder.check_folder(folder, NAMES)
 
 
 def metrics_json(comparison: Comparison) -> str:
@@ -98,17 +103,6 @@ def trace_csv(comparison: Comparison) -> str:
     for name, trace in traces.items():
         writer.writerows(_rows(name, trace, joints, memory))
     return stream.getvalue()
-
-
-def _replace_all(contents: dict[str, str], folder: Path) -> list[Path]:
-    """Write everything aside first, so that a full disk leaves the old files as they were."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".coopqp-", dir=folder) as aside:
-        for name, content in contents.items():
-            (Path(aside) / name).write_text(content, encoding="utf-8", newline="")
-        for name in contents:
-            os.replace(Path(aside) / name, folder / name)
-    return [folder / name for name in contents]
 
 
 def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:

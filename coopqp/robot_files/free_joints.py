@@ -21,6 +21,10 @@ KINDS = {
     "JointModelComposite": "composite",
 }
 
+#: What pinocchio and others call the joint of a floating base: one that a file does not have is
+#: fixed anyway, so that locking it asks for nothing.
+FIXED_BASE = "root_joint"
+
 
 def free_joints(
     description: Description,
@@ -42,7 +46,7 @@ def free_joints(
     """
     known = description.joint_names
     for name in locked:
-        if name not in known:
+        if name not in known and name != FIXED_BASE:
             raise UnknownNameError("joint", name, known, "locked: ")
     for name in free:
         if name not in known:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo
 
 from coopqp.checked import NonNegative, Positive, spec
+from coopqp.grasp import range_fault
 
 
 def _beside_the_scenario(path: Path, info: ValidationInfo) -> Path:
@@ -93,3 +94,7 @@ class JointLimits:
     """[rad/s or m/s]"""
     effort: NonNegative | None = None
     """[N m or N]"""
+
+    def __post_init__(self) -> None:
+        if wrong := range_fault(self.lower, self.upper):
+            raise ValueError(wrong)

@@ -7,7 +7,8 @@ nearest to zero).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,9 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description
+
+#: Added to names for a moment; no name in a file ends so.
+NAMESAKE = "\0namesake"
 
 
 def without_locked_joints(
@@ -45,7 +49,27 @@ def without_locked_joints(
                 f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
             )
     still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
-    return pin.buildReducedModel(model, still, q)
+    if not still:
+        return model
+    with _joints_alone_by_name(model):
+        reduced = pin.buildReducedModel(model, still, q)
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(NAMESAKE)
+    return reduced
+
+
+@contextmanager
+def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
+    """Call frames that share a joint's name otherwise: pinocchio finds joints' frames by name."""
+    joints = set(model.names)
+    namesakes = [f for f in model.frames if f.name in joints and f.type != pin.FrameType.JOINT]
+    for frame in namesakes:
+        frame.name += NAMESAKE
+    try:
+        yield
+    finally:
+        for frame in namesakes:
+            frame.name = frame.name.removesuffix(NAMESAKE)
 
 
 def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:

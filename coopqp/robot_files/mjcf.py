@@ -21,12 +21,19 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description, Follower
+from coopqp.robot_files.mjcf_attributes import check
 from coopqp.robot_files.shapes import read_shapes
-from coopqp.robot_files.xml import numbers_of, pinocchio_says, read_xml
+from coopqp.robot_files.xml import (
+    DEEPEST,
+    MOST_ELEMENTS,
+    numbers_of,
+    pinocchio_says,
+    place_of,
+    read_xml,
+)
 
 #: Name of the body round the world; a slash keeps it apart from names in files.
 WORLD = "world/"
-NESTING = 20  # includes inside includes
 
 
 def read_mjcf(path: Path) -> Description:
@@ -38,15 +45,16 @@ def read_mjcf(path: Path) -> Description:
     Raises:
         InvalidValueError: no such file, or not an MJCF file.
     """
-    xml = read_xml(path, "mujoco", "MJCF")
-    _fill_in(xml, path.resolve().parent)
+    xml = read_xml(path, ["mujoco"], "MJCF")
+    _Includes(path.resolve()).fill_in(xml)
+    check(xml)
     if not xml.findall("worldbody/body"):
         raise InvalidValueError(f"{path}: is not a robot: has no <body>")
     folder = _absolute_folders(xml, path.resolve().parent)
     floating = _prepare(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
-    except (ValueError, RuntimeError) as error:
+    except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         raise InvalidValueError(
             f"{path}: is not a robot that can be read: {pinocchio_says(error)}"
         ) from None
@@ -120,26 +128,50 @@ def _pinocchio(xml: ET.Element) -> pin.Model:
         return pin.buildModelFromMJCF(str(file))
 
 
-def _fill_in(element: ET.Element, folder: Path, depth: int = 0) -> None:
-    """Put the files that are included where they are included; sections of a name become one."""
-    if depth > NESTING:
-        raise InvalidValueError(f"{folder}: files include each other without end")
-    children: list[ET.Element] = []
-    for child in element:
-        if child.tag == "include":
-            name = child.get("file", "")
-            try:
-                included = ET.parse(folder / name).getroot()
-            except OSError:
-                raise InvalidValueError(f"{folder / name}: included file cannot be read") from None
-            except ET.ParseError as error:
-                raise InvalidValueError(f"{folder / name}: is not XML: {error}") from None
-            _fill_in(included, folder, depth + 1)
-            children.extend(included)
-        else:
-            _fill_in(child, folder, depth)
-            children.append(child)
-    element[:] = _merged(children) if element.tag == "mujoco" else children
+class _Includes:
+    """Puts the files that are included where they are included.
+
+    Args:
+        path: of the outermost file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._folder, self._seen, self._left = path.parent, {path}, MOST_ELEMENTS
+
+    def fill_in(self, element: ET.Element, depth: int = 0) -> None:
+        """Put in all that an element, and what is in it, includes; sections of a name become one.
+
+        Raises:
+            InvalidValueError: a file cannot be read, or is included a second time; too much is.
+        """
+        if depth > DEEPEST:
+            words = f"elements inside elements are more than {DEEPEST} deep"
+            raise InvalidValueError(f"{place_of(element)}: {words}")
+        children: list[ET.Element] = []
+        for child in element:
+            if child.tag == "include":
+                children.extend(self._included(child, depth))
+            else:
+                self.fill_in(child, depth + 1)
+                children.append(child)
+        element[:] = _merged(children) if element.tag == "mujoco" else children
+
+    def _included(self, include: ET.Element, depth: int) -> ET.Element:
+        path = (self._folder / include.get("file", "")).resolve()
+        if path in self._seen:  # as MuJoCo has it; else ten small files can be ten billion
+            name = include.get("file")
+            raise InvalidValueError(f"{place_of(include)}: file '{name}' is included already")
+        self._seen.add(path)
+        try:
+            found = read_xml(path, ["mujocoinclude", "mujoco"], "MJCF")
+        except InvalidValueError as error:
+            raise InvalidValueError(f"{place_of(include)}: {error}") from None
+        self._left -= sum(1 for _ in found.iter())
+        if self._left < 0:
+            words = f"what is included has more than {MOST_ELEMENTS} elements"
+            raise InvalidValueError(f"{place_of(include)}: {words}")
+        self.fill_in(found, depth)
+        return found
 
 
 def _merged(sections: list[ET.Element]) -> list[ET.Element]:

@@ -5,7 +5,8 @@ A description has all joints of a robot; what is controlled are the joints that 
 1. free are the joints on the arms' ways to their tips (:mod:`coopqp.robot_files.free_joints`);
 2. all others are locked (:mod:`coopqp.robot_files.locked_joints`);
 3. joints that turn without end get one coordinate, an angle without limits;
-4. a velocity or effort limit that is 0 or missing counts as no limit.
+4. a velocity or effort limit that is 0 or missing counts as no limit, and so does any limit of
+   1e9 or more.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from coopqp.robot_files.description import Description
 from coopqp.robot_files.free_joints import free_joints, still_followers
 from coopqp.robot_files.keys import ArmJoints, JointLimits
 from coopqp.robot_files.locked_joints import without_locked_joints
+
+#: A limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it.
+BEYOND = 1e9
 
 
 def robot_model(
@@ -110,6 +114,7 @@ def _set_limits(
 ) -> None:
     names = list(model.names)[1:]
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    lower[lower <= -BEYOND], upper[upper >= BEYOND] = -np.inf, np.inf
     velocity, effort = _or_infinite(model.velocityLimit), _or_infinite(model.effortLimit)
     for pattern, limits in joint_limits.items():
         if not fnmatch.filter(description.joint_names, pattern):
@@ -132,9 +137,9 @@ def _set_limits(
 
 
 def _or_infinite(limits: Array) -> Array:
-    """Limits with "no limit" where a file has 0 or nothing."""
+    """Limits with "no limit" where a file has 0, nothing or a number beyond all."""
     values = np.array(limits)
-    return np.where(values > 0.0, values, np.inf)
+    return np.where((values > 0.0) & (values < BEYOND), values, np.inf)
 
 
 def _check_arms(robot: RobotModel) -> None:

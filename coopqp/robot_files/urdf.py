@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot import Shape
+from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.xml import missing_meshes, numbers_of, pinocchio_says, read_xml
 
@@ -30,20 +31,21 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     Raises:
         InvalidValueError: no such file, or not a URDF file.
     """
-    xml = read_xml(path, "robot", "URDF")
+    xml = read_xml(path, ["robot"], "URDF")
     if any("xacro" in element.tag for element in xml.iter()):
         raise InvalidValueError(f"{path}: is a xacro file; make a URDF of it first: xacro FILE")
     if xml.find("link") is None:
         raise InvalidValueError(f"{path}: is not a URDF file: has no <link>")
+    impossible = _check(xml)
     heard: list[str] = []
     try:
         with _stderr_lines(heard):
-            model = pin.buildModelFromUrdf(str(path))
-        followers = dict(_mimics(xml))
-        shapes, missing = _urdf_shapes(xml, path, package_dirs)
-    except (ValueError, RuntimeError) as error:
+            model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
+    except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         why = "; ".join(heard) or pinocchio_says(error)
         raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
+    followers = dict(_mimics(xml))
+    shapes, missing = _urdf_shapes(xml, path, package_dirs)
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
         name=xml.get("name") or path.stem,
@@ -51,10 +53,53 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         followers=followers,
         shapes=shapes,
         warnings=(
+            *impossible,
             *(f"{path.name}: {line}" for line in heard),
             *missing_meshes(path.name, missing, meshes),
         ),
     )
+
+
+_ONE, _THREE = Numbers(1, 1), Numbers(3, 3)
+_LENGTH, _LIMIT = Numbers(1, 1, "length", positive=True), Numbers(1, 1, "limit")
+#: How many numbers the size of each geometry has.
+COUNTS = {"mesh": 3, "box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
+_ROUND = {"radius": _LENGTH, "length": _LENGTH}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+#: The attributes of links and joints that hold numbers, by element.
+NUMBERS: dict[str, dict[str, Numbers]] = {
+    "origin": {"xyz": Numbers(3, 3, "length"), "rpy": _THREE},
+    "axis": {"xyz": _THREE},
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
+    "mass": {"value": Numbers(1, 1, "mass", positive=True)},
+    "inertia": dict.fromkeys(_MOMENTS, _ONE),
+    "mimic": {"multiplier": _ONE, "offset": _ONE},
+    "dynamics": {"damping": _ONE, "friction": _ONE},
+    "box": {"size": Numbers(3, 3, "length", positive=True)},
+    "cylinder": _ROUND,
+    "capsule": _ROUND,
+    "sphere": {"radius": _LENGTH},
+    "mesh": {"scale": _THREE},
+}
+
+
+def _check(xml: ET.Element) -> list[str]:
+    """Refuse what no parser should make something of; returns what is only to be warned of.
+
+    Raises:
+        InvalidValueError: with the line.
+    """
+    warnings = []
+    check_names(xml.findall("link"), "link")
+    check_names(xml.findall("joint"), "joint")
+    for part in (*xml.findall("link"), *xml.findall("joint")):
+        for element in part.iter():
+            check_numbers(element, NUMBERS.get(element.tag, {}))
+            if element.tag == "axis" and part.get("type") != "fixed":
+                check_numbers(element, {"xyz": Numbers(3, 3, direction=True)})
+            if element.tag == "inertia":
+                warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
+    return [line for line in warnings if line]
 
 
 @contextmanager
@@ -106,7 +151,7 @@ def _urdf_shapes(
                     missing.append(uri)
                     continue
             size = _urdf_size(part)
-            if size:
+            if len(size) == COUNTS.get(part.tag):
                 kind: Any = part.tag
                 shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
     return tuple(shapes), missing

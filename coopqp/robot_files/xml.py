@@ -1,37 +1,113 @@
-"""What reading robots from URDF and MJCF files has in common."""
+"""What reading robots from URDF and MJCF files has in common: XML, element by element.
+
+The XML is parsed once, here, within bounds, and what pinocchio reads is written anew from what was
+checked. So no parser behind it meets entities, odd encodings or words where numbers belong.
+"""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+from xml.parsers import expat
 
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, UnreadableFileError
+from coopqp.reading import read_bytes
+
+MOST_BYTES = 32 << 20  # of a file
+MOST_ELEMENTS = 100_000  # in a file
+DEEPEST = 150  # elements inside elements
 
 
-def read_xml(path: Path, root: str, kind: str) -> ET.Element:
+class Element(ET.Element):
+    """An element that knows its place."""
+
+    place: str = ""
+
+
+def place_of(element: ET.Element) -> str:
+    """``FILE:LINE: <joint name="elbow">``, without the line where it was made by us."""
+    name = element.get("name")
+    tag = f'<{element.tag} name="{name}">' if name else f"<{element.tag}>"
+    place = getattr(element, "place", "")
+    return f"{place}: {tag}" if place else tag
+
+
+def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
     """Read an XML file of a robot.
 
     Args:
         path: of the file.
-        root: name of its outermost element.
+        roots: names that its outermost element may have.
         kind: of file, for messages.
 
     Raises:
         InvalidValueError: no such file, or no such kind of file.
     """
     try:
-        tree = ET.parse(path)
-    except OSError as error:
-        raise InvalidValueError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ET.ParseError, UnicodeError, ValueError) as error:
-        raise InvalidValueError(f"{path}: is not a {kind} file: {error}") from None
-    element = tree.getroot()
-    if element.tag != root:
+        content = read_bytes(path, MOST_BYTES)
+    except UnreadableFileError as error:
+        raise InvalidValueError(str(error)) from None
+    element = _Tree(path, kind).parsed(content)
+    if element.tag not in roots:
         raise InvalidValueError(
-            f"{path}: is not a {kind} file: starts with <{element.tag}>, needs <{root}>"
+            f"{path}:1: is not a {kind} file: starts with <{element.tag}>, needs <{roots[0]}>"
         )
     return element
+
+
+class _Tree:
+    """Builds the elements of one file."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        self._path, self._kind = path, kind
+        self._open: list[Element] = []
+        self._root: Element | None = None
+        self._count = 0
+        self._parser: Any = expat.ParserCreate()
+        self._parser.StartElementHandler = self._begin
+        self._parser.EndElementHandler = self._end
+        self._parser.StartDoctypeDeclHandler = self._doctype
+
+    def parsed(self, content: bytes) -> Element:
+        """The outermost element."""
+        try:
+            self._parser.Parse(content, True)
+        except expat.ExpatError as error:
+            words = expat.ErrorString(error.code)
+            raise self._fault(f"is not a {self._kind} file: {words}", error.lineno) from None
+        except (LookupError, ValueError) as error:  # of an encoding
+            if isinstance(error, InvalidValueError):
+                raise
+            raise self._fault(f"{error}; save the file in UTF-8") from None
+        assert self._root is not None  # XML has an outermost element
+        return self._root
+
+    def _fault(self, message: str, line: int | None = None) -> InvalidValueError:
+        return InvalidValueError(
+            f"{self._path}:{line or self._parser.CurrentLineNumber}: {message}"
+        )
+
+    def _begin(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes)
+        element.place = f"{self._path}:{self._parser.CurrentLineNumber}"
+        self._count += 1
+        if self._count > MOST_ELEMENTS:
+            raise self._fault(f"has more than {MOST_ELEMENTS} elements")
+        if len(self._open) == DEEPEST:
+            raise self._fault(f"elements inside elements are more than {DEEPEST} deep")
+        if self._open:
+            self._open[-1].append(element)
+        else:
+            self._root = element
+        self._open.append(element)
+
+    def _end(self, tag: str) -> None:
+        self._open.pop()
+
+    def _doctype(self, *_: Any) -> None:
+        raise self._fault("has a DOCTYPE, which is not read; take it out")
 
 
 def numbers_of(text: str | None, default: str) -> tuple[float, ...]:

@@ -22,6 +22,9 @@ from coopqp.wording import Location
 
 T = TypeVar("T")
 
+#: A control period that no robot has; with it, dt is what makes a run too long [s].
+SHORT = 1e-4
+
 
 def placed_tasks(scenario: Scenario) -> Iterator[tuple[Location, Task, Phase]]:
     """Every task with its place in the file; secondary ones count in the shortest phase."""
@@ -52,6 +55,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         ]
     if faults:
         raise ScenarioError(faults)
+    built(file, _longest(scenario), scenario.check_size)
     try:
         chain = scenario.chain
     except CoopqpError as error:
@@ -66,6 +70,14 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
     if faults:
         raise ScenarioError(faults)
+
+
+def _longest(scenario: Scenario) -> Location:
+    """What makes a run long: a phase's duration, or the control period where that is shorter."""
+    if scenario.dt < SHORT:
+        return ["dt"]
+    durations = [phase.duration for phase in scenario.phases]
+    return ["phases", durations.index(max(durations)), "duration"] if durations else ["duration"]
 
 
 def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:

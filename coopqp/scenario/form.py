@@ -152,6 +152,14 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
                 "or solve, to find them from object.pose and the grasps' object_in_hand.",
             ),
         ),
+        "start_near": (
+            dict[str, float | list[float]] | None,
+            Field(
+                default=None,
+                description="Posture that a solved start is to be near, by arm or joint [rad, m]; "
+                "far from all limits if omitted.",
+            ),
+        ),
         "start_deg": (
             dict[str, float | list[float]] | None,
             Field(
@@ -282,9 +290,9 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
         """A robot inside a robot, such as one of several."""
         return chosen(robot.validate_json(json.dumps(value), context=context))[1]
 
-    folder = file.data.get("folder")
-    begin = file.path.parent / folder if isinstance(folder, str) else file.path.parent
-    context = {"folder": begin, "robot": read_robot}
+    own = file.data.get("folder")
+    folder = file.path.parent / own if isinstance(own, str) else file.path.parent
+    context = {"folder": folder, "robot": read_robot}
     faults = _phases_or_not(file)
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.

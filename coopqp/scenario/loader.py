@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -79,11 +80,14 @@ def _solved(
     file: YamlFile, scenario: Scenario, seed: int, progress: Progress | None
 ) -> StartSolution:
     robot = built(file, ["robot"], lambda: scenario.robot_model)
-    return built(
-        file,
-        ["start"],
-        lambda: solve_start(robot, scenario.grasps, scenario.held, seed=seed, progress=progress),
-    )
+    near: Start = file.data.get("start_near") or {}
+    built(file, ["start_near"], lambda: robot.configuration(near))
+
+    def solved() -> StartSolution:
+        grasps, held = scenario.grasps, scenario.held
+        return solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
+
+    return built(file, ["start"], solved)
 
 
 def shipped() -> dict[str, Path]:
@@ -95,7 +99,7 @@ def shipped() -> dict[str, Path]:
 def find(path: str | Path) -> Path:
     """The file behind a path or the name of a shipped scenario."""
     given = Path(path)
-    return given if given.exists() else shipped().get(str(path), given)
+    return given if os.path.exists(given) else shipped().get(str(path), given)  # any name
 
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
@@ -187,7 +191,7 @@ class _Reader:
             kappa=math.inf if read.kappa is None else read.kappa,
             seed=read.seed,
             on_infeasible=read.on_infeasible,
-            source=self._file.path.read_text(encoding="utf-8"),
+            source=self._file.text,
             folder=self._folder() if has_files(self._file.data["robot"]) else None,
             catalog=self._catalog,
         )

@@ -6,9 +6,12 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +19,7 @@ from coopqp.checked import Array, array, finite
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -27,9 +30,13 @@ from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.phase import Phase
+from coopqp.scenario.yaml import parsed
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
 from coopqp.task import Task
+
+#: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
+MOST_KEPT = 4_000_000
 
 Start = Mapping[str, float | Sequence[float]]
 
@@ -58,7 +65,7 @@ class Scenario:
         catalog: what it can name; its metrics are measured.
 
     Raises:
-        InvalidValueError: dt or a duration is no time.
+        InvalidValueError: dt or a duration is no time; a field is of another type.
     """
 
     name: str
@@ -89,6 +96,9 @@ class Scenario:
     catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        strange = list(_strangers(self))
+        if strange:
+            raise InvalidValueError("\n".join(strange))
         wrong = period_fault(self.dt)
         found = [f"dt: {wrong}"] if wrong else []
         found += [
@@ -106,11 +116,20 @@ class Scenario:
 
     @property
     def portable(self) -> str:
-        """The source as it can be read from another folder on this machine."""
+        """The source as it can be read from another folder on this machine.
+
+        As JSON where it is written so that no line can be added, such as ``{dt: 0.01, ...}``.
+        """
         if self.folder is None:
             return self.source
+        path = self.folder / self.name  # for faults, of which none is told
+        moved = {**parsed(path, self.source).data, "folder": str(self.folder)}
         kept = [line for line in self.source.splitlines(True) if not line.startswith("folder:")]
-        return "".join([*kept, f"\nfolder: {json.dumps(str(self.folder))}\n"])
+        text = "".join([*kept, f"\nfolder: {json.dumps(str(self.folder))}\n"])
+        with suppress(ScenarioError):
+            if parsed(path, text).data == moved:
+                return text
+        return json.dumps(moved, indent=2) + "\n"
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses."""
@@ -135,6 +154,20 @@ class Scenario:
     def ticks(self) -> int:
         """Number of control periods."""
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
+
+    def check_size(self) -> None:
+        """Refuse runs of which more would be kept than ``MOST_KEPT``.
+
+        Raises:
+            InvalidValueError: with how long they may be.
+        """
+        each = max(1, len(self.controllers)) * len(self.robot_model.joint_names)
+        if self.ticks * each > MOST_KEPT:
+            raise InvalidValueError(
+                f"found {self.ticks} ticks, more than are kept; needs at most {MOST_KEPT // each} "
+                f"with {len(self.controllers)} controllers and {len(self.robot_model.joint_names)} "
+                "joints, so make the duration shorter, or dt longer"
+            )
 
     @cached_property
     def robot_model(self) -> RobotModel:
@@ -189,6 +222,39 @@ class Scenario:
             if first:
                 chain = chain.handed_over(where(first), phase.released)
             yield self.problem(phase, chain)
+
+
+#: What the fields of a scenario are, and what is in those that hold several.
+KINDS: dict[str, tuple[Any, Any]] = {
+    "name": (str, None), "description": (str, None), "source": (str, None),
+    "solver_name": (str, None), "robot": (Robot, None), "start": (Mapping, None),
+    "tasks": (Sequence, Task), "secondary": (Sequence, Task), "limits": (Sequence, Limit),
+    "phases": (Sequence, Phase), "controllers": (Mapping, Controller), "grasp_of": (Mapping, Grasp),
+    "grasps": (Grasp | Mapping, Grasp), "weights": (Mapping | None, Real), "plant": (Plant, None),
+    "held": (HeldObject, None), "disturbance": (Disturbance, None), "solver": (Solver, None),
+    "budget": (Budget, None), "seed": (Integral, None), "dt": (Real, None),
+    "duration": (Real, None), "kappa": (Real, None), "on_infeasible": (str, None),
+    "catalog": (Catalog, None), "folder": (Path | None, None),
+}  # fmt: skip
+
+
+def _strangers(scenario: Scenario) -> Iterator[str]:
+    """Fields that are of another type than they must be."""
+    for name, (kind, part) in KINDS.items():
+        value = getattr(scenario, name)
+        text = isinstance(value, str) and kind is Sequence
+        if text or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            yield f"{name}: found {value!r:.60}, needs {_called(kind)}"
+        elif part is not None and isinstance(value, Mapping | Sequence):
+            inside = value.values() if isinstance(value, Mapping) else value
+            for found in inside:
+                if not isinstance(found, part):
+                    yield f"{name}: found {found!r:.60} in it, needs {_called(part)}"
+
+
+def _called(kind: Any) -> str:
+    words = {Real: "a number", Integral: "a whole number", str: "a text", Mapping: "a mapping"}
+    return words.get(kind) or f"a {getattr(kind, '__name__', str(kind))}"
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:

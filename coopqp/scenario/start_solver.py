@@ -8,7 +8,9 @@ object, L the length that a radian counts as:
 by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from
 many random configurations. What redundancy leaves is used to come away from the limits: every start
 found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and that
-with the largest margin wins. Passive joints are variables like all others.
+with the largest margin wins. Where a posture to be near is given, it takes the place of the middle,
+and the start nearest to it wins. Passive joints are variables like all others, and what turns
+without limits is at most half a turn from the middle.
 
 Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
 """
@@ -19,17 +21,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.checked import Array, seeded
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.errors import GraspError
-from coopqp.grasp import Grasp, pose_matrix
+from coopqp.grasp import Grasp
 from coopqp.held_object import HeldObject
-from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.hold import grasp_of_each
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.scenario import by_arm
+from coopqp.scenario.start_problem import StartProblem
 
 Progress = Callable[[int, int], None]
 """Called after each try with the number of tries made and the most there can be."""
@@ -45,12 +47,6 @@ CLOSED = 1e-11
 
 #: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
 CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
-
-#: How far a joint without limits is turned at random [rad or m].
-UNLIMITED = np.pi
-
-#: Starts keep this far off the limits, so that rounded values are inside them too [rad or m].
-INSIDE = 1e-7
 
 #: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m.
 DIGITS = 8
@@ -85,6 +81,7 @@ def solve_start(
     grasps: Grasp | Mapping[str, Grasp],
     held: HeldObject,
     *,
+    near: Mapping[str, float | Sequence[float]] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> StartSolution:
@@ -94,6 +91,8 @@ def solve_start(
         robot: the robot.
         grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
         held: the object, with its pose.
+        near: posture that the start is to be near, by arm or joint; joints that it does not name
+            may be anywhere.
         seed: of the random configurations.
         progress: called after each try.
 
@@ -104,7 +103,7 @@ def solve_start(
     """
     grasp_of = grasp_of_each(robot, grasps)
     _check_known(grasp_of, held)
-    problem = _Problem(robot, grasp_of, held)
+    problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
     q, rng = problem.middle.copy(), seeded(seed)
     tries, total = 0, TRIES * len(groups)
@@ -127,7 +126,7 @@ def solve_start(
         report(TRIES)
     if failed:
         raise GraspError("; ".join([*failed, "move object.pose or change object_in_hand"]))
-    return problem.solution(q, tries, min(found))
+    return _solution(problem, q, tries, min(found))
 
 
 def yaml_text(solution: StartSolution) -> str:
@@ -157,87 +156,19 @@ def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
         raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
 
 
-class _Problem:
-    """The robot with its passive joints, and where each arm carries the object.
-
-    Attributes:
-        frames: the object as carried by each arm, by arm; ids of frames.
-        columns: the joints that move each arm, by arm; indices into q.
-        middle: configuration half-way between the limits; zero without limits, shape (n,).
-        half: half the range; infinite without limits, shape (n,).
-    """
-
-    def __init__(self, robot: RobotModel, grasps: Mapping[str, Grasp], held: HeldObject) -> None:
-        assert held.pose is not None
-        self.robot = robot
-        X_WO = pose_matrix(held.pose)
-        joints = {}
-        for name, grasp in grasps.items():
-            assert grasp.object_in_hand is not None
-            # An axis given in the world is the same in the hand wherever the hinge has turned it.
-            R_WT = X_WO.rotation @ pose_matrix(grasp.object_in_hand).rotation.T
-            joints[name] = grasp.passive_joints(R_WT)
-        self.model, ends = with_passive_joints(robot, joints)
-        model = self.model
-        self.frames, self.columns = {}, {}
-        for arm in robot.arms:
-            end, tip = model.getFrameId(ends[arm.name]), model.getFrameId(arm.tip)
-            X_EO = object_at_end(model, end, tip, grasps[arm.name])
-            self.frames[arm.name] = add_object_frame(model, arm.name, ends[arm.name], X_EO)
-            way = model.supports[model.frames[end].parentJoint]
-            self.columns[arm.name] = [model.idx_vs[j] for j in way if j > 0]
-        self._data = model.createData()
-        self._p, self._RT = X_WO.translation.copy(), X_WO.rotation.T.copy()
-        self.lower = np.array(model.lowerPositionLimit) + INSIDE
-        self.upper = np.array(model.upperPositionLimit) - INSIDE
-        self._center()
-
-    def _center(self) -> None:
-        """Middle of the ranges; with one end open, as far from the other as a joint is turned."""
-        low, high = np.isfinite(self.lower), np.isfinite(self.upper)
-        lower = np.where(low, self.lower, np.where(high, self.upper - 2 * UNLIMITED, -UNLIMITED))
-        upper = np.where(high, self.upper, np.where(low, self.lower + 2 * UNLIMITED, UNLIMITED))
-        self.middle, self._reach = (lower + upper) / 2, (upper - lower) / 2
-        self.half = np.where(low & high, self._reach, np.inf)
-
-    def sample(self, rng: np.random.Generator) -> Array:
-        """A random configuration inside the limits."""
-        return self.middle + self._reach * rng.uniform(-1.0, 1.0, len(self.middle))
-
-    def residual(self, q: Array, arms: Sequence[str]) -> tuple[Array, Array]:
-        """Stacked r and its Jacobian, shapes (6 N,) and (6 N, n)."""
-        model, data = self.model, self._data
-        pin.computeJointJacobians(model, data, q)
-        r, J = np.zeros(6 * len(arms)), np.zeros((6 * len(arms), len(q)))
-        for i, arm in enumerate(arms):
-            frame, at = self.frames[arm], 6 * i
-            X = pin.updateFramePlacement(model, data, frame)
-            turned = X.rotation @ self._RT
-            r[at : at + 3] = X.translation - self._p
-            r[at + 3 : at + 6] = LENGTH * pin.log3(turned)
-            J_i = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            J[at : at + 3] = J_i[:3]
-            J[at + 3 : at + 6] = LENGTH * pin.Jlog3(turned).T @ J_i[3:]
-        return r, J
-
-    def margin(self, q: Array, columns: Sequence[int]) -> float:
-        """Least distance to a limit [rad or m]."""
-        room = np.minimum(q - self.lower, self.upper - q)[list(columns)]
-        return float(room.min(initial=np.inf))
-
-    def solution(self, q: Array, tries: int, found: int) -> StartSolution:
-        """The answer in the robot's own terms."""
-        model, robot = self.model, self.robot
-        value = {name: float(q[model.idx_qs[model.getJointId(name)]]) for name in model.names[1:]}
-        passive = {name: x for name, x in value.items() if name not in robot.joint_names}
-        return StartSolution(
-            q=np.array([value[name] for name in robot.joint_names]),
-            passive=passive,
-            start=by_arm(robot, value),
-            margin=self.margin(q, range(len(q))),
-            tries=tries,
-            found=found,
-        )
+def _solution(problem: StartProblem, q: Array, tries: int, found: int) -> StartSolution:
+    """The answer in the robot's own terms."""
+    model, robot = problem.model, problem.robot
+    value = {name: float(q[model.idx_qs[model.getJointId(name)]]) for name in model.names[1:]}
+    passive = {name: x for name, x in value.items() if name not in robot.joint_names}
+    return StartSolution(
+        q=np.array([value[name] for name in robot.joint_names]),
+        passive=passive,
+        start=by_arm(robot, value),
+        margin=problem.margin(q, range(len(q))),
+        tries=tries,
+        found=found,
+    )
 
 
 class _Search:
@@ -250,18 +181,20 @@ class _Search:
 
     Attributes:
         columns: the joints that are searched.
-        best: the closed configuration with the largest margin, None so far.
+        best: the best closed configuration, :meth:`StartProblem.worth`; None so far.
         nearest: where |r|^2 is least.
         tries, found: how many.
     """
 
-    def __init__(self, problem: _Problem, arms: Sequence[str], rng: np.random.Generator) -> None:
+    def __init__(
+        self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator
+    ) -> None:
         self.problem, self.arms, self._rng = problem, tuple(arms), rng
         self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
         self.best: Array | None = None
         self.nearest = problem.middle.copy()
         self.tries = self.found = 0
-        self._margin, self._gap = -np.inf, np.inf
+        self._worth, self._gap = -np.inf, np.inf
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
@@ -284,9 +217,10 @@ class _Search:
             report(self.tries)
 
     def _keep(self, q: Array) -> None:
-        margin = self.problem.margin(q, self.columns)
-        if margin > self._margin:
-            self._margin, self.best = margin, q.copy()
+        self.problem.unwind(q)
+        worth = self.problem.worth(q, self.columns)
+        if worth > self._worth:
+            self._worth, self.best = worth, q.copy()
 
     def _close(self, q: Array) -> float:
         """Levenberg-Marquardt from q, which is moved; returns the largest part of r at the end."""
@@ -328,7 +262,7 @@ def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
     return [tuple(names) for _, names in groups]
 
 
-def _cannot_reach(problem: _Problem, search: _Search, rng: np.random.Generator) -> list[str]:
+def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generator) -> list[str]:
     """Which arms cannot reach, and how far they get."""
     alone = []
     for arm in search.arms if len(search.arms) > 1 else ():

@@ -120,6 +120,8 @@ def try_task(task: Task, places: Places, duration: float) -> None:
             raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
         look = _Look(task, names, task.bind(start), start.chain.n)
         look.at(start, start.t)
+        for t in (0.0, duration):
+            task.marks(t)
         end = min(task.end, duration) or duration
         seen = [
             _Seen(look, place, start.t + share * end)
@@ -224,6 +226,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
         tighten = limit.bind(chain, dt)
+        limit.marks(0.0)
         for state in (start, *(place.here for place in places.nearby)):
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
             tighten(state, open_)

@@ -1,17 +1,70 @@
-"""YAML files with the line of every value, so that an error can name its place."""
+"""YAML files with the line of every value, so that an error can name its place.
+
+ruamel.yaml splits the text into events; what they mean is decided here, by YAML 1.2's core schema
+and nothing beyond it. A file is then mappings, lists, texts, numbers, booleans and null, however
+it is written, and its size is known before it is built: an alias counts as all that it stands for.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentEndEvent,
+    DocumentStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    StreamEndEvent,
+    StreamStartEvent,
+)
 
-from coopqp.errors import Fault, ScenarioError
+from coopqp.errors import Fault, ScenarioError, UnreadableFileError
+from coopqp.reading import read_text
 from coopqp.wording import Location, dotted
+
+MOST_BYTES = 1 << 20  # of a file; reading this much takes seconds
+MOST_VALUES = 50_000  # in a file, aliases written out
+DEEPEST = 40  # values inside values
+LONGEST = 60  # characters of a number
+#: Sizes between which numbers lie, or 0: beyond them squares leave what floats can hold.
+LEAST, MOST = 1e-30, 1e20
+
+_INT = re.compile(r"[-+]?(0b[01_]+|0o[0-7_]+|0x[0-9a-fA-F_]+|[0-9][0-9_]*)")
+_FLOAT = re.compile(
+    r"[-+]?([0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)([eE][-+]?[0-9]+)?"
+    r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+)
+_NULLS = ("", "~", "null", "Null", "NULL")
+_BOOLEANS = {"true": True, "True": True, "TRUE": True,
+             "false": False, "False": False, "FALSE": False}  # fmt: skip
+_TAGS = {bool: "bool", int: "int", float: "float", type(None): "null"}
+_STANDARD = "tag:yaml.org,2002:"
+MERGE = "<<"
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A value and where it is.
+
+    Attributes:
+        value: plain.
+        size: number of values in it, itself included.
+        inside: of a mapping or list, by key or index: line and node.
+    """
+
+    value: Any
+    size: int = 1
+    inside: dict[str | int, tuple[int, _Node]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -20,25 +73,22 @@ class YamlFile:
 
     Attributes:
         path: of the file, as given.
+        text: what the file holds.
         data: plain dicts, lists, strings, numbers, booleans and None.
     """
 
     path: Path
+    text: str
     data: dict[str, Any]
-    _marked: Any
+    _root: _Node
 
     def place(self, location: Location) -> str:
         """``file:line: key.path`` of a value, or of the nearest mapping that holds it."""
-        node: Any = self._marked
-        line = 1
+        node, line = self._root, 1
         for key in location:
-            try:
-                lines: Any = node.lc
-                position = lines.item(key) if isinstance(node, list) else lines.key(key)
-                node = node[key]
-            except (KeyError, IndexError, TypeError, AttributeError):
+            if key not in node.inside:
                 break
-            line = position[0] + 1
+            line, node = node.inside[key]
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
 
@@ -47,49 +97,219 @@ def read_yaml(path: Path) -> YamlFile:
     """Read a YAML mapping.
 
     Raises:
-        ScenarioError: no such file, not text, not YAML, a key given twice, empty, not a mapping.
+        ScenarioError: no such file, too large, not text, not YAML, a key given twice, values that
+            are no plain data, too many of them, empty, not a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise _refused(path, f"cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise _refused(path, "is not a text file in UTF-8") from None
+        text = read_text(path, MOST_BYTES)
+    except UnreadableFileError as error:
+        raise _refused(error.place, error.why) from None
+    return parsed(path, text)
+
+
+def parsed(path: Path, text: str) -> YamlFile:
+    """The same from what a file holds.
+
+    Raises:
+        ScenarioError: as :func:`read_yaml`.
+    """
+    builder = _Builder(path, text)
     try:
-        marked = YAML(typ="rt").load(text)
-    except DuplicateKeyError as error:
-        key = str(error.problem).partition('"')[2].partition('"')[0]
-        raise _refused(_marked_place(path, error), f"key '{key}' is given twice") from None
+        root = builder.document()
     except MarkedYAMLError as error:
         what = " ".join(str(error.problem or error.context).split())
-        raise _refused(_marked_place(path, error), f"not YAML: {what}") from None
+        mark = error.problem_mark or error.context_mark
+        raise _refused(f"{path}:{mark.line + 1}" if mark else path, f"not YAML: {what}") from None
     except YAMLError as error:
-        raise _refused(path, f"not YAML: {' '.join(str(error).split())}") from None
-    if marked is None:
+        line = text.count("\n", 0, getattr(error, "position", 0)) + 1
+        what = getattr(error, "reason", " ".join(str(error).split()))
+        raise _refused(f"{path}:{line}", f"not YAML: {what}") from None
+    except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
+        # ruamel.yaml stumbles over some texts without a word of its own.
+        raise _refused(f"{path}:{builder.line}", "not YAML from here on") from None
+    if root is None or root.value is None:
         raise _refused(path, "the file is empty")
-    if not isinstance(marked, dict):
+    if not isinstance(root.value, dict):
         raise _refused(
             f"{path}:1", "needs a mapping of keys such as 'robot:', found something else"
         )
-    return YamlFile(path, _plain(marked), marked)
+    return YamlFile(path, text, root.value, root)
 
 
 def _refused(place: object, message: str) -> ScenarioError:
     return ScenarioError([Fault(str(place), message)])
 
 
-def _marked_place(path: Path, error: MarkedYAMLError) -> str:
-    mark = error.problem_mark or error.context_mark
-    return f"{path}:{mark.line + 1}" if mark else str(path)
+class _Builder:
+    """From a file's events to its values.
+
+    Args:
+        path: of the file, for messages.
+        text: what it holds.
+
+    Attributes:
+        line: of the last event.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        self._path, self.line = path, 1
+        self._events = self._told(YAML(typ="safe", pure=True).parse(text))
+        self._anchors: dict[str, _Node] = {}
+        self._values = 0
+
+    def document(self) -> _Node | None:
+        """The only document; None where there is none."""
+        root = None
+        for event in self._events:
+            if isinstance(event, StreamStartEvent | StreamEndEvent | DocumentEndEvent):
+                continue
+            if root is not None:
+                raise self._fault(event, "not YAML: a second document begins; needs one alone")
+            if not isinstance(event, DocumentStartEvent):
+                root = self._node(event, DEEPEST)
+        return root
+
+    def _told(self, events: Iterator[Any]) -> Iterator[Any]:
+        for event in events:
+            self.line = event.start_mark.line + 1
+            yield event
+
+    def _fault(self, event: Any, message: str) -> ScenarioError:
+        return _refused(f"{self._path}:{event.start_mark.line + 1}", message)
+
+    def _node(self, event: Any, deeper: int) -> _Node:
+        """The value that begins with an event.
+
+        Args:
+            event: of its beginning; those of what is inside follow.
+            deeper: values inside values that there may still be.
+        """
+        if isinstance(event, AliasEvent):
+            if event.anchor not in self._anchors:
+                raise self._fault(event, f"alias '*{event.anchor}' has no anchor before it")
+            known = self._anchors[event.anchor]
+            self._count(event, known.size)
+            return known
+        if deeper == 0:
+            raise self._fault(event, f"values inside values are more than {DEEPEST} deep")
+        self._count(event, 1)
+        if isinstance(event, ScalarEvent):
+            node = _Node(self._scalar(event))
+        else:
+            self._check_tag(event)
+            inside = self._mapping if isinstance(event, MappingStartEvent) else self._list
+            node = inside(deeper - 1)
+        if event.anchor is not None:
+            self._anchors[event.anchor] = node
+        return node
+
+    def _count(self, event: Any, values: int) -> None:
+        self._values += values
+        if self._values > MOST_VALUES:
+            words = f"the file has more than {MOST_VALUES} values, aliases written out"
+            raise self._fault(event, words)
+
+    def _list(self, deeper: int) -> _Node:
+        inside: dict[str | int, tuple[int, _Node]] = {}
+        for event in self._events:
+            if isinstance(event, SequenceEndEvent):
+                break
+            inside[len(inside)] = (event.start_mark.line + 1, self._node(event, deeper))
+        return _node_of([node.value for _, node in inside.values()], inside)
+
+    def _mapping(self, deeper: int) -> _Node:
+        inside: dict[str | int, tuple[int, _Node]] = {}
+        merged: dict[str | int, tuple[int, _Node]] = {}
+        for event in self._events:
+            if isinstance(event, MappingEndEvent):
+                break
+            key, line = self._key(event), event.start_mark.line + 1
+            if key in inside:
+                raise self._fault(event, f"key '{key}' is given twice")
+            after = next(self._events)
+            node = self._node(after, deeper)
+            if key == MERGE and not event.style:
+                merged = {**self._merged(after, node), **merged}
+            else:
+                inside[key] = (line, node)
+        inside = {**inside, **{key: found for key, found in merged.items() if key not in inside}}
+        return _node_of({key: node.value for key, (_, node) in inside.items()}, inside)
+
+    def _merged(self, event: Any, node: _Node) -> dict[str | int, tuple[int, _Node]]:
+        """What ``<<: *alias`` brings in: of several mappings the first counts."""
+        parts = [node]
+        if isinstance(node.value, list):
+            parts = [part for _, part in node.inside.values()]
+        found: dict[str | int, tuple[int, _Node]] = {}
+        for part in parts:
+            if not isinstance(part.value, dict):
+                raise self._fault(event, "'<<' needs a mapping, or a list of them")
+            found = {**part.inside, **found}
+        return found
+
+    def _key(self, event: Any) -> str:
+        """A key as it is written."""
+        if not isinstance(event, ScalarEvent):
+            raise self._fault(event, "needs a plain word as a key, found something else")
+        return self._text(event)
+
+    def _text(self, event: Any) -> str:
+        text: str = event.value
+        if any("\ud800" <= letter <= "\udfff" for letter in text):
+            raise self._fault(event, "the text has half a character (a lone surrogate)")
+        return text
+
+    def _check_tag(self, event: Any) -> None:
+        """Refuse what is not to be read as the mapping or list that it looks like."""
+        kind = "map" if isinstance(event, MappingStartEvent) else "seq"
+        if event.tag not in (None, "!", _STANDARD + kind):
+            raise self._fault(event, f"tag '{_short(event.tag)}' is not read here; leave it out")
+
+    def _scalar(self, event: Any) -> Any:
+        """Text, number, boolean or null."""
+        text, tag = self._text(event), event.tag
+        if tag in ("!", _STANDARD + "str") or (tag is None and event.style):
+            return text
+        value = self._plain(event, text)
+        if tag is None:
+            return value
+        found = _TAGS.get(type(value), "str")
+        if (found, tag) == ("int", _STANDARD + "float"):
+            return float(value)
+        if _STANDARD + found != tag:
+            words = f"tag '{_short(tag)}' does not fit '{text[:40]}'; leave it out"
+            raise self._fault(event, words)
+        return value
+
+    def _plain(self, event: Any, text: str) -> Any:
+        """What a word without quotes stands for."""
+        if text in _NULLS:
+            return None
+        if text in _BOOLEANS:
+            return _BOOLEANS[text]
+        if not (_INT.fullmatch(text) or _FLOAT.fullmatch(text)):
+            return text
+        if len(text) > LONGEST:
+            raise self._fault(event, f"found {text[:20]}..., a number of {len(text)} characters")
+        value = _number(text)
+        if value and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
+            words = f"found {text}; needs 0, or a number of {LEAST:g} to {MOST:g} in size"
+            raise self._fault(event, words)
+        return value
 
 
-def _plain(value: Any) -> Any:
-    """Without the reader's own types."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    for kind in (bool, int, float, str):
-        if isinstance(value, kind):
-            return kind(value)
-    return None if value is None else str(value)
+def _number(text: str) -> int | float:
+    """A number as it is written; what is checked is that it is one."""
+    digits = text.replace("_", "").lower()
+    if not _INT.fullmatch(text):
+        return float(digits.replace(".inf", "inf").replace(".nan", "nan"))
+    return int(digits, 0 if digits.lstrip("+-")[:2] in ("0b", "0o", "0x") else 10)
+
+
+def _node_of(value: Any, inside: dict[str | int, tuple[int, _Node]]) -> _Node:
+    return _Node(value, 1 + sum(node.size for _, node in inside.values()), inside)
+
+
+def _short(tag: str) -> str:
+    """A tag as a file has it."""
+    return tag.replace(_STANDARD, "!!")[:40]

@@ -55,8 +55,9 @@ class Osqp(Solver):
             shape=(n + rows + 1, n + 1),
         )
         backend = osqp.OSQP()
-        backend.setup(
-            P, np.append(qp.q, -LEAN), A, np.append(qp.lower, -np.inf), np.append(qp.upper, 0.0),
+        least, most = np.minimum(qp.lower, qp.upper), np.maximum(qp.lower, qp.upper)
+        backend.setup(  # refuses bounds that cross, which a tick may have
+            P, np.append(qp.q, -LEAN), A, np.append(least, -np.inf), np.append(most, 0.0),
             eps_abs=self.eps_abs, eps_rel=0.0, eps_prim_inf=self.eps_prim_inf,
             max_iter=self.max_iter, verbose=False, polishing=True, warm_starting=True,
         )  # fmt: skip

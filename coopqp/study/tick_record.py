@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, with_config
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
@@ -17,13 +17,18 @@ from coopqp.limit import bound_rows
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
+from coopqp.reading import read_text
 from coopqp.row import Row, Side
 from coopqp.solver import Budget, written
 from coopqp.state import State
 from coopqp.task import TaskStack
+from coopqp.wording import dotted
+
+MOST_BYTES = 64 << 20  # of a file
+UNBOUNDED = 1e30  # what an infinite bound is written as
 
 
-@with_config(ConfigDict(extra="forbid", strict=True))
+@with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 @dataclass(frozen=True)
 class TickRecord:
     """One tick of a QP controller, whole: it can be saved, explained and solved again.
@@ -86,16 +91,35 @@ class TickRecord:
         Raises:
             CoopqpError: no such file, or not a saved tick.
         """
+        text = read_text(path, MOST_BYTES)
         try:
-            text = path.read_text(encoding="utf-8")
             record = _RECORD.validate_json(text)
-            if not record.fits():
-                raise ValueError("shapes")
-            return record
-        except OSError as error:
-            raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
-        except (ValueError, TypeError):
-            raise CoopqpError(f"{path}: is not a tick saved by 'coopqp explain --save'") from None
+            wrong = record.wrong()
+        except ValidationError as error:
+            detail = error.errors(include_url=False, include_context=False)[0]
+            wrong = f"{dotted(detail['loc'])}: {detail['msg']}".removeprefix(": ")
+        if wrong:
+            words = "is not a tick saved by 'coopqp explain --save'"
+            raise CoopqpError(f"{path}: {words}: {' '.join(wrong.split())}")
+        return record
+
+    def wrong(self) -> str:
+        """What keeps it from being a tick; empty if nothing does."""
+        if not self.variables or not self.fits():
+            return "the shapes of its arrays do not belong together"
+        for key in ("dt", "damping"):
+            if not getattr(self, key) > 0.0:
+                return f"{key}: found {getattr(self, key):g}, needs more than 0"
+        numbers = [*self.P, *self.C, *self.J, self.q_cost, self.lower, self.upper, self.wanted]
+        if max((abs(x) for row in numbers for x in row), default=0.0) > UNBOUNDED:
+            return f"a number is beyond {UNBOUNDED:g}"
+        P = np.array(self.P)
+        if not np.allclose(P, P.T, rtol=1e-9, atol=1e-12):
+            return "P is not symmetric"
+        least, *_, most = np.linalg.eigvalsh(np.pad(P, (0, 1)))  # a second one, and none negative
+        if least < -1e-9 * most:
+            return f"P has the eigenvalue {least:.3g}, needs none below zero"
+        return ""
 
     def fits(self) -> bool:
         """Whether all shapes belong together, and a QP of these numbers can be solved."""
@@ -107,6 +131,8 @@ class TickRecord:
             (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
         )  # fmt: skip
         tables = ((self.C, p + m), (self.J, k))
+        if any(len(row) != n for table in (self.P, self.C, self.J) for row in table):
+            return False
         return (
             all(np.shape(values) == shape for values, shape in shapes)
             and all(np.shape(rows) == (count, n) for rows, count in tables if count)
@@ -208,11 +234,11 @@ def _share_bound(share: Row, side: Side) -> Row:
 
 
 def _finite(values: Array) -> list[float]:
-    clipped: list[float] = np.clip(values, -1e30, 1e30).tolist()
+    clipped: list[float] = np.clip(values, -UNBOUNDED, UNBOUNDED).tolist()
     return clipped
 
 
 def _infinite(values: Sequence[float]) -> Array:
     array = np.array(values, float)
-    array[np.abs(array) >= 1e30] *= np.inf
+    array[np.abs(array) >= UNBOUNDED] *= np.inf
     return array

@@ -6,20 +6,89 @@ A file that is damaged, or of another scenario, is refused with the line that sh
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
+from coopqp.reading import open_bytes
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
+
+LONGEST = 1 << 20  # bytes of a line
+#: Columns that every trace has.
+NEEDED = ("controller", "tick", "t", "status", "tick_us")
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row of a trace.
+
+    Attributes:
+        place: file and line.
+        cells: texts by column.
+    """
+
+    place: str
+    cells: Mapping[str, str]
+
+    def number(self, column: str, *, nan: bool = False) -> float:
+        """A finite number.
+
+        Args:
+            column: whose.
+            nan: whether NaN counts too: what a sensor that fails measured, or a task that raised.
+
+        Raises:
+            InvalidValueError: no such column, or no such number there.
+        """
+        text = self.cells.get(column)
+        if text is None:
+            raise InvalidValueError(
+                f"{self.place}: has no column '{column}'; the trace is damaged, of another "
+                "scenario than the one beside it, or of an older version: run it again"
+            )
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.inf
+        if not (math.isfinite(value) or (nan and math.isnan(value))):
+            words = f"{column}: found '{text[:40]}', needs a finite number; the trace is damaged"
+            raise InvalidValueError(f"{self.place}: {words}")
+        return value
+
+    def numbers(self, key: str, joints: Sequence[str], *, nan: bool = False) -> list[float]:
+        """A number a joint."""
+        return [self.number(f"{key}[{joint}]", nan=nan) for joint in joints]
+
+    def tells(self, key: str, joints: Sequence[str]) -> bool:
+        """Whether there is anything in a joint's column."""
+        return any(self.cells.get(f"{key}[{joint}]") for joint in joints)
+
+    @property
+    def tick(self) -> int:
+        """Which tick."""
+        value = self.number("tick")
+        if not (value >= 0.0 and value.is_integer()):
+            raise InvalidValueError(f"{self.place}: tick: found {value:g}, needs a whole number")
+        return int(value)
+
+    @property
+    def causes(self) -> str:
+        """What became of the tick, in the words of :func:`coopqp.solver.written`."""
+        word = self.cells["status"]
+        for name in word.split("+"):
+            if name not in Status.__members__:
+                words = f"status: no status '{name[:40]}'; the trace is damaged"
+                raise InvalidValueError(f"{self.place}: {words}")
+        return word
 
 
 def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Recording:
@@ -38,57 +107,37 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         raise UnknownNameError("controller", controller, known, f"{path}: ")
     held = scenario.held_by(controller)
     joints, ticks = held.chain.joint_names, held.ticks
-    with _open(path) as stream, _damage(path) as line:
-        rows = []
-        for row in csv.DictReader(stream):
-            line[0] += 1
-            if row["controller"] == controller:
-                rows.append(row)
-                _numbers(row, "q", joints)  # so that the line is known where it is damaged
-        if len(rows) != ticks + 1:
-            raise CoopqpError(
-                f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
-                "is damaged, or of another scenario"
-            )
-        status = tuple(row["status"] for row in rows[:-1])
-        unknown = {name for word in status for name in word.split("+")} - set(Status.__members__)
-        if unknown:
-            raise ValueError(f"no status '{min(unknown)}'")
-        tau = any(row.get(f"tau[{joint}]") for row in rows[:1] for joint in joints)
-        return Recording(
-            controller=controller,
-            q=np.array([_numbers(row, "q", joints) for row in rows]),
-            v=np.array([_numbers(row, "v", joints) for row in rows[:-1]]),
-            status=status,
-            errors=_last_errors(rows),
-            tau=np.array([_numbers(row, "tau", joints) for row in rows[:-1]] if tau else [[]]),
+    rows = list(_rows(path, controller))
+    if len(rows) != ticks + 1:
+        raise CoopqpError(
+            f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
+            "is damaged, or of another scenario"
         )
+    tau = [_torques(row, joints) for row in rows[:-1]] if rows[0].tells("tau", joints) else [[]]
+    return Recording(
+        controller=controller,
+        q=np.array([row.numbers("q", joints) for row in rows]),
+        v=np.array([row.numbers("v", joints) for row in rows[:-1]]),
+        status=tuple(row.causes for row in rows[:-1]),
+        errors=_last_errors(rows),
+        tau=np.array(tau),
+    )
 
 
-def _numbers(row: Mapping[str, str], key: str, joints: Sequence[str]) -> list[float]:
-    """A number a joint; zero where the column is empty, as for torques of passive joints."""
-    return [float(row[f"{key}[{joint}]"] or (0.0 if key == "tau" else "")) for joint in joints]
+def _torques(row: _Row, joints: Sequence[str]) -> list[float]:
+    """A torque a joint; zero where the column is empty, as for passive joints."""
+    return [row.number(f"tau[{j}]") if row.cells.get(f"tau[{j}]") else 0.0 for j in joints]
 
 
-def _last_errors(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
+def _last_errors(rows: Sequence[_Row]) -> dict[str, float]:
     """Each task's error at the end of the time for which it counts."""
     found = {}
     for row in rows:
-        for key, text in row.items():
-            if key and key.startswith("error[") and text:
-                found[key.removeprefix("error[").removesuffix("]")] = float(text)
+        for key, text in row.cells.items():
+            if key.startswith("error[") and text:
+                name = key.removeprefix("error[").removesuffix("]")
+                found[name] = row.number(key, nan=True)
     return found
-
-
-@contextmanager
-def _damage(path: Path) -> Iterator[list[int]]:
-    """Refuse what cannot be read, with the line; the caller counts in the list that it gets."""
-    line = [1]
-    try:
-        yield line
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        what = f"no column {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
-        raise CoopqpError(f"{path}:{line[0]}: the trace is damaged: {what}") from None
 
 
 def state_from_trace(
@@ -106,42 +155,39 @@ def state_from_trace(
         t_start: when its phase began [s].
 
     Raises:
-        CoopqpError: no such file, controller or tick.
+        CoopqpError: no such file, controller or tick; a damaged row.
     """
     joints = law.problem.chain.joint_names
-    state = law.start()
-    rows = _rows_of(path, controller)
-    if tick not in rows:
-        last = max(rows, default=0)
+    state, found, last = law.start(), False, 0
+    for row in _rows(path, controller):
+        if not row.cells["tick_us"]:
+            continue
+        k = row.tick
+        last = max(last, k)
+        if k == tick:
+            found = True
+            state.t = max(0.0, row.number("t") - t_start)  # of the phase, but for rounding
+            state.q[:] = row.numbers("commanded" if row.tells("commanded", joints) else "q", joints)
+            _read(row, "gap[", state.gap)
+            if row.tells("measured", joints):
+                state.q_measured = np.array(row.numbers("measured", joints, nan=True))
+                state.corrected = 0.0
+            _read(row, "memory[", state.memory.numbers)
+        elif k == tick - 1:
+            state.v[:] = row.numbers("v", joints)
+    if not found:
         raise InvalidValueError(
             f"{path}: controller '{controller}' has no tick {tick}; it has 0 to {last}"
         )
-    with _open(path) as stream, _damage(path) as line:
-        wanted = {rows[tick]: "now", rows.get(tick - 1, -1): "before"}
-        for i, row in enumerate(csv.DictReader(stream)):
-            line[0] += 1
-            role = wanted.get(i)
-            if role == "now":
-                state.t = max(0.0, float(row["t"]) - t_start)  # of the phase, but for rounding
-                told = bool(row.get(f"commanded[{joints[0]}]"))
-                key = "commanded" if told else "q"
-                state.q[:] = [float(row[f"{key}[{joint}]"]) for joint in joints]
-                _read(row, "gap[", state.gap)
-                if row.get(f"measured[{joints[0]}]"):
-                    measured = [float(row[f"measured[{joint}]"]) for joint in joints]
-                    state.q_measured = np.array(measured)
-                    state.corrected = 0.0
-                _read(row, "memory[", state.memory.numbers)
-            elif role == "before":
-                state.v[:] = [float(row[f"v[{joint}]"]) for joint in joints]
     state.update()
     return state
 
 
-def _read(row: Mapping[str, str], start: str, numbers: Array) -> None:
+def _read(row: _Row, start: str, numbers: Array) -> None:
     """Numbers from the columns whose names start so; nothing where they are empty."""
-    found = [text for key, text in row.items() if key.startswith(start) and text]
-    numbers[: len(found)] = [float(text) for text in found[: len(numbers)]]
+    columns = [key for key, text in row.cells.items() if key.startswith(start) and text]
+    found = [row.number(column) for column in columns[: len(numbers)]]
+    numbers[: len(found)] = found
 
 
 def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: float) -> Array:
@@ -156,24 +202,18 @@ def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: f
         ticks: only those before this one.
 
     Raises:
-        CoopqpError: no such file or controller; the trace is of other joints.
+        CoopqpError: no such file or controller; the trace is of other joints; a damaged row.
     """
     if controller not in controllers_of(path):
         raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
-    columns, found = [f"measured[{joint}]" for joint in joints], []
-    with _open(path) as stream:
-        reader = csv.DictReader(stream)
-        for column in columns:
-            if column not in (reader.fieldnames or ()):
-                raise CoopqpError(
-                    f"{path}: has no column '{column}'; it is of another scenario than the one "
-                    "beside it, or was written before traces had measured joints: run it again"
-                )
-        for row in reader:
-            told = row["controller"] == controller and all(row[column] for column in columns)
-            if told and int(row["tick"]) < ticks:
-                found.append([float(row[column]) for column in columns])
-    values: Array = np.array(found, float).reshape(-1, len(columns))
+    found = []
+    for row in _rows(path, controller):
+        if all(row.cells.get(f"measured[{joint}]") == "" for joint in joints):
+            continue
+        measured = row.numbers("measured", joints, nan=True)
+        if row.tick < ticks:
+            found.append(measured)
+    values: Array = np.array(found, float).reshape(-1, len(joints))
     return np.asarray(values[np.isfinite(values).all(axis=1)], float)
 
 
@@ -181,19 +221,18 @@ def blocked_tick(path: Path, controller: str) -> int:
     """The tick worth explaining: the first that gave something up or failed, else the last.
 
     Raises:
-        CoopqpError: no such file or controller.
+        CoopqpError: no such file or controller; a damaged row.
     """
     if controller not in controllers_of(path):
         raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     last = 0
-    with _open(path) as stream, _damage(path) as line:
-        for row in csv.DictReader(stream):
-            line[0] += 1
-            if row["controller"] != controller or not row.get("status"):
-                continue
-            if row["status"] not in (Status.OPTIMAL.name, Status.INACCURATE.name):
-                return int(row["tick"])
-            last = int(row["tick"])
+    for row in _rows(path, controller):
+        status = row.cells["status"]
+        if not status:
+            continue
+        if status not in (Status.OPTIMAL.name, Status.INACCURATE.name):
+            return row.tick
+        last = row.tick
     return last
 
 
@@ -201,28 +240,48 @@ def controllers_of(path: Path) -> list[str]:
     """Names of the controllers in a written trace, in their order.
 
     Raises:
-        CoopqpError: no such file, or not a trace.
+        CoopqpError: no such file, not a trace, or one without rows.
     """
-    try:
-        with _open(path) as stream:
-            found = list(dict.fromkeys(row["controller"] for row in csv.DictReader(stream)))
-    except (KeyError, UnicodeDecodeError, csv.Error):
-        raise CoopqpError(f"{path}: is not a trace.csv written by 'coopqp compare --out'") from None
+    found = list(dict.fromkeys(row.cells["controller"] for row in _rows(path)))
+    if not found:
+        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
     return found
 
 
-def _rows_of(path: Path, controller: str) -> dict[int, int]:
-    """Row number of each tick of a controller."""
-    with _open(path) as stream, _damage(path):
-        return {
-            int(row["tick"]): i
-            for i, row in enumerate(csv.DictReader(stream))
-            if row["controller"] == controller and row["tick_us"]
-        }
+def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
+    """The rows of a controller; all if None.
 
-
-def _open(path: Path) -> TextIO:
+    Raises:
+        CoopqpError: no such file, not a trace, or a row with too few or too many cells.
+    """
+    reader = csv.reader(_lines(path), strict=True)
     try:
-        return path.open(encoding="utf-8", newline="")
-    except OSError as error:
-        raise CoopqpError(f"{path}: cannot be read: {error.strerror}") from None
+        header = next(reader, [])
+        if not set(NEEDED) <= set(header):
+            words = "is not a trace.csv written by 'coopqp compare --out'"
+            raise CoopqpError(f"{path}:1: {words}")
+        for cells in reader:
+            place = f"{path}:{reader.line_num}"
+            if len(cells) != len(header):
+                words = f"found {len(cells)} cells, needs {len(header)}; the trace is damaged"
+                raise CoopqpError(f"{place}: {words}")
+            row = _Row(place, dict(zip(header, cells, strict=True)))
+            if controller in (None, row.cells["controller"]):
+                yield row
+    except csv.Error as error:
+        raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of a file, as text."""
+    with open_bytes(path) as stream:
+        number = 0
+        while line := stream.readline(LONGEST):
+            number += 1
+            try:
+                text = line.decode("utf-8")
+            except UnicodeDecodeError:
+                raise CoopqpError(f"{path}:{number}: is not a text file in UTF-8") from None
+            if len(line) == LONGEST:
+                raise CoopqpError(f"{path}:{number}: the line is longer than {LONGEST} bytes")
+            yield text

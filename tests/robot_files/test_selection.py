@@ -163,7 +163,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"old": 'lower="-1" upper="1"', "new": ""}, "joint turn: limits 0 to 0 leave it no room"),
     ({"joint_limits": {"x_*": {"lower": 1}}}, r"joint_limits: unknown joint 'x_\*'"),
     ({"joint_limits": {"l_a": {"lower": 2}}}, "joint l_a: limits 2 to 1 leave it no room"),
-    ({"old": "</robot>", "new": ""}, "tree.urdf: is not a URDF file: no element found"),
+    ({"old": "</robot>", "new": ""}, "tree.urdf:1: is not a URDF file: no element found"),
     ({"old": 'link="base"', "new": 'link="bas"'}, "tree.urdf: "),
     ({"old": "<robot", "new": "<robot xmlns:xacro='x'><xacro:a/></robot><!--"}, "URDF|xacro"),
 ]  # fmt: skip
@@ -202,7 +202,7 @@ def test_a_file_that_is_no_robot_is_refused(
 
 
 def test_a_folder_or_binary_file_is_no_robot(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="cannot be read: Is a directory"):
+    with pytest.raises(InvalidValueError, match="cannot be read: is a folder"):
         Urdf(path=tmp_path, arms=TIPS).build()
     (tmp_path / "b.urdf").write_bytes(bytes(range(256)))
     with pytest.raises(InvalidValueError, match="is not a URDF file"):

@@ -161,11 +161,11 @@ def test_file_that_is_no_record_is_refused(text: str, tmp_path: Path) -> None:
 def test_binary_missing_and_unreadable_files_are_refused(tmp_path: Path) -> None:
     binary = tmp_path / "binary.json"
     binary.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(CoopqpError, match="is not a tick saved by"):
+    with pytest.raises(CoopqpError, match="is not a text file in UTF-8"):
         TickRecord.read(binary)
     with pytest.raises(CoopqpError, match="cannot be read: No such file"):
         TickRecord.read(tmp_path / "none.json")
-    with pytest.raises(CoopqpError, match="cannot be read: Is a directory"):
+    with pytest.raises(CoopqpError, match="cannot be read: is a folder"):
         TickRecord.read(tmp_path)
 
 

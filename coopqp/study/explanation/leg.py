@@ -11,6 +11,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.controller_run import controller_of
+from coopqp.errors import InvalidValueError
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.goal import PartOfTask, parts_of
@@ -104,6 +105,11 @@ def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
     for i, (problem, phase, (first, end)) in enumerate(spans):
         parts = tuple(parts_of(phase.tasks, problem.chain))
         begin = f"{phase.name}." if scenario.phases else ""
+        names = [begin + part.name for part in parts]
+        for name in names:
+            if name not in run.errors:
+                words = "the trace is of another scenario than the one beside it"
+                raise InvalidValueError(f"no error of '{name}' in the trace; {words}")
         ticks = slice(first, end)
         yield Leg(
             problem=problem if heeds else replace(problem, limits=()),
@@ -115,5 +121,5 @@ def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
             tau=run.tau[ticks],
             causes=tuple(causes_of(word) for word in run.status[ticks]),
             parts=parts,
-            errors=np.array([run.errors[begin + part.name] for part in parts], float),
+            errors=np.array([run.errors[name] for name in names], float),
         )

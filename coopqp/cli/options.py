@@ -1,0 +1,71 @@
+"""Options that several commands have, and how they read what these name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+SCENARIO = click.argument("scenario")
+FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
+
+
+def catalogued(command: Callable[..., None]) -> Callable[..., None]:
+    """Options that name plug-ins of the user's own; the command gets the catalogue with them."""
+
+    @click.option(
+        "--plugins",
+        "plugin_folders",
+        multiple=True,
+        type=FOLDER,
+        help="Folder with plug-ins of your own in subfolders tasks, limits, controllers ...; "
+        "may be given more than once.",
+    )
+    @click.option(
+        "--tasks",
+        "task_folders",
+        multiple=True,
+        type=FOLDER,
+        help="Folder with task files of your own; may be given more than once.",
+    )
+    @wraps(command)
+    def with_catalog(
+        *, plugin_folders: tuple[Path, ...], task_folders: tuple[Path, ...], **options: Any
+    ) -> None:
+        from coopqp.scenario.catalog import Catalog
+
+        command(catalog=Catalog(task_folders, plugin_folders), **options)
+
+    return with_catalog
+
+
+def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
+    """A scenario, with another solver if one is asked for; says what its robot leaves out."""
+    from coopqp.scenario.loader import load, with_solver
+
+    loaded = load(name, catalog)
+    for line in loaded.robot_model.warnings:
+        click.echo(f"warning: {line}", err=True)
+    return with_solver(loaded, solver) if solver else loaded
+
+
+def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
+    """A written trace, from its own or its folder's path, and the scenario beside it."""
+    from coopqp.study.trace_file import controllers_of
+
+    path = trace / "trace.csv" if trace.is_dir() else trace
+    controllers_of(path)  # a trace that is missing is said before its scenario is
+    return path, read_scenario(str(path.parent / "scenario.yaml"), catalog)
+
+
+def print_notes(scenario: Any) -> None:
+    """Say which parts of a scenario have no effect on which of its controllers."""
+    from coopqp.scenario.notes import notes
+
+    for line in notes(scenario):
+        click.echo(f"note: {line}", err=True)

@@ -1,0 +1,187 @@
+"""Commands on scenario files: run them, look at them, check them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coopqp.cli.options import JSON, SCENARIO, SOLVER, catalogued, print_notes, read_scenario
+
+COLLECTIONS = (
+    "robots", "grasps", "tasks", "limits", "controllers", "solvers", "plants", "metrics",
+    "scenarios",
+)  # fmt: skip
+
+
+@click.command()
+@SCENARIO
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@click.option("--controllers", default="", help="Comma-separated, instead of the scenario's.")
+@SOLVER
+@catalogued
+@JSON
+def compare(
+    scenario: str,
+    out: Path | None,
+    controllers: str,
+    solver: str | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Run a scenario under several controllers and report what each of them did.
+
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    """
+    loaded = read_scenario(scenario, catalog, solver)
+    names = [name.strip() for name in controllers.split(",") if name.strip()]
+    _show(loaded, names or list(loaded.controllers), out, as_json=as_json)
+
+
+@click.command()
+@SCENARIO
+@click.option("--controller", required=True, help="Which one.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@SOLVER
+@catalogued
+@JSON
+def run(
+    scenario: str,
+    controller: str,
+    out: Path | None,
+    solver: str | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Run one controller on a scenario."""
+    _show(read_scenario(scenario, catalog, solver), [controller], out, as_json=as_json)
+
+
+@click.command()
+@SCENARIO
+@click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
+@click.option("--phase", help="Which phase of the scenario; the first if omitted.")
+@click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
+@catalogued
+@JSON
+def mobility(
+    scenario: str,
+    actuated: str | None,
+    phase: str | None,
+    page: Path | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Tell what a scenario's grasp allows, before anything moves."""
+    from coopqp.report import files, strict_json
+    from coopqp.report import mobility as report
+    from coopqp.report.terminal import console
+
+    asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
+    study = report.study(read_scenario(scenario, catalog), asked, phase=phase)
+    if page:
+        files.write_one(page, report.page(study))
+    if as_json:
+        click.echo(strict_json.text(report.as_json(study)))
+        return
+    for table in report.tables(study):
+        console().print(table)
+    console().print(study.mobility.verdict(), markup=False, highlight=False)
+    if page:
+        click.echo(f"wrote {page}")
+
+
+@click.command(name="solve-start")
+@SCENARIO
+@click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")
+@catalogued
+@JSON
+def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
+    """Find joint values, inside the limits, with which every arm reaches its grasp.
+
+    The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
+    """
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import progress_bars
+    from coopqp.scenario.loader import load_and_solve
+    from coopqp.scenario.start_solver import yaml_text
+
+    with progress_bars(["solving"], 1) as progress:
+        report = (lambda done, total: progress("solving", done / total)) if progress else None
+        found = load_and_solve(scenario, catalog, seed=seed, progress=report)
+    if as_json:
+        asked = ("start", "margin", "tries", "found")
+        click.echo(strict_json.text({key: getattr(found, key) for key in asked}))
+        return
+    click.echo(yaml_text(found), nl=False)
+
+
+@click.command()
+@click.argument("scenarios", nargs=-1, required=True)
+@catalogued
+def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
+    """Check scenario files; every fault is listed with its line."""
+    from coopqp.errors import Fault, ScenarioError
+
+    faults: list[Fault] = []
+    for name in scenarios:
+        try:
+            print_notes(read_scenario(name, catalog))
+        except ScenarioError as error:
+            faults.extend(error.faults)
+        else:
+            click.echo(f"{name}: ok")
+    if faults:
+        raise ScenarioError(faults)
+
+
+@click.command(name="list")
+@click.argument("kind", required=False, type=click.Choice(COLLECTIONS))
+@catalogued
+@JSON
+def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
+    """List what scenarios can name, with a line of help each."""
+    from coopqp.report import names
+    from coopqp.report.terminal import console
+
+    rows = {k: names.help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+        return
+    console().print(names.table(rows))
+
+
+@click.command()
+@catalogued
+def schema(catalog: Any) -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    from coopqp.scenario.form import file_model
+
+    click.echo(json.dumps(file_model(catalog).model_json_schema(), indent=2))
+
+
+def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
+    """Run, print the table or JSON, and write the report."""
+    from coopqp.comparison import compare as run_all
+    from coopqp.report import files, table
+    from coopqp.report.terminal import console, progress_bars
+
+    print_notes(scenario)
+    if out:
+        files.check_folder(out)
+    with progress_bars(controllers, scenario.ticks) as progress:
+        comparison = run_all(scenario, controllers=controllers, progress=progress)
+    for name, why in comparison.refused.items():
+        click.echo(f"warning: {name} is left out: {why}", err=True)
+    for fault in comparison.faults:
+        click.echo(f"warning: {fault}", err=True)
+    if as_json:
+        click.echo(files.metrics_json(comparison), nl=False)
+    else:
+        console().print(table.summary(comparison))
+    # Written last: what goes wrong here takes nothing away from what the run has shown.
+    written = files.write(comparison, out) if out else []
+    for path in written if not as_json else ():
+        click.echo(f"wrote {path}")

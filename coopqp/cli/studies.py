@@ -1,0 +1,176 @@
+"""Commands on recorded runs, and on many runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coopqp.cli.options import JSON, catalogued, read_trace
+
+
+@click.command()
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option("--tick", type=int, help="Explain one tick, not the run.")
+@click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    help="Keep a tick in this file; if --tick is omitted, the "
+    "first that gave something up, else the last.",
+)
+@catalogued
+@JSON
+def explain(
+    trace: Path,
+    tick: int | None,
+    controller: str | None,
+    save: Path | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Say why a run did not reach its goal, and what would do.
+
+    TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
+    """
+    from coopqp.report import explained, files
+    from coopqp.report.terminal import progress_bars
+    from coopqp.study.explanation import explain_run
+    from coopqp.study.recorded_tick import recorded_tick
+    from coopqp.study.trace_file import controllers_of, recording_from_trace
+
+    path, scenario = read_trace(trace, catalog)
+    known = controllers_of(path)
+    if tick is not None or save:
+        record = recorded_tick(path, scenario, controller, tick)
+        click.echo(explained.tick_text(record, as_json=as_json))
+        if save:
+            files.write_one(save, record.text())
+            click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
+        return
+    own = scenario.controllers
+    solving = [name for name in known if name in own and own[name].uses_solver]
+    recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
+    with progress_bars(["explaining"], 1) as progress:
+        report = (lambda share: progress("explaining", share)) if progress else lambda share: None
+        found = explain_run(scenario, recording, report)
+    click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
+
+
+@click.command()
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option("--controller", help="Whose; the first with measured joints if omitted.")
+@click.option("--encoders", is_flag=True, help="Look for offsets of the encoders as well.")
+@catalogued
+@JSON
+def calibrate(
+    trace: Path, controller: str | None, encoders: bool, catalog: Any, as_json: bool
+) -> None:
+    """Find from a run where the object really is in the hands; print lines for the scenario.
+
+    TRACE is a trace.csv with measured joints, or its folder, written by 'coopqp compare --out'.
+    """
+    from coopqp.report import calibration as report
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console
+    from coopqp.study.calibration import calibrate as find
+    from coopqp.study.recorded_run import measured_run
+
+    path, scenario = read_trace(trace, catalog)
+    name, q = measured_run(path, scenario, controller)
+    held = scenario.held_by(name)
+    found = find(held.chain, q, encoders=encoders)
+    if as_json:
+        click.echo(strict_json.text(report.as_json(found)))
+        return
+    console().print(report.table(found))
+    for sentence in report.sentences(found, encoders=encoders):
+        click.echo(sentence)
+    click.echo(f"\n{report.yaml_text(found, held)}", nl=False)
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
+@catalogued
+@JSON
+def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> None:
+    """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
+    from coopqp.report.terminal import console
+    from coopqp.scenario.loader import solver_by_name, solver_names
+    from coopqp.study.replay import replay as solve_again
+    from coopqp.study.tick_record import TickRecord
+
+    record = TickRecord.read(file)
+    answers = {
+        name: solve_again(record, solver_by_name(name, catalog))
+        for name in solver or solver_names(catalog)
+    }
+    from coopqp.report import strict_json, table
+
+    if as_json:
+        click.echo(strict_json.text({name: a.as_json() for name, a in answers.items()}))
+        return
+    console().print(table.replay(record, answers))
+
+
+@click.command()
+@click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
+@click.option("--plant", default="kinematic", help="With masses: each with and without errors.")
+@JSON
+def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json: bool) -> None:
+    """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
+    from dataclasses import asdict
+
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console, progress_bars
+    from coopqp.scenario.catalog import Catalog
+    from coopqp.scenario.loader import plant_by_name, solver_by_name
+    from coopqp.study import stress as trial
+
+    catalog = Catalog()
+    asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
+    with progress_bars(["rollouts"], rollouts) as progress:
+        report = (lambda done: progress("rollouts", done)) if progress else None
+        done = trial.stress(rollouts, *asked, seed=seed, jobs=jobs, progress=report)
+    lines, broken = trial.summarize(done), [r for r in done if r.broken]
+    if as_json:
+        data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
+        click.echo(strict_json.text(data))
+    else:
+        from coopqp.report import table
+
+        console().print(table.stress(lines, plant))
+        for r in broken[:20]:
+            click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
+    if broken:
+        click.get_current_context().exit(1)
+
+
+@click.command()
+@click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@JSON
+def statistics(goals: int, seed: int, jobs: int, as_json: bool) -> None:
+    """Count how often each law reaches random goals inside all limits."""
+    from dataclasses import asdict
+
+    from coopqp.report import strict_json
+    from coopqp.report.terminal import console, progress_bars
+    from coopqp.study import statistics as study
+
+    with progress_bars(["goals"], goals * len(study.arenas())) as progress:
+        report = (lambda done: progress("goals", done)) if progress else None
+        done = study.statistics(goals, seed=seed, jobs=jobs, progress=report)
+    lines = study.summarize(done)
+    if as_json:
+        data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
+        click.echo(strict_json.text(data))
+        return
+    for table in study.tables(lines):
+        console().print(table, "")

@@ -1,0 +1,115 @@
+"""What the attributes of a MuJoCo file must hold."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.robot_files.attributes import (
+    Numbers,
+    check_names,
+    check_numbers,
+    check_word,
+    negative_moment,
+)
+from coopqp.robot_files.xml import numbers_of, place_of
+
+_ONE, _NOT_NEGATIVE = Numbers(1, 1), Numbers(1, 1, positive=True)
+_PLACE = {
+    "pos": Numbers(3, 3, "length"),
+    "quat": Numbers(4, 4, direction=True),
+    "axisangle": Numbers(4, 4),
+    "xyaxes": Numbers(6, 6, direction=True),
+    "zaxis": Numbers(3, 3, direction=True),
+    "euler": Numbers(3, 3),
+}
+_FORM = {
+    **_PLACE,
+    "fromto": Numbers(6, 6, "length"),
+    "size": Numbers(1, 3, "length", positive=True),
+    "mass": Numbers(1, 1, "mass", positive=True),
+    "density": Numbers(1, 1, positive=True),
+}
+#: The attributes that hold numbers, by element; defaults have the same ones.
+NUMBERS: dict[str, dict[str, Numbers]] = {
+    "body": {**_PLACE, "gravcomp": _ONE},
+    "frame": _PLACE,
+    "geom": _FORM,
+    "site": _FORM,
+    "joint": {
+        "pos": Numbers(3, 3, "length"),
+        "axis": Numbers(3, 3, direction=True),
+        "range": Numbers(2, 2, "limit"),
+        "actuatorfrcrange": Numbers(2, 2, "limit"),
+        "ref": _ONE,
+        "springref": _ONE,
+        "stiffness": Numbers(1, 3),
+        "damping": Numbers(1, 3),
+        "armature": _NOT_NEGATIVE,
+        "frictionloss": _NOT_NEGATIVE,
+        "margin": _ONE,
+        "polycoef": Numbers(1, 5),
+    },
+    "freejoint": {},
+    "inertial": {
+        **_PLACE,
+        "mass": Numbers(1, 1, "mass", positive=True),
+        "diaginertia": Numbers(3, 3, positive=True),
+        "fullinertia": Numbers(6, 6),
+    },
+    "mesh": {"scale": Numbers(3, 3), "refpos": Numbers(3, 3), "refquat": Numbers(4, 4)},
+    "option": {"gravity": Numbers(3, 3), "timestep": _NOT_NEGATIVE},
+}
+WORDS = {
+    ("joint", "type"): ("free", "ball", "slide", "hinge"),
+    ("joint", "limited"): ("true", "false", "auto"),
+    ("compiler", "angle"): ("degree", "radian"),
+    ("compiler", "coordinate"): ("local",),
+    ("compiler", "autolimits"): ("true", "false"),
+}
+#: Elements whose names are theirs alone among their like.
+NAMED = ("body", "joint", "site", "geom")
+
+
+def check(xml: ET.Element) -> None:
+    """Refuse what no parser should make something of.
+
+    Args:
+        xml: with all includes filled in.
+
+    Raises:
+        InvalidValueError: with file and line.
+    """
+    for element in xml.iter():
+        check_numbers(element, NUMBERS.get(element.tag, {}))
+        for (tag, key), known in WORDS.items():
+            if element.tag == tag:
+                check_word(element, key, known, key)
+        full = element.get("fullinertia")
+        if full and element.tag == "inertial":
+            xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
+            if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
+                raise InvalidValueError(wrong)
+    world = xml.find("worldbody")
+    if world is not None:
+        for tag in NAMED:
+            check_names(world.iter(tag), tag)
+        _check_classes(xml, world)
+
+
+def _check_classes(xml: ET.Element, world: ET.Element) -> None:
+    """Refuse classes that no default describes."""
+    known = {"main", *_classes(xml)}
+    for element in world.iter():
+        for key in ("class", "childclass"):
+            name = element.get(key)
+            if name is not None and name not in known:
+                words = unknown_name("class", name, known)
+                raise InvalidValueError(f"{place_of(element)} {key}: {words}")
+
+
+def _classes(xml: ET.Element) -> Iterator[str]:
+    for outer in xml.findall("default"):
+        for default in outer.iter("default"):
+            yield default.get("class", "main")

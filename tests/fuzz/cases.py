@@ -1,0 +1,200 @@
+"""One case: a file made of a seed by mutations, and what coopqp makes of it."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shutil
+import tempfile
+import traceback
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from coopqp.comparison import compare
+from coopqp.errors import CoopqpError, InternalError, ScenarioError
+from coopqp.report import files
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import load, solver_by_name
+from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.yaml import read_yaml
+from coopqp.study import explanation
+from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.tick_record import TickRecord
+
+from . import mutations
+
+SEEDS = Path(__file__).parent / "seeds"
+SHIPPED = Path(__file__).parents[2] / "scenarios"
+#: What is mutated; a scenario more often than the others.
+KINDS = ("scenario", "scenario", "scenario", "robot", "trace", "tick")
+TICKS = 3
+#: Seeds that need no package of robots.
+NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several")
+#: What is wrong with a file as a whole, and has no line.
+WHOLE = ("cannot be read", "the file is empty", "is larger")
+PLACED = re.compile(r"\S.*:\d+(: |$)")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case.
+
+    Attributes:
+        kind: what was mutated.
+        seed: of the case.
+        ended: "runs", "refused", or what is wrong: "raises", "no line", "prints".
+        words: what was said.
+    """
+
+    kind: str
+    seed: int
+    ended: str
+    words: str = ""
+
+    @property
+    def wrong(self) -> bool:
+        return self.ended not in ("runs", "refused")
+
+
+def run_case(seed: int, folder: Path) -> Outcome:
+    """Make the case of a seed in a folder, and run it."""
+    rng = Random(seed)
+    kind = rng.choice(KINDS)
+    for old in folder.iterdir():
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    heard = io.StringIO()
+    try:
+        with redirect_stdout(heard), redirect_stderr(heard):
+            MAKERS[kind](rng, folder)
+    except InternalError as error:
+        return Outcome(kind, seed, "raises", str(error))
+    except CoopqpError as error:
+        return _refusal(kind, seed, error)
+    except Exception:  # noqa: BLE001 - what it is for
+        return Outcome(kind, seed, "raises", traceback.format_exc())
+    return Outcome(kind, seed, "prints" if heard.getvalue() else "runs", heard.getvalue())
+
+
+def _refusal(kind: str, seed: int, error: CoopqpError) -> Outcome:
+    """A refusal, and whether each of its lines has the place that it could have."""
+    said = str(error)
+    if ": raises " in said:  # of shipped code; a user's words would be better
+        return Outcome(kind, seed, "raises", said)
+    for line in said.splitlines() if isinstance(error, ScenarioError) else ():
+        if not (PLACED.match(line) or any(words in line for words in WHOLE)):
+            return Outcome(kind, seed, "no line", said)
+    return Outcome(kind, seed, "refused", said)
+
+
+@cache
+def catalog() -> Catalog:
+    """Of what is shipped."""
+    return Catalog()
+
+
+def _scenario(rng: Random, folder: Path) -> None:
+    path, other = _copied(rng, folder), _seed(rng)
+    content = path.read_text(encoding="utf-8")
+    if rng.random() < 0.4:
+        content = mutations.text(rng, content, other.read_text(encoding="utf-8"))
+    else:
+        mutated = mutations.data(rng, read_yaml(path).data, read_yaml(other).data)
+        content = mutations.yaml(mutated)
+    path.write_bytes(content.encode("utf-8", "surrogatepass"))
+    _run(path, pages=rng.random() < 0.01)
+
+
+def _robot(rng: Random, folder: Path) -> None:
+    name = rng.choice(("urdf", "mjcf", "several"))
+    shutil.copytree(SEEDS, folder, dirs_exist_ok=True)
+    file = folder / ("dual.xml" if name == "mjcf" else "dual.urdf")
+    other = (folder / ("dual.urdf" if name == "mjcf" else "dual.xml")).read_text(encoding="utf-8")
+    content = file.read_text(encoding="utf-8")
+    mutate = mutations.text if rng.random() < 0.4 else mutations.xml
+    file.write_bytes(mutate(rng, content, other).encode("utf-8", "surrogatepass"))
+    _run(folder / f"{name}.yaml", pages=rng.random() < 0.01)
+
+
+def _seed(rng: Random) -> Path:
+    shipped = [p for p in sorted(SHIPPED.glob("*.yaml")) if "example_robot" not in p.read_text()]
+    return rng.choice([*(SEEDS / f"{name}.yaml" for name in NAMES), *shipped])
+
+
+def _copied(rng: Random, folder: Path) -> Path:
+    """A seed in the folder, beside the robots' files."""
+    shutil.copytree(SEEDS, folder, dirs_exist_ok=True)
+    return Path(shutil.copy(_seed(rng), folder / "s.yaml"))
+
+
+def _run(path: Path, *, pages: bool) -> None:
+    """Load a scenario and run it for a few ticks."""
+    comparison = compare(_short(load(path, catalog())))
+    if pages:
+        files.write(comparison, path.parent / "out")
+    files.metrics_json(comparison)
+    files.trace_csv(comparison)
+    internal = [why for why in comparison.refused.values() if "raises" in why]
+    if internal or comparison.faults:
+        raise InternalError("; ".join([*internal, *comparison.faults]))
+
+
+def _short(scenario: Scenario) -> Scenario:
+    short = TICKS * scenario.dt
+    phases = tuple(replace(phase, duration=short) for phase in scenario.phases[:3])
+    return replace(scenario, duration=short, phases=phases)
+
+
+@cache
+def _kept() -> tuple[Scenario, str]:
+    """A short run: its scenario and its trace."""
+    scenario = _short(load(SEEDS / "phases.yaml", catalog()))
+    return scenario, files.trace_csv(compare(scenario, controllers=["qp", "pseudoinverse"]))
+
+
+def _trace(rng: Random, folder: Path) -> None:
+    scenario, written = _kept()
+    lines = written.splitlines(keepends=True)
+    path = folder / "trace.csv"
+    if rng.random() < 0.5:
+        content = mutations.text(rng, "".join(lines), (SEEDS / "urdf.yaml").read_text())
+    else:
+        cells = [line.rstrip("\n").split(",") for line in lines]
+        mutated = mutations.data(rng, cells, [["x", "nan", "", "1e400"]])
+        rows = mutated if isinstance(mutated, list) else []
+        content = "".join(
+            ",".join(map(str, row)) + "\n" if isinstance(row, list) else f"{row}\n" for row in rows
+        )
+    path.write_bytes(content.encode("utf-8", "surrogatepass"))
+    tick = rng.choice((None, None, 0, 1, 4, 5, 10**6))
+    explanation.explain(recorded_tick(path, scenario, rng.choice((None, "qp")), tick))
+
+
+@cache
+def _tick_text() -> str:
+    scenario, written = _kept()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trace.csv"
+        path.write_text(written, encoding="utf-8")
+        return recorded_tick(path, scenario, "qp", 1).text()
+
+
+def _tick(rng: Random, folder: Path) -> None:
+    content = _tick_text()
+    if rng.random() < 0.4:
+        content = mutations.text(rng, content, '{"a": [1, 2]}')
+    else:
+        tree: Any = json.loads(content)
+        content = json.dumps(mutations.data(rng, tree, tree))
+    path = folder / "tick.json"
+    path.write_bytes(content.encode("utf-8", "surrogatepass"))
+    record = TickRecord.read(path)
+    solver = rng.choice(("daqp", "osqp", "proxqp"))
+    explanation.replay(record, solver_by_name(solver, catalog()))
+
+
+MAKERS = {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}
