@@ -52,8 +52,8 @@ class _Row:
         text = self.cells.get(column)
         if text is None:
             raise InvalidValueError(
-                f"{self.place}: has no column '{column}'; the trace is damaged, of another "
-                "scenario than the one beside it, or of an older version: run it again"
+                f"{self.place}: has no column '{column}'; the trace is damaged, or it is of "
+                "another scenario than the one beside it: run it again"
             )
         try:
             value = float(text)
