@@ -125,7 +125,8 @@ class Scenario:
         path = self.folder / self.name  # for faults, of which none is told
         moved = {**parsed(path, self.source).data, "folder": str(self.folder)}
         kept = [line for line in self.source.splitlines(True) if not line.startswith("folder:")]
-        text = "".join([*kept, f"\nfolder: {json.dumps(str(self.folder))}\n"])
+        begin = "".join(kept).rstrip("\n")
+        text = f"{begin}\nfolder: {json.dumps(str(self.folder))}\n"
         with suppress(ScenarioError):
             if parsed(path, text).data == moved:
                 return text

@@ -12,14 +12,14 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limit import bound_rows
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
 from coopqp.reading import read_text
 from coopqp.row import Row, Side
-from coopqp.solver import Budget, written
+from coopqp.solver import Budget, Status, written
 from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.wording import dotted
@@ -167,9 +167,14 @@ def record_tick(
         scenario: its name, for the record.
         controller: likewise.
         tick: likewise.
+
+    Raises:
+        InvalidValueError: code of a task, a limit or a solver raises in it, so that it has no QP.
     """
     memory = state.memory.numbers.tolist()
     command = law.tick(state)
+    if command.status is Status.RAISED:
+        raise InvalidValueError(f"tick {tick} of '{controller}' has no QP: {command.note}")
     first_answer = law.solution.v.tolist()
     state.memory.numbers[:] = memory  # as the tick had it
     law.assemble(state)

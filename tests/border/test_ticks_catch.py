@@ -86,6 +86,22 @@ def test_a_task_that_raises_in_the_middle_is_named_and_the_arms_stand(tmp_path: 
         assert failure["cause"].endswith("bad_tasks.py:13: raises ZeroDivisionError: late")
 
 
+def test_a_run_in_which_a_task_raises_is_drawn_and_explained(tmp_path: Path) -> None:
+    own = _plugin(tmp_path, "tasks", TASK.format(late=1.5))
+    path, out = tmp_path / "s.yaml", tmp_path / "out"
+    text = GOOD.replace("secondary:", "  - bad_tasks: {}\nsecondary:")
+    path.write_text(text.replace("duration: 3.0", "duration: 2.01"), encoding="utf-8")
+    drawn = typed("compare", path, "--plugins", own, "--controllers", "qp", "--out", out)
+    assert drawn.exit_code == 0, drawn.stderr
+    assert (out / "report.html").exists()
+    whole = typed("explain", out, "--plugins", own)
+    assert whole.exit_code == 0, whole.stderr
+    assert "stands still in 51 of 201 ticks: code of a task" in whole.stdout
+    tick = typed("explain", out, "--plugins", own, "--tick", "170")
+    assert tick.exit_code == 2
+    assert "tick 170 of 'qp' has no QP: task 'bad_tasks': " in tick.stderr
+
+
 def test_a_limit_that_raises_stops_those_that_heed_it(tmp_path: Path) -> None:
     own = _plugin(tmp_path, "limits", LIMIT)
     limits = "limits: [joint_position, joint_velocity, bad_limits]\nsecondary:"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from command_line import typed
 from explained import ADVICE, REACH, advice, explained, nao, nearest, of_case
 from laws import LIMITS, STEP
+from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.controller_run import run
@@ -151,6 +154,27 @@ def test_a_robot_beside_its_scenario_is_found_again(
     assert "rail (upper)" in said.output
     assert "mm more (tried: reached)" in said.output
     assert of_case("gantry").kind == "reached"
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda text: f"folder: .\n{text}",
+        lambda text: f"---\n{text}...\n",
+        lambda text: json.dumps(YAML(typ="safe").load(text)),
+    ],
+    ids=["own folder", "document", "JSON"],
+)
+def test_a_copied_scenario_finds_its_robot_however_it_is_written(
+    written: Callable[[str], str], tmp_path: Path
+) -> None:
+    shutil.copy(ADVICE / "gantry.urdf", tmp_path / "gantry.urdf")
+    given, copied = tmp_path / "given.yaml", tmp_path / "out" / "copied.yaml"
+    given.write_text(written((ADVICE / "gantry.yaml").read_text(encoding="utf-8")), "utf-8")
+    copied.parent.mkdir()
+    copied.write_text(load(given).portable, encoding="utf-8")
+    assert load(copied).robot_model.joint_names == load(given).robot_model.joint_names
+    assert load(copied).portable == load(given).portable
 
 
 DAMAGES = {

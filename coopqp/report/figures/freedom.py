@@ -61,7 +61,7 @@ def freedom_figures(chart: Chart) -> list[Figure]:
 
 
 def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
-    """Of M at each instant, largest first, shape (i, k).
+    """Of M at each instant, largest first, shape (i, k); NaN where a task raises an error.
 
     Args:
         problem: of the phase.
@@ -77,7 +77,10 @@ def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
         state.t, state.q[:] = float(t[k]), q[k]
         state.update()
-        tasks.update(state)
+        try:
+            tasks.update(state)
+        except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+            continue
         M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
         found = np.linalg.svd(M, compute_uv=False)
         sigma[k] = np.pad(found, (0, len(lengths) - len(found)))

@@ -180,7 +180,8 @@ def _failed(leg: Leg) -> str:
     if last.usable or last in (Status.INFEASIBLE, Status.LOOP_BUDGET):
         return "" if np.isfinite(leg.q[-1]).all() else "the joints are no finite numbers any more"
     count = sum(not causes[0].usable for causes in leg.causes)
-    return f"it stands still in {count} of {len(leg.causes)} ticks: {last.value}"
+    why = last.value.removeprefix("stands still: ")
+    return f"it stands still in {count} of {len(leg.causes)} ticks: {why}"
 
 
 class _Whole:

@@ -45,6 +45,8 @@ def with_note(row: Row, note: str) -> str:
 def stops(leg: Leg) -> str:
     """What the worst part of a task ended off by."""
     part, error = leg.missed[0]
+    if np.isnan(error):
+        return f"the error of {part.name} is no number"
     amount = size(error, part.part.unit)
     if part.task.asks_velocity:
         return f"{part.name} misses by {amount}"
