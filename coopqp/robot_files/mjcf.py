@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description, Follower
-from coopqp.robot_files.shapes import read_shapes
+from coopqp.robot_files.shapes import read_collision_shapes, read_shapes
 from coopqp.robot_files.xml import numbers_of, pinocchio_says, read_xml
 
 #: Name of the body round the world; a slash keeps it apart from names in files.
@@ -57,6 +57,7 @@ def read_mjcf(path: Path) -> Description:
         followers=followers,
         floating=floating,
         shapes=shapes,
+        collision_shapes=read_collision_shapes(xml, model, folder),
         warnings=warnings,
     )
 

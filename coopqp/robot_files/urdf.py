@@ -41,6 +41,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
             model = pin.buildModelFromUrdf(str(path))
         followers = dict(_mimics(xml))
         shapes, missing = _urdf_shapes(xml, path, package_dirs)
+        collision_shapes = _collision_shapes(xml, path, package_dirs)
     except (ValueError, RuntimeError) as error:
         why = "; ".join(heard) or pinocchio_says(error)
         raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
@@ -50,6 +51,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         model=model,
         followers=followers,
         shapes=shapes,
+        collision_shapes=collision_shapes,
         warnings=(
             *(f"{path.name}: {line}" for line in heard),
             *missing_meshes(path.name, missing, meshes),
@@ -92,24 +94,44 @@ def _urdf_shapes(
 ) -> tuple[tuple[Shape, ...], list[str]]:
     """What the links look like, and the meshes that cannot be found."""
     shapes, missing = [], []
-    for link in xml.findall("link"):
-        for visual in link.findall("visual"):
-            geometry = visual.find("geometry")
-            if geometry is None or not len(geometry):
+    for frame, place, part in _parts(xml, "visual"):
+        mesh = None
+        if part.tag == "mesh":
+            uri = part.get("filename", "")
+            mesh = find_mesh(uri, path, package_dirs)
+            if mesh is None:
+                missing.append(uri)
                 continue
-            place, part = _origin(visual.find("origin")), geometry[0]
-            frame, mesh = link.get("name", ""), None
-            if part.tag == "mesh":
-                uri = part.get("filename", "")
-                mesh = find_mesh(uri, path, package_dirs)
-                if mesh is None:
-                    missing.append(uri)
-                    continue
-            size = _urdf_size(part)
-            if size:
-                kind: Any = part.tag
-                shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
+        size = _urdf_size(part)
+        if size:
+            kind: Any = part.tag
+            shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
     return tuple(shapes), missing
+
+
+def _collision_shapes(
+    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
+) -> tuple[Shape, ...]:
+    """What must not hit others; a mesh that cannot be found keeps its address, to be told of."""
+    shapes = []
+    for frame, place, part in _parts(xml, "collision"):
+        size, mesh = _urdf_size(part), None
+        if part.tag == "mesh":
+            uri = part.get("filename", "")
+            mesh = find_mesh(uri, path, package_dirs) or Path(uri)
+        if size:
+            kind: Any = part.tag
+            shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
+    return tuple(shapes)
+
+
+def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:
+    """Link, pose in it and geometry of each part."""
+    for link in xml.findall("link"):
+        for part in link.findall(tag):
+            geometry = part.find("geometry")
+            if geometry is not None and len(geometry):
+                yield link.get("name", ""), _origin(part.find("origin")), geometry[0]
 
 
 def _urdf_size(part: ET.Element) -> tuple[float, ...]:

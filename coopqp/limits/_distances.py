@@ -1,0 +1,234 @@
+"""Signed distances of pairs of convex bodies, and how they change.
+
+Bodies are fixed to joints. With p a nearest point, n the unit normal from the first body to the
+second and d their signed distance, as coal gives them, and J_first, J_second the bodies' Jacobians
+of a point at p,
+
+    -d_dot = n' (J_first - J_second) v
+
+Both nearest points lie on one line along n, so one of them does for both bodies.
+
+Most pairs are far apart. They are told by the box round one body and the ball round the other,
+which takes a few operations on arrays for all pairs; only the others are handed to coal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import LimitRows, Tighten, damp, movers, states_along
+from coopqp.limits._convex import Convex
+from coopqp.state import State
+
+#: How far from 1 a unit normal's square, and from 0 a length [m], may be.
+UNIT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A convex body fixed to a joint.
+
+    Attributes:
+        name: as used in limits.
+        joint: id into the model's joints; 0 is the world.
+        convex: in the joint's frame.
+        link: frame of the robot that it is a part of; empty for capsules and what is no robot.
+    """
+
+    name: str
+    joint: int
+    convex: Convex
+    link: str = ""
+
+
+Pair = tuple[Body, Body]
+
+
+class Distances:
+    """Signed distances of pairs of bodies.
+
+    Args:
+        pairs: of bodies.
+
+    Attributes:
+        geometry, placed: the bodies, and where they are.
+        d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
+    """
+
+    def __init__(self, pairs: Sequence[Pair]) -> None:
+        bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
+        at = {body: i for i, body in enumerate(bodies)}
+        self.geometry = pin.GeometryModel()
+        for i, body in enumerate(bodies):
+            self.geometry.addGeometryObject(
+                pin.GeometryObject(
+                    f"{i} {body.name}", body.joint, body.convex.placement, body.convex.geometry
+                )
+            )
+        self._ids = [(at[a], at[b]) for a, b in pairs]
+        for ids in self._ids:
+            self.geometry.addCollisionPair(pin.CollisionPair(*ids))
+        self.placed = pin.GeometryData(self.geometry)
+        # pinocchio's own requests start where the last one ended, so that the same state could
+        # give other digits when it comes again.
+        for i in range(len(pairs)):
+            self.placed.distanceRequests[i] = coal.DistanceRequest()
+        self.d = np.zeros(len(pairs))
+        self._bounds = _Bounds(self.placed, bodies, self._ids)
+        #: Pairs that may be close; their normals and points, x y z x y, so that slices give the
+        #: shifted columns of a cross product.
+        self.near: list[int] = []
+        self.n, self.p = np.zeros((2, len(pairs), 5))
+
+    def update(self, within: float) -> None:
+        """Find the distances of pairs that may be closer than ``within`` [m]."""
+        geometry, placed, n, p = self.geometry, self.placed, self.n, self.p
+        self._bounds.update(self.d)
+        self.near = np.flatnonzero(self.d < within).tolist()
+        for k, i in enumerate(self.near):
+            result = pin.computeDistance(geometry, placed, i)
+            self.d[i] = result.min_distance
+            n[k, :3], p[k, :3] = result.normal, result.getNearestPoint1()
+            if self.d[i] < UNIT:
+                self._mend(k, i)
+
+    def _mend(self, k: int, i: int) -> None:
+        """Where axes of capsules cross there is no normal; take any way out of each other."""
+        n = self.n[k, :3]
+        first, second = self._ids[i]
+        if not abs(n.dot(n) - 1.0) < UNIT:  # written so that a NaN is mended
+            X_1, X_2 = self.placed.oMg[first], self.placed.oMg[second]
+            way = X_2.translation - X_1.translation
+            size = math.sqrt(way.dot(way))
+            n[:] = way / size if size > UNIT else X_1.rotation[:, 0]
+        if not np.isfinite(self.p[k, :3]).all():
+            self.p[k, :3] = self.placed.oMg[first].translation
+
+
+class _Bounds:
+    """Lower bounds of distances: from the box round one body to the ball round the other.
+
+    Args:
+        placed: where the bodies are, each about the middle of its box.
+        bodies: their order.
+        ids: of the bodies of each pair.
+    """
+
+    def __init__(
+        self, placed: pin.GeometryData, bodies: Sequence[Body], ids: Sequence[tuple[int, int]]
+    ) -> None:
+        places = [placed.oMg[i] for i in range(len(bodies))]
+        # Views into pinocchio's data, which stay valid.
+        self._p_views = [X.translation for X in places]
+        self._R_views = [X.rotation for X in places]
+        radius = np.array([body.convex.radius for body in bodies])
+        half = np.array([body.convex.half for body in bodies]).reshape(-1, 3)
+        # The larger of two is bounded by its box.
+        boxes = [a if radius[a] >= radius[b] else b for a, b in ids]
+        balls = [a + b - box for (a, b), box in zip(ids, boxes, strict=True)]
+        self._box, self._ball = np.array(boxes, int), np.array(balls, int)
+        self._half, self._radius = half[self._box], radius[self._ball]
+        count, pairs = len(bodies), len(ids)
+        self._p, self._R = np.zeros(3 * count), np.zeros((3 * count, 3))
+        self._way, self._ball_p = np.zeros((2, pairs, 3))
+        self._turned = np.zeros((pairs, 1, 3))
+        self._R_box = np.zeros((pairs, 3, 3))
+
+    def update(self, d: Array) -> None:
+        """Write the bounds, shape (p,) [m]."""
+        if not len(d):
+            return
+        np.concatenate(self._p_views, out=self._p)
+        np.concatenate(self._R_views, out=self._R)
+        p, way = self._p.reshape(-1, 3), self._way
+        p.take(self._ball, axis=0, out=self._ball_p)
+        p.take(self._box, axis=0, out=way)
+        np.subtract(self._ball_p, way, way)
+        self._R.reshape(-1, 3, 3).take(self._box, axis=0, out=self._R_box)
+        turned = self._turned
+        np.matmul(way[:, None, :], self._R_box, out=turned)  # R' way
+        inside = turned[:, 0, :]
+        np.abs(inside, inside)
+        np.subtract(inside, self._half, inside)
+        np.maximum(inside, 0.0, out=inside)
+        np.einsum("pi,pi->p", inside, inside, out=d)
+        np.sqrt(d, d)
+        np.subtract(d, self._radius, d)
+
+
+class _Rates:
+    """How the distances of pairs change.
+
+    Args:
+        chain: that carries the bodies.
+        pairs: of bodies.
+        found: their distances.
+    """
+
+    def __init__(self, chain: ClosedChain, pairs: Sequence[Pair], found: Distances) -> None:
+        first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
+        # Joints that move both bodies change no distance.
+        self._sign, self._found = first - second, found
+        self._W, self._minus = np.zeros((len(pairs), 6)), np.zeros((len(pairs), 3))
+        self._G = np.zeros_like(self._sign)
+
+    def fill(self, state: State, G: Array) -> None:
+        """Write -d_dot per joint speed, shape (p, n); zero where pairs are far."""
+        near = self._found.near
+        k = len(near)
+        n, p = self._found.n[:k], self._found.p[:k]
+        W, minus, rows = self._W[:k], self._minus[:k], self._G[:k]
+        n[:, 3:], p[:, 3:] = n[:, :2], p[:, :2]
+        W[:, :3] = n[:, :3]
+        np.multiply(p[:, 1:4], n[:, 2:], W[:, 3:])
+        np.multiply(p[:, 2:], n[:, 1:4], minus)
+        np.subtract(W[:, 3:], minus, W[:, 3:])
+        W.dot(state.J_joints, rows)
+        G[:] = 0.0
+        G[near] = rows
+        np.multiply(G, self._sign, G)
+
+
+def keep_apart(
+    chain: ClosedChain, pairs: Sequence[Pair], *, distance: float, gain: float, within: float
+) -> Tighten:
+    """One row a pair, whether near or not, so that the count never changes.
+
+    Args:
+        chain: that carries the bodies.
+        pairs: of bodies.
+        distance: kept free [m].
+        gain: of the damper [1/s].
+        within: pairs farther apart than this are not bounded [m].
+    """
+    found = Distances(pairs)
+    rates = _Rates(chain, pairs, found)
+    gains, free = np.full(len(pairs), gain), np.array(distance)
+    room, deep = np.zeros(len(pairs)), np.zeros(len(pairs), bool)
+
+    def tighten(state: State, rows: LimitRows) -> None:
+        state.place(found.geometry, found.placed)
+        found.update(within)
+        damp(np.subtract(found.d, free, room), gains, deep, rows.h)
+        rates.fill(state, rows.G)
+
+    return tighten
+
+
+def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
+    """Distance of each pair at each row of q, shape (T, p) [m]."""
+    found = Distances(pairs)
+    d = np.zeros((len(q), len(pairs)))
+    for state, row in zip(states_along(chain, q), d, strict=True):
+        state.place(found.geometry, found.placed)
+        found.update(math.inf)
+        row[:] = found.d
+    return d
