@@ -31,6 +31,7 @@ from coopqp.mark import Mark as Mark
 from coopqp.mark import PlaneMark as PlaneMark
 from coopqp.mark import PointMark as PointMark
 from coopqp.mark import PoseMark as PoseMark
+from coopqp.mark import SolidMark as SolidMark
 from coopqp.mark import SphereMark as SphereMark
 from coopqp.mark import TrackedMark as TrackedMark
 from coopqp.metric import Metric as Metric

@@ -83,6 +83,17 @@ class Limit(ABC):
         """
         return {}
 
+    def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What is wrong with where a scenario starts, one sentence each; nothing by default.
+
+        Asked of the file's start alone: a limit must stand any state in :meth:`bind`.
+        """
+        return ()
+
+    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What of the chain it cannot or does not bound, one sentence each; nothing by default."""
+        return ()
+
     def marks(self, t: float) -> tuple[Mark, ...]:
         """What pictures show of it: where it is; nothing by default.
 

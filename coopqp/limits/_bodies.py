@@ -10,6 +10,7 @@ where all joints are at zero, one of them carrying the other.
 from __future__ import annotations
 
 import bisect
+import fnmatch
 import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -20,8 +21,8 @@ import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
-from coopqp.limits._convex import Convex, of_capsule, of_meshes, of_shape
+from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.limits._convex import Convex, of_capsule, of_meshes, of_shape, outermost
 from coopqp.limits._distances import Body, Distances, Pair
 from coopqp.robot import RobotModel, Shape
 
@@ -67,16 +68,18 @@ def _parts(shapes: Sequence[Shape], faults: list[str]) -> Iterator[Convex]:
     meshes = []
     for shape in shapes:
         try:
-            convex = of_shape(shape)
+            if shape.kind == "mesh":
+                outermost(shape)
+                meshes.append(shape)
+            else:
+                yield of_shape(shape)
         except InvalidValueError as error:
             faults.append(f"{shape.frame}: {error}")
-            continue
-        if shape.kind == "mesh":
-            meshes.append(shape)
-        else:
-            yield convex
-    if meshes:
-        yield of_meshes(meshes)
+    try:
+        if meshes:
+            yield of_meshes(meshes)
+    except InvalidValueError as error:
+        faults.append(f"{meshes[0].frame}: {error}")
 
 
 def held_body(chain: ClosedChain) -> Body:
@@ -103,6 +106,24 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
     return [*bodies, held_body(chain)], faults
 
 
+def named_bodies(where: str, name: str, bodies: Sequence[Body]) -> list[Body]:
+    """Those of a link, or of this very name, or else that a pattern fits.
+
+    Args:
+        where: before the message.
+        name: of a body or a link, or a pattern.
+        bodies: to choose from.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    found = [body for body in bodies if name in (body.name, body.link)]
+    found = found or [body for body in bodies if fnmatch.fnmatchcase(body.name, name)]
+    if not found:
+        raise UnknownNameError("body", name, [body.name for body in bodies], where)
+    return found
+
+
 def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
     """All pairs of :func:`bodies_of` but neighbours and those that touch by construction.
 
@@ -113,7 +134,7 @@ def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
     tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
     firm = {chain.model.frames[i].parentJoint for i in chain.frames[: chain.holding]}
     pairs = [
-        (a, b)
+        (a, b) if a.joint else (b, a)  # the base comes second
         for a, b in itertools.combinations(bodies, 2)
         if not (tree.neighbours(a, b) or {a.joint, b.joint} <= firm)
         and frozenset((a.name, b.name)) not in joined

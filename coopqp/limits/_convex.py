@@ -68,8 +68,7 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
     X = shapes[0].placement
     points = []
     for shape in shapes:
-        assert shape.mesh is not None
-        vertices = _outermost(*_version(shape.mesh), _sizes(shape))
+        vertices = outermost(shape)
         X_shape = X.actInv(shape.placement)
         points.append(vertices @ X_shape.rotation.T + X_shape.translation)
     hull = _hull_of(np.concatenate(points).tobytes())
@@ -77,6 +76,16 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
         raise InvalidValueError(f"mesh {shapes[0].mesh}: is flat; needs a volume")
     geometry, middle, half, radius = hull
     return Convex(geometry, X * pin.SE3(np.eye(3), middle), half, radius)
+
+
+def outermost(shape: Shape) -> Array:
+    """Vertices of a mesh that matter to its convex hull, in its own frame, shape (v, 3) [m].
+
+    Raises:
+        InvalidValueError: a mesh that cannot be used.
+    """
+    assert shape.mesh is not None
+    return _read(*_version(shape.mesh), _sizes(shape))
 
 
 def of_capsule(capsule: Capsule) -> Convex:
@@ -133,8 +142,8 @@ def _version(path: Path) -> tuple[Path, int, int]:
 
 
 @lru_cache(maxsize=512)
-def _outermost(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Array:
-    """Vertices of a mesh that matter to its convex hull, shape (v, 3).
+def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Array:
+    """The outermost vertices of a mesh.
 
     Args:
         path: of the file.

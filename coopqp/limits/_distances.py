@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import LimitRows, Tighten, damp, movers, states_along
+from coopqp.limit import SHALLOW, LimitRows, Tighten, damp, movers, states_along
 from coopqp.limits._convex import Convex
 from coopqp.state import State
 
@@ -85,15 +86,16 @@ class Distances:
         self._bounds = _Bounds(self.placed, bodies, self._ids)
         #: Pairs that may be close; their normals and points, x y z x y, so that slices give the
         #: shifted columns of a cross product.
-        self.near: list[int] = []
+        self.near: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._is_near = np.zeros(len(pairs), bool)
         self.n, self.p = np.zeros((2, len(pairs), 5))
 
     def update(self, within: float) -> None:
         """Find the distances of pairs that may be closer than ``within`` [m]."""
         geometry, placed, n, p = self.geometry, self.placed, self.n, self.p
         self._bounds.update(self.d)
-        self.near = np.flatnonzero(self.d < within).tolist()
-        for k, i in enumerate(self.near):
+        (self.near,) = np.less(self.d, within, self._is_near).nonzero()
+        for k, i in enumerate(self.near.tolist()):
             result = pin.computeDistance(geometry, placed, i)
             self.d[i] = result.min_distance
             n[k, :3], p[k, :3] = result.normal, result.getNearestPoint1()
@@ -159,7 +161,8 @@ class _Bounds:
         np.abs(inside, inside)
         np.subtract(inside, self._half, inside)
         np.maximum(inside, 0.0, out=inside)
-        np.einsum("pi,pi->p", inside, inside, out=d)
+        np.multiply(inside, inside, inside)
+        np.add.reduce(inside, axis=1, out=d)
         np.sqrt(d, d)
         np.subtract(d, self._radius, d)
 
@@ -221,6 +224,12 @@ def keep_apart(
         rates.fill(state, rows.G)
 
     return tighten
+
+
+def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, float]]:
+    """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
+    return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:

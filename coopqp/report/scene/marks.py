@@ -21,6 +21,7 @@ from coopqp.mark import (
     PlaneMark,
     PointMark,
     PoseMark,
+    SolidMark,
     SphereMark,
     TrackedMark,
 )
@@ -36,7 +37,7 @@ PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 KINDS = (
     "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
 )  # fmt: skip
-TRACKED = "tracked"
+TRACKED, SOLID = "tracked", "solid"
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Shown:
     """A mark in all frames in which it is seen, one after the other.
 
     Attributes:
-        kind: one of KINDS, or TRACKED.
+        kind: one of KINDS, TRACKED or SOLID.
         name: of the task or limit.
         limit: whether it is a limit.
         first: frame.
@@ -143,11 +144,16 @@ class _Place:
                 return "circles", values
             case SphereMark():
                 return "spheres", {"center": mark.center, "radius": mark.radius}
+            case SolidMark():
+                return SOLID, {"solid": mark}
             case PoseMark():
                 return self._axes(mark)
             case TrackedMark():
                 return TRACKED, {"point": mark.point}
-        known = "PointMark, LineMark, PlaneMark, CircleMark, SphereMark, PoseMark or TrackedMark"
+        known = (
+            "PointMark, LineMark, PlaneMark, CircleMark, SphereMark, SolidMark, PoseMark or "
+            "TrackedMark"
+        )
         raise InvalidValueError(f"{name}.marks: found {mark!r}, needs {known}")
 
     def _line(self, line: LineMark) -> tuple[str, Json]:

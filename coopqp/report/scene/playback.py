@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures import joint_units, margin
-from coopqp.report.scene.bodies import Body, body_places, robot_bodies
-from coopqp.report.scene.marks import TRACKED, Shown, as_json, in_view, short, shown_marks
+from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
+from coopqp.report.scene.marks import SOLID, TRACKED, Shown, as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
 from coopqp.scenario.scenario import Scenario
@@ -37,6 +37,8 @@ def scene(comparison: Comparison) -> Json:
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
     marks = shown_marks(scenario, frames, first.t[frames])
+    solids = [mark.values[0]["solid"] for mark in marks if mark.kind == SOLID]
+    bodies = (*bodies, *map(solid_body, solids))
     moving = [body for body in bodies if body.joint > 0]
     return {
         "t": short(first.t[frames]),
