@@ -21,7 +21,6 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -62,6 +61,8 @@ class Distances:
     Attributes:
         geometry, placed: the bodies, and where they are.
         d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
+        near: the pairs that may be close, k of them.
+        n, p: their normals and nearest points in the first k rows.
     """
 
     def __init__(self, pairs: Sequence[Pair]) -> None:
@@ -82,25 +83,46 @@ class Distances:
         # give other digits when it comes again.
         for i in range(len(pairs)):
             self.placed.distanceRequests[i] = coal.DistanceRequest()
-        self.d = np.zeros(len(pairs))
+        self._results = list(self.placed.distanceResults)
+        self._normals = [result.normal for result in self._results]  # views, which stay valid
         self._bounds = _Bounds(self.placed, bodies, self._ids)
-        #: Pairs that may be close; their normals and points, x y z x y, so that slices give the
-        #: shifted columns of a cross product.
-        self.near: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._is_near = np.zeros(len(pairs), bool)
+        self._flat = np.zeros(3 * len(pairs))
+        self._is_near, self._was_near, self._changed = np.ones((3, len(pairs)), bool)
+        self.d, self.near = np.zeros(len(pairs)), np.zeros(0, np.int64)
+        # Columns x y z x y, so that slices give the shifted columns of a cross product.
         self.n, self.p = np.zeros((2, len(pairs), 5))
 
     def update(self, within: float) -> None:
         """Find the distances of pairs that may be closer than ``within`` [m]."""
-        geometry, placed, n, p = self.geometry, self.placed, self.n, self.p
+        n, p = self.n, self.p
         self._bounds.update(self.d)
-        (self.near,) = np.less(self.d, within, self._is_near).nonzero()
-        for k, i in enumerate(self.near.tolist()):
-            result = pin.computeDistance(geometry, placed, i)
-            self.d[i] = result.min_distance
-            n[k, :3], p[k, :3] = result.normal, result.getNearestPoint1()
-            if self.d[i] < UNIT:
-                self._mend(k, i)
+        np.less(self.d, within, self._is_near)
+        self._choose()
+        (self.near,) = self._is_near.nonzero()
+        near = self.near.tolist()
+        if not near:
+            return
+        pin.computeDistances(self.geometry, self.placed)
+        results = [self._results[i] for i in near]
+        self.d[self.near] = [result.min_distance for result in results]
+        k = len(near)
+        np.concatenate([self._normals[i] for i in near], out=self._flat[: 3 * k])
+        n[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
+        np.concatenate([result.getNearestPoint1() for result in results], out=self._flat[: 3 * k])
+        p[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
+        if self.d.min() < UNIT:
+            for row, i in enumerate(near):
+                self._mend(row, i)
+
+    def _choose(self) -> None:
+        """Tell pinocchio which pairs are near; few come and go in a tick."""
+        np.not_equal(self._is_near, self._was_near, self._changed)
+        for i in self._changed.nonzero()[0].tolist():
+            if self._is_near[i]:
+                self.placed.activateCollisionPair(i)
+            else:
+                self.placed.deactivateCollisionPair(i)
+        self._was_near[:] = self._is_near
 
     def _mend(self, k: int, i: int) -> None:
         """Where axes of capsules cross there is no normal; take any way out of each other."""

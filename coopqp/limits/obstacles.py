@@ -92,7 +92,7 @@ class Obstacles(Limit):
     """Kept free between a body and a thing [m]."""
     gain: Positive = 10.0
     """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
-    within: Positive = 0.2
+    within: Positive = 0.1
     """Bodies farther away than this are not slowed down, which spares their distances [m]."""
     bodies: tuple[str, ...] | None = None
     """Names of bodies, patterns such as *hand*, or "object"; all that move if omitted."""

@@ -39,7 +39,7 @@ class SelfCollision(Limit):
     """Kept free between two bodies [m]."""
     gain: Positive = 10.0
     """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
-    within: Positive = 0.2
+    within: Positive = 0.1
     """Bodies farther apart than this are not slowed down, which spares their distances [m]."""
     pairs: tuple[NamePair, ...] | None = None
     """Names of bodies, patterns such as *finger*, or "object"; those that can meet if omitted."""
@@ -84,10 +84,14 @@ class SelfCollision(Limit):
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Pairs that are in each other."""
-        return tuple(
-            f"self_collision: {a.name} and {b.name} are {1e3 * depth:.1f} mm in each other at the "
-            f"start; move them apart, or add 'ignore: [[{a.name}, {b.name}]]' if they always are"
-            for a, b, depth in inside(chain, self._pairs(chain))
+        found = inside(chain, self._pairs(chain))
+        if not found:
+            return ()
+        told = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
+        pairs = ", ".join(f"[{a.name}, {b.name}]" for a, b, _ in found)
+        return (
+            f"self_collision: bodies start in each other, {told}; move them apart, or if they "
+            f"always are, add 'ignore: [{pairs}]'",
         )
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
