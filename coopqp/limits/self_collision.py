@@ -120,12 +120,16 @@ class SelfCollision(Limit):
             found = list(_named("pairs", self.pairs, bodies))
             if not found:
                 raise InvalidValueError("self_collision.pairs: these bodies are fixed to each other")
-        ignored = {frozenset(pair) for pair in _named("ignore", self.ignore, bodies)}
-        return [pair for pair in found if frozenset(pair) not in ignored]
+        ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies)}
+        return [pair for pair in found if _names(pair) not in ignored]
 
 
 def _is_pattern(name: str) -> bool:
     return any(sign in name for sign in "*?[")
+
+
+def _names(pair: Pair) -> frozenset[str]:
+    return frozenset(body.name for body in pair)
 
 
 def _named(key: str, names: Collection[NamePair], bodies: Sequence[Body]) -> Iterator[Pair]:
