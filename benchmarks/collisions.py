@@ -1,4 +1,4 @@
-"""Robots driven into themselves, each other and things at random: how near do they come?
+"""How near robots come that are driven into themselves, each other and things at random.
 
     python benchmarks/collisions.py [GOALS] [POSES]
 
@@ -15,6 +15,7 @@ default 500 goals and 1,000 poses a robot:
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 from collections import deque
@@ -75,7 +76,8 @@ def limits_of(name: str, gain: float, *, holding: bool) -> tuple[SelfCollision, 
     """The two limits of a robot; arms that hold nothing have no object to watch."""
     ignore = CASES[name].ignore if holding else (*CASES[name].ignore, ("object", "*"))
     things = THINGS[name]
-    bodies = None if holding else ("[!o]*", "o[!b]*")
+    parts = CASES[name].robot.build().collision_shapes
+    bodies = None if holding else tuple(dict.fromkeys(part.frame for part in parts))
     return (
         SelfCollision(gain=gain, ignore=ignore),
         Obstacles(gain=gain, shapes=things, bodies=bodies),
@@ -116,8 +118,8 @@ class Found:
         """For the table."""
         reached = sum(room < 1e-3 for room in self.room)
         return (
-            f"{reached:4d} of {len(self.room)} reached a limit   nearest {1e3 * min(self.room):7.3f}"
-            f" mm   by coal {1e3 * min(self.by_coal):7.3f} mm   ticks without answer {self.stuck}"
+            f"{reached:4d} of {len(self.room)} reached a limit   "
+            f"nearest {1e3 * min(self.room):7.3f} mm   by coal {1e3 * min(self.by_coal):7.3f} mm   ticks without answer {self.stuck}"
         )
 
 
@@ -140,7 +142,7 @@ class Drive:
         self._G = np.zeros((ends[-1], n))
         self._rows = [
             LimitRows(self._lb, self._ub, self._G[a:b], self._h[a:b])
-            for a, b in zip(ends[:-1], ends[1:], strict=True)
+            for a, b in itertools.pairwise(ends)
         ]
 
     def run(self, goal: Array, ticks: int) -> Array:
@@ -227,8 +229,8 @@ def holding(name: str, goals: int, gain: float, ticks: int = TICKS) -> Found:
         asked = problem(CASES[name], chain, goal, limits)
         law = QPController().build(asked)
         plant, state, q = Kinematic().build(asked, 0, Disturbance()), law.start(), [chain.q_start]
-        for command in drive(law, plant, state, ticks):
-            found.stuck += not command.status.usable
+        for _ in drive(law, plant, state, ticks):
+            found.stuck += not law.command.status.usable
             q.append(state.q.copy())
         room, by_coal = nearest(name, chain, limits, oracle, np.array(q))
         found.room.append(room)
@@ -250,7 +252,9 @@ def poses(name: str, count: int) -> str:
         by_coal = np.array([oracle.distance(*pair) for pair in pairs])
         worst, touching = max(worst, float(np.abs(d - by_coal).max())), touching + (d < 0.0).sum()
     share = 100.0 * touching / (count * len(pairs))
-    return f"{len(pairs):4d} pairs, {count} poses: off by {1e6 * worst:.2f} um ({share:.1f} % touch)"
+    return (
+        f"{len(pairs):4d} pairs, {count} poses: off by {1e6 * worst:.2f} um ({share:.1f} % touch)"
+    )
 
 
 def tick_us(law_of: Callable[[], tuple[ControlProblem, int]], rounds: int = 7) -> float:

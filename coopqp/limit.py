@@ -103,11 +103,13 @@ class Limit(ABC):
         return ()
 
 
-def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
+def damp(
+    room: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
+) -> None:
     """Velocity damper, room_dot >= -gain room, as the right side of rows -room_dot <= h.
 
     What has sunk in a little, by the curvature of its path in a tick, is asked back. What is
-    deeper than ``SHALLOW`` was there from the start; it may not go farther, but asking it back
+    deeper than ``shallow`` was there from the start; it may not go farther, but asking it back
     could leave no motion at all, so there h = 0.
 
     Args:
@@ -115,9 +117,10 @@ def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
         gain: shape (p,) [1/s].
         deep: scratch, shape (p,).
         h: written, shape (p,) [m/s].
+        shallow: how deep things are asked back [m].
     """
     np.multiply(room, gain, h)
-    np.less(room, -SHALLOW, deep)
+    np.less(room, -shallow, deep)
     np.copyto(h, 0.0, where=deep)
 
 

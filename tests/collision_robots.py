@@ -195,5 +195,6 @@ def _transform(X: pin.SE3) -> coal.Transform3s:
 
 def bodies_of_rows(limit: Limit, chain: ClosedChain) -> list[tuple[str, str]]:
     """The two names in "limit.self_collision[A|B]"."""
-    inside = [name.split("[", 1)[1][:-1] for name in names_of(limit.rows(chain))]
+    names = [name for name in names_of(limit.rows(chain)) if ".corner[" not in name]
+    inside = [name.split("[", 1)[1][:-1] for name in names]
     return [(one, other) for one, _, other in (name.partition("|") for name in inside)]

@@ -224,7 +224,7 @@ class _Tree:
         # Of a robot the first frame alone follows the world's; pinocchio forgets the frame before
         # a locked joint, but keeps a robot's frames together.
         at = self._model.getFrameId(body.link)
-        return self._roots[bisect.bisect(self._root_ids, at) - 1]
+        return str(self._roots[bisect.bisect(self._root_ids, at) - 1])
 
     def hands(self, chain: ClosedChain) -> set[int]:
         """Joints whose bodies may touch the object: hands, what follows and what is before them."""

@@ -6,6 +6,7 @@ it from outside.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,9 @@ from coopqp.robot import Capsule, Shape
 #: Largest file of a mesh that is read [bytes].
 LARGEST = 100_000_000
 
+#: Points of a cylinder's rim.
+RIM = 12
+
 #: How many numbers a shape's size has.
 NUMBERS = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "ellipsoid": 3, "mesh": 3}
 
@@ -37,12 +41,16 @@ class Convex:
         placement: of the middle of the box round it, in the frame it was given in.
         half: half the edges of that box, shape (3,) [m].
         radius: of the ball round it, about the same middle [m].
+        points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
+            ends of a cylinder have a few of their points, what is round all over has one.
     """
 
     geometry: coal.CollisionGeometry
     placement: pin.SE3
     half: Array
     radius: float
+    points: Array
+    rim: float = 0.0
 
 
 def of_shape(shape: Shape) -> Convex:
@@ -74,8 +82,9 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
     hull = _hull_of(np.concatenate(points).tobytes())
     if hull is None:
         raise InvalidValueError(f"mesh {shapes[0].mesh}: is flat; needs a volume")
-    geometry, middle, half, radius = hull
-    return Convex(geometry, X * pin.SE3(np.eye(3), middle), half, radius)
+    geometry, middle, half, corners = hull
+    radius = float(np.linalg.norm(corners, axis=1).max())
+    return Convex(geometry, X * pin.SE3(np.eye(3), middle), half, radius, corners)
 
 
 def outermost(shape: Shape) -> Array:
@@ -109,20 +118,27 @@ def _sizes(shape: Shape) -> tuple[float, ...]:
 
 
 def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex:
+    middle = np.zeros((1, 3))
     if kind == "box":
         half = 0.5 * np.array(size)
-        return Convex(coal.Box(*size), placement, half, float(np.linalg.norm(half)))
+        corners = half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        return Convex(coal.Box(*size), placement, half, float(np.linalg.norm(half)), corners)
     if kind == "ellipsoid":
-        return Convex(coal.Ellipsoid(*size), placement, np.array(size), max(size))
+        return Convex(coal.Ellipsoid(*size), placement, np.array(size), max(size), middle)
     if kind == "sphere":
-        return Convex(coal.Sphere(*size), placement, np.full(3, size[0]), size[0])
+        (radius,) = size
+        return Convex(coal.Sphere(radius), placement, np.full(3, radius), radius, middle, radius)
     radius, reach = size[0], 0.5 * size[1]
+    ends = np.array([[0.0, 0.0, -reach], [0.0, 0.0, reach]])
+    half = np.array([radius, radius, reach])
     if kind == "cylinder":
-        geometry, ball = coal.Cylinder(*size), math.hypot(radius, reach)
-    else:
-        reach += radius
-        geometry, ball = coal.Capsule(*size), reach
-    return Convex(geometry, placement, np.array([radius, radius, reach]), ball)
+        angles = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
+        rim = radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM)])
+        points = np.concatenate([rim + end for end in ends])
+        return Convex(coal.Cylinder(*size), placement, half, math.hypot(radius, reach), points)
+    half[2] += radius
+    points = ends if reach else middle
+    return Convex(coal.Capsule(*size), placement, half, half[2], points, radius)
 
 
 def _version(path: Path) -> tuple[Path, int, int]:
@@ -143,13 +159,7 @@ def _version(path: Path) -> tuple[Path, int, int]:
 
 @lru_cache(maxsize=512)
 def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Array:
-    """The outermost vertices of a mesh.
-
-    Args:
-        path: of the file.
-        changed, size: of the file, so that another one by this name is read anew.
-        scale: along x, y, z.
-    """
+    """The outermost vertices of a mesh; what has changed in the file is read anew."""
     try:
         mesh = coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), np.array(scale))
         vertices = np.array(mesh.vertices())
@@ -164,8 +174,8 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
 
 @lru_cache(maxsize=512)
-def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, float] | None:
-    """Convex hull about the middle of its box, middle, half edges and radius; None if flat.
+def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array] | None:
+    """Convex hull about the middle of its box, middle, half edges and corners; None if flat.
 
     Args:
         points: numbers of an array of shape (v, 3), so that the hull is computed once.
@@ -185,5 +195,5 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, float
         coal.Convex(corner_list, triangles),
         middle,
         np.abs(corners).max(axis=0),
-        float(np.linalg.norm(corners, axis=1).max()),
+        corners,
     )

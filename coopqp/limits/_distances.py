@@ -1,8 +1,7 @@
-"""Signed distances of pairs of convex bodies, and how they change.
+"""Signed distances of pairs of convex bodies that are fixed to joints, and their nearest points.
 
-Bodies are fixed to joints. With p a nearest point, n the unit normal from the first body to the
-second and d their signed distance, as coal gives them, and J_first, J_second the bodies' Jacobians
-of a point at p,
+With p a nearest point, n the unit normal from the first body to the second and d their signed
+distance, as coal gives them, and J_first, J_second the bodies' Jacobians of a point at p,
 
     -d_dot = n' (J_first - J_second) v
 
@@ -23,10 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.limit import SHALLOW, LimitRows, Tighten, damp, movers, states_along
 from coopqp.limits._convex import Convex
-from coopqp.state import State
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
 UNIT = 1e-6
@@ -63,6 +59,7 @@ class Distances:
         d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
         near: the pairs that may be close, k of them.
         n, p: their normals and nearest points in the first k rows.
+        ids: of the bodies of each pair, in geometry.
     """
 
     def __init__(self, pairs: Sequence[Pair]) -> None:
@@ -70,22 +67,25 @@ class Distances:
         at = {body: i for i, body in enumerate(bodies)}
         self.geometry = pin.GeometryModel()
         for i, body in enumerate(bodies):
+            body.convex.geometry.computeLocalAABB()
             self.geometry.addGeometryObject(
                 pin.GeometryObject(
                     f"{i} {body.name}", body.joint, body.convex.placement, body.convex.geometry
                 )
             )
-        self._ids = [(at[a], at[b]) for a, b in pairs]
-        for ids in self._ids:
+        self.ids = [(at[a], at[b]) for a, b in pairs]
+        for ids in self.ids:
             self.geometry.addCollisionPair(pin.CollisionPair(*ids))
         self.placed = pin.GeometryData(self.geometry)
-        # pinocchio's own requests start where the last one ended, so that the same state could
-        # give other digits when it comes again.
+        # pinocchio's own requests begin where the last one ended, so that the same state could
+        # give other digits when it comes again; these begin at the middles of the bodies.
         for i in range(len(pairs)):
-            self.placed.distanceRequests[i] = coal.DistanceRequest()
+            request = coal.DistanceRequest()
+            request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+            self.placed.distanceRequests[i] = request
         self._results = list(self.placed.distanceResults)
         self._normals = [result.normal for result in self._results]  # views, which stay valid
-        self._bounds = _Bounds(self.placed, bodies, self._ids)
+        self._bounds = _Bounds(self.placed, bodies, self.ids)
         self._flat = np.zeros(3 * len(pairs))
         self._is_near, self._was_near, self._changed = np.ones((3, len(pairs)), bool)
         self.d, self.near = np.zeros(len(pairs)), np.zeros(0, np.int64)
@@ -127,7 +127,7 @@ class Distances:
     def _mend(self, k: int, i: int) -> None:
         """Where axes of capsules cross there is no normal; take any way out of each other."""
         n = self.n[k, :3]
-        first, second = self._ids[i]
+        first, second = self.ids[i]
         if not abs(n.dot(n) - 1.0) < UNIT:  # written so that a NaN is mended
             X_1, X_2 = self.placed.oMg[first], self.placed.oMg[second]
             way = X_2.translation - X_1.translation
@@ -187,79 +187,3 @@ class _Bounds:
         np.add.reduce(inside, axis=1, out=d)
         np.sqrt(d, d)
         np.subtract(d, self._radius, d)
-
-
-class _Rates:
-    """How the distances of pairs change.
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-        found: their distances.
-    """
-
-    def __init__(self, chain: ClosedChain, pairs: Sequence[Pair], found: Distances) -> None:
-        first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
-        # Joints that move both bodies change no distance.
-        self._sign, self._found = first - second, found
-        self._W, self._minus = np.zeros((len(pairs), 6)), np.zeros((len(pairs), 3))
-        self._G = np.zeros_like(self._sign)
-
-    def fill(self, state: State, G: Array) -> None:
-        """Write -d_dot per joint speed, shape (p, n); zero where pairs are far."""
-        near = self._found.near
-        k = len(near)
-        n, p = self._found.n[:k], self._found.p[:k]
-        W, minus, rows = self._W[:k], self._minus[:k], self._G[:k]
-        n[:, 3:], p[:, 3:] = n[:, :2], p[:, :2]
-        W[:, :3] = n[:, :3]
-        np.multiply(p[:, 1:4], n[:, 2:], W[:, 3:])
-        np.multiply(p[:, 2:], n[:, 1:4], minus)
-        np.subtract(W[:, 3:], minus, W[:, 3:])
-        W.dot(state.J_joints, rows)
-        G[:] = 0.0
-        G[near] = rows
-        np.multiply(G, self._sign, G)
-
-
-def keep_apart(
-    chain: ClosedChain, pairs: Sequence[Pair], *, distance: float, gain: float, within: float
-) -> Tighten:
-    """One row a pair, whether near or not, so that the count never changes.
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-        distance: kept free [m].
-        gain: of the damper [1/s].
-        within: pairs farther apart than this are not bounded [m].
-    """
-    found = Distances(pairs)
-    rates = _Rates(chain, pairs, found)
-    gains, free = np.full(len(pairs), gain), np.array(distance)
-    room, deep = np.zeros(len(pairs)), np.zeros(len(pairs), bool)
-
-    def tighten(state: State, rows: LimitRows) -> None:
-        state.place(found.geometry, found.placed)
-        found.update(within)
-        damp(np.subtract(found.d, free, room), gains, deep, rows.h)
-        rates.fill(state, rows.G)
-
-    return tighten
-
-
-def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, float]]:
-    """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
-    return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
-
-
-def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
-    """Distance of each pair at each row of q, shape (T, p) [m]."""
-    found = Distances(pairs)
-    d = np.zeros((len(q), len(pairs)))
-    for state, row in zip(states_along(chain, q), d, strict=True):
-        state.place(found.geometry, found.placed)
-        found.update(math.inf)
-        row[:] = found.d
-    return d

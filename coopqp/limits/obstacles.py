@@ -25,7 +25,8 @@ from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies
 from coopqp.limits._convex import of_shape
-from coopqp.limits._distances import Body, Pair, distances_along, inside, keep_apart
+from coopqp.limits._distances import Body, Pair
+from coopqp.limits._keep_apart import distances_along, inside, keep_apart, pair_rows
 from coopqp.mark import Mark, SolidMark
 from coopqp.robot import Shape
 from coopqp.robot_files.keys import FilePath
@@ -102,30 +103,22 @@ class Obstacles(Limit):
             raise ValueError(f"within: found {self.within:g}, needs more than distance")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """One row for each body and thing."""
-        return tuple(
-            Row(
-                name=f"limit.obstacles[{body.name}|{thing.name}]",
-                kind="limit",
-                owner="obstacles",
-                unit="m/s",
-            )
-            for body, thing in self._pairs(chain)
-        )
+        """One row for each body and thing, and some for corners of the closest ones."""
+        return pair_rows("obstacles", self._pairs(chain))
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"obstacles: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
-        d = distances_along(chain, self._pairs(chain), q[1:]) - self.distance
-        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(self.rows(chain))}
+        pairs = self._pairs(chain)
+        d = distances_along(chain, pairs, q[1:]) - self.distance
+        rows = pair_rows("obstacles", pairs)[: len(pairs)]
+        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(rows)}
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing."""

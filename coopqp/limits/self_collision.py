@@ -19,10 +19,11 @@ from dataclasses import replace
 
 from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit, Tighten
 from coopqp.limits._bodies import bodies_of, by_construction, named_bodies, pairs_that_can_meet
-from coopqp.limits._distances import Body, Pair, distances_along, inside, keep_apart
+from coopqp.limits._distances import Body, Pair
+from coopqp.limits._keep_apart import distances_along, inside, keep_apart, pair_rows
 from coopqp.row import Row
 
 NamePair = tuple[str, str]
@@ -57,30 +58,22 @@ class SelfCollision(Limit):
             raise ValueError(f"within: found {self.within:g}, needs more than distance")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """One row a pair."""
-        return tuple(
-            Row(
-                name=f"limit.self_collision[{a.name}|{b.name}]",
-                kind="limit",
-                owner="self_collision",
-                unit="m/s",
-            )
-            for a, b in self._pairs(chain)
-        )
+        """One row a pair, and some for corners of the closest ones."""
+        return pair_rows("self_collision", self._pairs(chain))
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"self_collision: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
-        d = distances_along(chain, self._pairs(chain), q[1:]) - self.distance
-        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(self.rows(chain))}
+        pairs = self._pairs(chain)
+        d = distances_along(chain, pairs, q[1:]) - self.distance
+        rows = pair_rows("self_collision", pairs)[: len(pairs)]
+        return {replace(row, unit="m"): d[:, i] for i, row in enumerate(rows)}
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Pairs that are in each other."""
@@ -102,7 +95,8 @@ class SelfCollision(Limit):
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
             found.append(
-                f"self_collision leaves out {len(joined)} pairs that touch by construction ({shown})"
+                f"self_collision leaves out {len(joined)} pairs that touch by construction "
+                f"({shown})"
             )
         return tuple(found)
 
@@ -119,7 +113,9 @@ class SelfCollision(Limit):
         else:
             found = list(_named("pairs", self.pairs, bodies))
             if not found:
-                raise InvalidValueError("self_collision.pairs: these bodies are fixed to each other")
+                raise InvalidValueError(
+                    "self_collision.pairs: these bodies are fixed to each other"
+                )
         ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies)}
         return [pair for pair in found if _names(pair) not in ignored]
 
@@ -146,4 +142,3 @@ def _named(key: str, names: Collection[NamePair], bodies: Sequence[Body]) -> Ite
             if pair[0].joint != pair[1].joint and frozenset(pair) not in seen:
                 seen.add(frozenset(pair))
                 yield pair
-

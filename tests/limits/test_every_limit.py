@@ -65,7 +65,8 @@ def test_rows_and_margins_have_names_of_their_own(held_box: ClosedChain) -> None
         for name in by_name(limit.margins(held_box, q, np.zeros((1, held_box.n)), DT))
     ]
     assert len(set(margins)) == len(margins)
-    assert set(rows) <= set(margins)
+    # Corners belong to whichever pairs are closest; their margins are those of the pairs.
+    assert {name for name in rows if ".corner[" not in name} <= set(margins)
     assert {
         "limit.position[RElbowRoll].upper",
         "limit.velocity[RElbowRoll].lower",
@@ -147,6 +148,7 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
 ) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten, names = limit.bind(held_box, DT), names_of(limit.rows(held_box))
+    strip = limit.distance if isinstance(limit, SelfCollision) else SHALLOW
     deep = 0
     for q in held_box.sample(rng, 200):  # many with bodies in each other or under the table
         state.q[:] = q
@@ -154,10 +156,11 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
         tighten(state, rows)
         assert np.isfinite(rows.G).all()
         margins = by_name(limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT))
-        room = np.array([margins[name][0] for name in names])
-        assert (rows.h[(room >= 0.0) | (room < -SHALLOW)] >= 0.0).all()
-        assert rows.h.min() >= -10.0 * SHALLOW  # what is asked back, at the default gain
-        deep += int((room < -SHALLOW).sum())
+        h = rows.h[[name in margins for name in names]]  # without corners
+        room = np.array([margins[name][0] for name in names if name in margins])
+        assert (h[(room >= 0.0) | (room < -strip)] >= 0.0).all()
+        assert rows.h.min() >= -10.0 * strip  # what is asked back, at the default gain
+        deep += int((room < -strip).sum())
     assert deep > 30 or isinstance(limit, ObjectSpeed)
 
 

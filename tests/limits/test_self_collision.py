@@ -87,6 +87,11 @@ class Oracle:
         return between_segments(*self.segment(a), *self.segment(b)) - a.radius - b.radius
 
 
+def _of_pairs(limit: SelfCollision, chain: ClosedChain) -> list[str]:
+    """Rows without those of corners, which belong to whichever pairs are closest."""
+    return [name for name in names_of(limit.rows(chain)) if ".corner[" not in name]
+
+
 def test_distances_are_those_of_closed_forms(held_box: ClosedChain) -> None:
     rng, oracle, limit = np.random.default_rng(3), Oracle(held_box), SelfCollision(distance=0.0)
     q = held_box.sample(rng, 120)
@@ -107,7 +112,7 @@ def test_collision_rows_are_the_rate_of_the_distances(held_box: ClosedChain) -> 
     rng, step = np.random.default_rng(4), 1e-5
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten = limit.bind(held_box, DT)
-    capsules = [i for i, name in enumerate(names_of(limit.rows(held_box))) if "object" not in name]
+    capsules = [i for i, name in enumerate(_of_pairs(limit, held_box)) if "object" not in name]
     off = []
     for q in held_box.sample(rng, 60):
         state.q[:] = q
@@ -117,7 +122,7 @@ def test_collision_rows_are_the_rate_of_the_distances(held_box: ClosedChain) -> 
         path = np.vstack([q, q + step * v, q - step * v])
         margins = by_name(limit.margins(held_box, path, np.zeros((2, held_box.n)), DT))
         slope = np.array([(m[0] - m[1]) / (2 * step) for m in margins.values()])
-        off.append(np.abs(slope + rows.G @ v))
+        off.append(np.abs(slope + rows.G[: len(slope)] @ v))
     # Closed form between capsules; to the box, coal iterates to 1e-6 m.
     assert np.max(np.array(off)[:, capsules]) < 1e-4
     assert np.median(off) < 1e-6
@@ -146,8 +151,7 @@ def test_what_is_pulled_into_the_torso_stops_before_it(
     pull = PointOnPoint(goal=goal, profile=Profile(duration=0.5))
     done = run(QPController(), problem(held_box, pull, limits=[*LIMITS, limit]), 250)
     distances = {
-        name: [oracle.distance(name, q) for q in done.q[::5]]
-        for name in names_of(limit.rows(held_box))
+        name: [oracle.distance(name, q) for q in done.q[::5]] for name in _of_pairs(limit, held_box)
     }
     assert min(map(min, distances.values())) >= limit.distance - 1e-4
     assert least(limit, held_box, done) >= -1e-4
@@ -174,9 +178,7 @@ def test_forearms_and_hands_driven_together_stop_apart(held_box: ClosedChain) ->
         )
         assert v is not None
         state.q += v * DT
-        nearest.append(
-            min(oracle.distance(name, state.q) for name in names_of(limit.rows(held_box)))
-        )
+        nearest.append(min(oracle.distance(name, state.q) for name in _of_pairs(limit, held_box)))
     assert nearest[0] > 0.05
     assert min(nearest) >= limit.distance - 1e-4
     assert min(nearest) < limit.distance + 1e-3
