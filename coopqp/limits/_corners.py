@@ -69,9 +69,12 @@ class Corners:
 
     def _corners(self, pair: int, n: Array, p: Array) -> list[tuple[Array, float]]:
         """Points, and how far each is from the plane that bounds the other body [m]."""
-        (first, a), (second, b) = (self._ends(pair, side, n) for side in (0, 1))
-        if len(a) == 1 or len(b) == 1:
+        first, a = self._ends(pair, 0, n)
+        if len(a) == 1:
             return []  # it touches in its nearest point alone
+        second, b = self._ends(pair, 1, n)
+        if len(b) == 1:
+            return []
         if _width(first) <= _width(second):
             bottom = float(b.min())
             return [(first[i], bottom - float(a[i])) for i in _spread(first, p)]
