@@ -48,7 +48,7 @@ class Case:
         robot: as coopqp has it.
         files: of the URDF files it is made of, by the prefix of its names: name and pose.
         start: by arm [rad].
-        ignore: pairs of the file whose hulls are in each other at the start.
+        ignore: pairs of the file whose hulls are in each other, or all but, at the start.
     """
 
     robot: Robot
@@ -92,6 +92,8 @@ CASES = {
             ("right_upper_forearm_visual", "right_wrist"),
             ("right_upper_shoulder", "right_upper_elbow"),
             ("left_upper_shoulder", "left_upper_elbow"),
+            ("left_upper_elbow_visual", "left_upper_forearm"),
+            ("right_upper_elbow_visual", "right_upper_forearm"),
         ),
     ),
     "PR2": Case(
