@@ -188,8 +188,13 @@ class _Tree:
 
     def __init__(self, robot: RobotModel, model: pin.Model, bodies: Collection[Body]) -> None:
         self._model, self._occupied = model, {body.joint for body in bodies}
+        ways = [robot.arm_joints(arm) for arm in robot.arms]
+        # What several arms share, such as a waist, belongs to none.
         self._arm_of = {
-            joint: i for i, arm in enumerate(robot.arms) for joint in robot.arm_joints(arm)
+            joint: i
+            for i, way in enumerate(ways)
+            for joint in way
+            if sum(joint in other for other in ways) == 1
         }
 
         frames = list(model.frames)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import partial
 
 import laws
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
+from chains import HANDS
 from example_limits import by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
@@ -22,7 +24,7 @@ from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, SelfCollision
 from coopqp.profile import Profile
 from coopqp.robot import Capsule, RobotModel
-from coopqp.robots import PlanarPair
+from coopqp.robots import NaoT14, PlanarPair
 from coopqp.row import names_of
 from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
@@ -239,3 +241,26 @@ def test_a_capsule_on_an_unknown_joint_is_refused(nao: RobotModel) -> None:
 def test_a_released_hand_is_watched_against_the_one_that_holds(chain: ClosedChain) -> None:
     alone = chain.handed_over(chain.q_start, ["left"])
     assert "limit.self_collision[RHand|LHand]" in names_of(SelfCollision().rows(alone))
+
+
+def test_a_waist_that_arms_share_is_watched_against_both() -> None:
+    """A lift carries both arms: its capsule is base, not a part of the last arm."""
+    robot = NaoT14().build()
+    model = pin.Model()
+    one_of = np.ones(1)
+    lift = model.addJoint(
+        0, pin.JointModelPZ(), pin.SE3.Identity(), "lift", one_of, one_of, -one_of, one_of
+    )
+    model.addFrame(pin.Frame("waist", lift, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    whole = pin.appendModel(model, robot.model, model.getFrameId("waist"), pin.SE3.Identity())
+    one, other = robot.arms
+    waist = replace(robot.capsules[0], name="waist", joint="lift")
+    lifted = RobotModel(
+        name="lifted", model=whole, arms=(one, other), capsules=(waist, *robot.capsules[1:])
+    )
+    q = lifted.configuration({"right": [0, *HANDS["right"]], "left": [0, *HANDS["left"]]})
+    chain = ClosedChain.take_hold(lifted, q, Rigid(), HeldObject())
+    names = _of_pairs(SelfCollision(), chain)
+    for arm in "RL":
+        assert any(f"{arm}Hand" in name and "waist" in name for name in names)
+        assert not any(f"{arm}UpperArm" in name and "waist" in name for name in names)
