@@ -20,7 +20,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import coal
@@ -42,6 +42,7 @@ from coopqp.limits import JointPosition, JointVelocity, Obstacle, Obstacles, Sel
 from coopqp.plants import Kinematic
 from coopqp.profile import Profile
 from coopqp.rollout import drive
+from coopqp.scenario.loader import load
 from coopqp.solvers import Daqp
 from coopqp.state import State
 from coopqp.tasks import JointCentering
@@ -285,12 +286,24 @@ def cost(name: str) -> str:
     )
 
 
+def cost_of_scenario(name: str) -> str:
+    """The same for self_collision in a shipped scenario."""
+    plain = (JointPosition(), JointVelocity())
+    scenario, limit = replace(load(name), limits=plain), SelfCollision()
+    with_it = replace(scenario, limits=(*plain, limit))
+    us = [tick_us(lambda s=s: (s.problem(), s.ticks)) for s in (scenario, with_it)]  # type: ignore[misc]
+    rows = len(limit.rows(scenario.chain))
+    return f"without {us[0]:.0f} us, self_collision ({rows} rows) x {us[1] / us[0]:.2f}"
+
+
 def main(goals: int, count: int) -> None:
     """Print the tables."""
     for name in CASES:
         print(f"{name:8s} {poses(name, count)}", flush=True)
     for name in CASES:
         print(f"{name:8s} {cost(name)}", flush=True)
+    for name in ("point_on_point", "two_so101"):
+        print(f"{name:8s} {cost_of_scenario(name)}", flush=True)
     for runs in (free, holding):
         for gain, share in GAINS.items():
             for name in CASES:

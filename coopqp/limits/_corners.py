@@ -42,30 +42,31 @@ class Corners:
             rows without a corner is large, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
         W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
+        count: how many rows have a corner.
     """
 
     def __init__(self, pairs: Sequence[Pair], found: Distances, distance: float) -> None:
         self._pairs, self._found, self._distance = pairs, found, distance
         self._flat = np.array([_lie_along(pair) for pair in pairs], bool)
         self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
-        self.pair = np.zeros(ROWS, np.int64)
+        self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
         """Find the corners of the closest pairs."""
-        found, row = self._found, 0
-        self.room[:], self.W[:] = 1.0, 0.0
+        found = self._found
+        if self.count:
+            self.room[:], self.W[:], self.count = 1.0, 0.0, 0
         room = found.d[found.near] - self._distance
-        for k in room.argsort(kind="stable").tolist():
+        (close,) = (room < CLOSE).nonzero()
+        for k in close[room[close].argsort(kind="stable")].tolist():
             pair = int(found.near[k])
-            if room[k] > CLOSE or row == ROWS:
-                return
             if not self._flat[pair]:
                 continue
             n, p = found.n[k, :3], found.p[k, :3]
-            for corner, s in self._corners(pair, n, p)[: ROWS - row]:
-                self.room[row], self.pair[row] = s - self._distance, pair
-                self.W[row] = _wrench(n, corner)
-                row += 1
+            for corner, s in self._corners(pair, n, p)[: ROWS - self.count]:
+                self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.W[self.count] = _wrench(n, corner)
+                self.count += 1
 
     def _corners(self, pair: int, n: Array, p: Array) -> list[tuple[Array, float]]:
         """Points, and how far each is from the plane that bounds the other body [m]."""

@@ -97,8 +97,9 @@ class _Rates:
         G[:] = 0.0
         G[near] = rows
         np.multiply(G[:count], self._sign, G[:count])
-        corners.W.dot(state.J_joints, self._G_corners)
-        np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
+        if corners.count:
+            corners.W.dot(state.J_joints, self._G_corners)
+            np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
