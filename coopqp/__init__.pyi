@@ -33,6 +33,7 @@ from coopqp.mark import PointMark as PointMark
 from coopqp.mark import PoseMark as PoseMark
 from coopqp.mark import PostureMark as PostureMark
 from coopqp.mark import RelativeMark as RelativeMark
+from coopqp.mark import SolidMark as SolidMark
 from coopqp.mark import SphereMark as SphereMark
 from coopqp.mark import TrackedMark as TrackedMark
 from coopqp.metric import Metric as Metric

@@ -40,7 +40,10 @@ class LimitRows:
 Tighten = Callable[[State, LimitRows], None]
 
 RoomLeft = Callable[[State], Array]
-"""What is left in space at a state, in the order of the limit's rows, shape (p,) [m]."""
+"""What is left in space at a state, in the order of the limit's rows, shape (k,) [m].
+
+Rows after the first k only help to keep the others.
+"""
 
 
 @spec
@@ -90,7 +93,7 @@ class Limit(ABC):
         if left is None:
             return {}
         found = np.array([left(state) for state in states_along(chain, q[1:])])
-        return dict(zip(self.rows(chain), found.T, strict=True)) if len(found) else {}
+        return dict(zip(self.rows(chain), found.T, strict=False)) if len(found) else {}
 
     def room(self, chain: ClosedChain) -> RoomLeft | None:
         """How far what it bounds is from it, for limits in space; None for all others.
@@ -112,6 +115,17 @@ class Limit(ABC):
         """
         return None
 
+    def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What is wrong with where a scenario starts, one sentence each; nothing by default.
+
+        Asked of the file's start alone: a limit must stand any state in :meth:`bind`.
+        """
+        return ()
+
+    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What of the chain it cannot or does not bound, one sentence each; nothing by default."""
+        return ()
+
     def marks(self, t: float) -> tuple[Mark, ...]:
         """What pictures show of it: where it is; nothing by default.
 
@@ -121,11 +135,13 @@ class Limit(ABC):
         return ()
 
 
-def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
+def damp(
+    room: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
+) -> None:
     """Velocity damper, room_dot >= -gain room, as the right side of rows -room_dot <= h.
 
     What has sunk in a little, by the curvature of its path in a tick, is asked back. What is
-    deeper than ``SHALLOW`` was there from the start; it may not go farther, but asking it back
+    deeper than ``shallow`` was there from the start; it may not go farther, but asking it back
     could leave no motion at all, so there h = 0.
 
     Args:
@@ -133,9 +149,10 @@ def damp(room: Array, gain: Array, deep: NDArray[np.bool_], h: Array) -> None:
         gain: shape (p,) [1/s].
         deep: scratch, shape (p,).
         h: written, shape (p,) [m/s].
+        shallow: how deep things are asked back [m].
     """
     np.multiply(room, gain, h)
-    np.less(room, -SHALLOW, deep)
+    np.less(room, -shallow, deep)
     np.copyto(h, 0.0, where=deep)
 
 

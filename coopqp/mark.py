@@ -6,7 +6,8 @@ Arrays, lists and tuples may be given; they are kept as arrays.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import PlainValidator
@@ -106,6 +107,22 @@ class SphereMark:
 
 
 @spec
+class SolidMark:
+    """A body that stands still; seen where it is at first, in all frames."""
+
+    kind: Literal["mesh", "box", "cylinder", "capsule", "sphere", "ellipsoid"]
+    """What it is, with its size as in :class:`coopqp.robot.Shape`."""
+    size: tuple[float, ...]
+    """[m], of a mesh the scale."""
+    rotation: Rotation
+    """Its axes as columns."""
+    position: Point
+    """Its origin."""
+    mesh: Path | None = None
+    """File of a mesh."""
+
+
+@spec
 class PoseMark:
     """Axes of a frame."""
 
@@ -147,6 +164,7 @@ Mark = (
     | PlaneMark
     | CircleMark
     | SphereMark
+    | SolidMark
     | PoseMark
     | TrackedMark
     | PostureMark

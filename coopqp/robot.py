@@ -43,7 +43,7 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A part of a link as it looks; for drawing only.
+    """A part of a link, as it looks or as what must not hit others.
 
     Attributes:
         frame: the model's frame that it is fixed to.
@@ -89,8 +89,10 @@ class RobotModel:
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
         shapes: how the links look; a link without shapes is drawn as a capsule.
-        capsules: the bodies that self-collision watches, base first on each arm; see
+        capsules: bodies that must not hit others, base first on each arm; see
             :class:`coopqp.limits.SelfCollision`.
+        collision_shapes: the same from a robot's file, where it gives no capsules; a mesh counts
+            as its convex hull.
         warnings: what was left out when the robot was read, one sentence each.
     """
 
@@ -99,6 +101,7 @@ class RobotModel:
     arms: tuple[Arm, ...]
     shapes: tuple[Shape, ...] = ()
     capsules: tuple[Capsule, ...] = ()
+    collision_shapes: tuple[Shape, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -112,7 +115,7 @@ class RobotModel:
             if not self.model.existFrame(arm.tip):
                 frames = [frame.name for frame in self.model.frames]
                 raise UnknownNameError("frame", arm.tip, frames, f"arm {arm.name}: ")
-        for shape in self.shapes:
+        for shape in (*self.shapes, *self.collision_shapes):
             if not self.model.existFrame(shape.frame):
                 frames = [frame.name for frame in self.model.frames]
                 raise UnknownNameError("frame", shape.frame, frames, f"shape {shape.kind}: ")

@@ -14,13 +14,25 @@ from coopqp.limits import (
     JointPosition,
     JointVelocity,
     ObjectSpeed,
+    Obstacle,
+    Obstacles,
     SelfCollision,
     Workspace,
 )
+from coopqp.limits.obstacles import RoundSize
 from coopqp.row import Row
 from coopqp.trace import Trace
 
 TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))
+SHELF = Obstacles(
+    shapes={
+        "shelf": Obstacle(
+            box=(0.3, 0.1, 0.02), position=(0.2, 0.25, 0.1), rpy_deg=(10.0, 0.0, 0.0)
+        ),
+        "post": Obstacle(cylinder=RoundSize(radius=0.03, length=0.4), position=(0.3, 0.0, 0.0)),
+        "ball": Obstacle(sphere=0.04, position=(0.2, -0.25, 0.1)),
+    }
+)
 EXAMPLES: tuple[Limit, ...] = (
     JointPosition(),
     JointVelocity(),
@@ -29,9 +41,16 @@ EXAMPLES: tuple[Limit, ...] = (
     TABLE,
     SelfCollision(),
     FollowingError(),
+    SHELF,
 )
 #: What a limit may be off by after a step: second order in the step for curved things.
-TOLERANCE = {"table": 1e-6, "self_collision": 1e-6, "object_speed": 1e-6, "acceleration": 1e-6}
+TOLERANCE = {
+    "table": 1e-6,
+    "self_collision": 1e-6,
+    "obstacles": 1e-6,
+    "object_speed": 1e-6,
+    "acceleration": 1e-6,
+}
 
 
 def least(limit: Limit, chain: ClosedChain, done: Trace) -> float:

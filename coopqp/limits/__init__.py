@@ -5,6 +5,7 @@ from coopqp.limits.joint_acceleration import JointAcceleration
 from coopqp.limits.joint_position import JointPosition
 from coopqp.limits.joint_velocity import JointVelocity
 from coopqp.limits.object_speed import ObjectSpeed
+from coopqp.limits.obstacles import Obstacle, Obstacles
 from coopqp.limits.self_collision import SelfCollision
 from coopqp.limits.workspace import Workspace
 
@@ -14,6 +15,8 @@ __all__ = [
     "JointPosition",
     "JointVelocity",
     "ObjectSpeed",
+    "Obstacle",
+    "Obstacles",
     "SelfCollision",
     "Workspace",
 ]

@@ -32,7 +32,7 @@ class Description:
         followers: joints that follow others (mimic), by name.
         floating: joints that the model leaves out because they are free in space, each with the
             frames that they would move.
-        shapes, warnings: as in :class:`coopqp.robot.RobotModel`.
+        shapes, collision_shapes, warnings: as in :class:`coopqp.robot.RobotModel`.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Description:
     followers: Mapping[str, Follower] = field(default_factory=dict)
     floating: Mapping[str, frozenset[str]] = field(default_factory=dict)
     shapes: tuple[Shape, ...] = ()
+    collision_shapes: tuple[Shape, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property

@@ -62,7 +62,8 @@ def without_locked_joints(
 def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
     """Call frames that share a joint's name otherwise: pinocchio finds joints' frames by name."""
     joints = set(model.names)
-    namesakes = [f for f in model.frames if f.name in joints and f.type != pin.FrameType.JOINT]
+    frames = list(model.frames)[1:]  # but the world's, which joint 0 shares its name with
+    namesakes = [f for f in frames if f.name in joints and f.type != pin.FrameType.JOINT]
     for frame in namesakes:
         frame.name += NAMESAKE
     try:

@@ -22,7 +22,7 @@ import pinocchio as pin
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
-from coopqp.robot_files.shapes import read_shapes
+from coopqp.robot_files.shapes import read_collision_shapes, read_shapes
 from coopqp.robot_files.xml import (
     DEEPEST,
     MOST_ELEMENTS,
@@ -65,6 +65,7 @@ def read_mjcf(path: Path) -> Description:
         followers=followers,
         floating=floating,
         shapes=shapes,
+        collision_shapes=read_collision_shapes(xml, model, folder),
         warnings=warnings,
     )
 

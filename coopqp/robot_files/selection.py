@@ -63,6 +63,7 @@ def robot_model(
         model=model,
         arms=tuple(Arm(name=name, tip=arm.tip) for name, arm in arms.items()),
         shapes=description.shapes,
+        collision_shapes=description.collision_shapes,
         warnings=tuple(warnings),
     )
     _check_arms(robot)

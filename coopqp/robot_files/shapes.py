@@ -1,8 +1,8 @@
-"""What the bodies of a MuJoCo file look like.
+"""What the bodies of a MuJoCo file look like, and what of them must not hit others.
 
 pinocchio places the geoms, since it knows defaults, classes and fromto. Meshes take time to read
 and matter only when drawn, so that it is handed one triangle for each, in a file that is named by
-the mesh's number. Left out are planes, and geoms that only collide (group above 2).
+the mesh's number. Left out are planes; drawn are no geoms that only collide (group above 2).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def read_shapes(
     missing += [f"{mesh.get('name')}, of vertices" for mesh in meshes if not mesh.get("file")]
     warnings = missing_meshes(source, missing, len(meshes))
     try:
-        geoms = _placed(xml, model)
+        geoms = _placed(xml, model, pin.GeometryType.VISUAL)
     except (ValueError, RuntimeError) as error:
         why = pinocchio_says(error)
         return (), (
@@ -59,10 +59,31 @@ def read_shapes(
             f"{source}: geoms cannot be read, links are drawn as capsules: {why}",
         )
     shapes = [_shape(geom, model.frames[geom.parentFrame], files) for geom in geoms]
-    return tuple(shape for shape in shapes if shape), warnings
+    return tuple(s for s in shapes if s and _is_there(s)), warnings
 
 
-def _placed(xml: ET.Element, model: pin.Model) -> list[Any]:
+def read_collision_shapes(xml: ET.Element, model: pin.Model, folder: Path) -> tuple[Shape, ...]:
+    """What must not hit others; a mesh whose file is not there stays in it, to be told of.
+
+    Args:
+        xml: as pinocchio reads it.
+        model: made of it.
+        folder: of the meshes.
+    """
+    files = [folder / mesh.get("file", "") for mesh in xml.findall(MESH_FILES)]
+    try:
+        geoms = _placed(xml, model, pin.GeometryType.COLLISION)
+    except (ValueError, RuntimeError):
+        return ()  # what is wrong is told of the looks
+    shapes = [_shape(geom, model.frames[geom.parentFrame], files) for geom in geoms]
+    return tuple(shape for shape in shapes if shape)
+
+
+def _is_there(shape: Shape) -> bool:
+    return shape.mesh is None or shape.mesh.is_file()
+
+
+def _placed(xml: ET.Element, model: pin.Model, kind: pin.GeometryType) -> list[Any]:
     """The geoms as pinocchio has them, with a triangle for each mesh."""
     plain = copy.deepcopy(xml)
     with tempfile.TemporaryDirectory() as folder:
@@ -74,12 +95,12 @@ def _placed(xml: ET.Element, model: pin.Model) -> list[Any]:
             compiler.set("meshdir", folder)
         file = Path(folder) / "robot.xml"
         ET.ElementTree(plain).write(file, encoding="utf-8")
-        geometry = pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.VISUAL)
+        geometry = pin.buildGeomFromMJCF(model, str(file), kind)
         return list(geometry.geometryObjects)
 
 
 def _shape(geom: Any, frame: pin.Frame, files: Sequence[Path]) -> Shape | None:
-    """As drawn; nothing for a plane, or a mesh whose file is not there."""
+    """As Shape has it; nothing for a plane, or a mesh that is in no file."""
     mesh = None
     if type(geom.geometry) in SIZES:
         kind, size_of = SIZES[type(geom.geometry)]
@@ -87,7 +108,7 @@ def _shape(geom: Any, frame: pin.Frame, files: Sequence[Path]) -> Shape | None:
     else:
         kind, size = "mesh", geom.meshScale
         mesh = files[int(Path(geom.meshPath).stem)] if geom.meshPath.endswith(SUFFIX) else None
-        if mesh is None or not mesh.is_file():
+        if mesh is None:
             return None
     return Shape(
         frame=frame.name,

@@ -44,14 +44,14 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         why = "; ".join(heard) or pinocchio_says(error)
         raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
-    followers = dict(_mimics(xml))
     shapes, missing = _urdf_shapes(xml, path, package_dirs)
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
         name=xml.get("name") or path.stem,
         model=model,
-        followers=followers,
+        followers=dict(_mimics(xml)),
         shapes=shapes,
+        collision_shapes=_collision_shapes(xml, path, package_dirs),
         warnings=(
             *impossible,
             *(f"{path.name}: {line}" for line in heard),
@@ -137,24 +137,48 @@ def _urdf_shapes(
 ) -> tuple[tuple[Shape, ...], list[str]]:
     """What the links look like, and the meshes that cannot be found."""
     shapes, missing = [], []
-    for link in xml.findall("link"):
-        for visual in link.findall("visual"):
-            geometry = visual.find("geometry")
-            if geometry is None or not len(geometry):
+    for frame, place, part in _parts(xml, "visual"):
+        mesh = None
+        if part.tag == "mesh":
+            uri = part.get("filename", "")
+            mesh = find_mesh(uri, path, package_dirs)
+            if mesh is None:
+                missing.append(uri)
                 continue
-            place, part = _origin(visual.find("origin")), geometry[0]
-            frame, mesh = link.get("name", ""), None
-            if part.tag == "mesh":
-                uri = part.get("filename", "")
-                mesh = find_mesh(uri, path, package_dirs)
-                if mesh is None:
-                    missing.append(uri)
-                    continue
-            size = _urdf_size(part)
-            if len(size) == COUNTS.get(part.tag):
-                kind: Any = part.tag
-                shapes.append(Shape(frame=frame, placement=place, kind=kind, size=size, mesh=mesh))
+        shapes += _shape(frame, place, part, mesh)
     return tuple(shapes), missing
+
+
+def _collision_shapes(
+    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
+) -> tuple[Shape, ...]:
+    """What must not hit others; a mesh that cannot be found keeps its address, to be told of."""
+    shapes = []
+    for frame, place, part in _parts(xml, "collision"):
+        mesh = None
+        if part.tag == "mesh":
+            uri = part.get("filename", "")
+            mesh = find_mesh(uri, path, package_dirs) or Path(uri)
+        shapes += _shape(frame, place, part, mesh)
+    return tuple(shapes)
+
+
+def _shape(frame: str, place: pin.SE3, part: ET.Element, mesh: Path | None) -> list[Shape]:
+    """One, or none where the file does not say what it is or how large."""
+    size, kind = _urdf_size(part), part.tag
+    if len(size) != COUNTS.get(kind):
+        return []
+    named: Any = kind
+    return [Shape(frame=frame, placement=place, kind=named, size=size, mesh=mesh)]
+
+
+def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:
+    """Link, pose in it and geometry of each part."""
+    for link in xml.findall("link"):
+        for part in link.findall(tag):
+            geometry = part.find("geometry")
+            if geometry is not None and len(geometry):
+                yield link.get("name", ""), _origin(part.find("origin")), geometry[0]
 
 
 def _urdf_size(part: ET.Element) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 from coopqp.checked import Pose, spec
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.grasp import pose_matrix
-from coopqp.robot import Arm, Capsule, Robot, RobotModel, copy_per_velocity
+from coopqp.robot import Arm, Capsule, Robot, RobotModel, Shape, copy_per_velocity
 
 
 def _read(value: Any, info: ValidationInfo) -> Robot:
@@ -64,6 +64,7 @@ class Several(Robot):
             arms=tuple(arm for part in parts for arm in part.arms),
             shapes=tuple(shape for part in parts for shape in part.shapes),
             capsules=tuple(capsule for part in parts for capsule in part.capsules),
+            collision_shapes=tuple(shape for part in parts for shape in part.collision_shapes),
             warnings=tuple(line for part in parts for line in part.warnings),
         )
 
@@ -87,10 +88,15 @@ def _renamed(prefix: str, robot: RobotModel, X_WB: pin.SE3) -> RobotModel:
         robot,
         model=model,
         arms=tuple(Arm(name=prefix + arm.name, tip=prefix + arm.tip) for arm in robot.arms),
-        shapes=tuple(replace(shape, frame=prefix + shape.frame) for shape in robot.shapes),
+        shapes=_renamed_shapes(prefix, robot.shapes),
+        collision_shapes=_renamed_shapes(prefix, robot.collision_shapes),
         capsules=tuple(_renamed_capsule(prefix, capsule, X_WB) for capsule in robot.capsules),
         warnings=tuple(prefix.removesuffix("/") + ": " + line for line in robot.warnings),
     )
+
+
+def _renamed_shapes(prefix: str, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
+    return tuple(replace(shape, frame=prefix + shape.frame) for shape in shapes)
 
 
 def _renamed_capsule(prefix: str, capsule: Capsule, X_WB: pin.SE3) -> Capsule:

@@ -68,6 +68,12 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     places = _places(scenario)
     first = places[scenario.schedule[0].name]
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
+    if not allowed and not faults:
+        faults = [
+            Fault(file.place(["limits", i]), words)
+            for i, limit in enumerate(scenario.limits)
+            for words in limit.start_faults(scenario.chain)
+        ]
     if faults:
         raise ScenarioError(faults)
 

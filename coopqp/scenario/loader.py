@@ -30,6 +30,9 @@ from coopqp.solvers import qpsolvers
 from coopqp.task import Task
 from coopqp.wording import Location
 
+#: Keys whose values are paths, of robots and of obstacles.
+FILE_KEYS = {"path", "mesh"}
+
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     """Read and check a scenario file; ``start: solve`` is solved.
@@ -148,10 +151,12 @@ def solver_names(catalog: Catalog) -> tuple[str, ...]:
     return tuple(sorted({*catalog.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"}))
 
 
-def has_files(robot: Any) -> bool:
-    """Whether a robot in a file, or one inside it, is given by files of its own."""
-    if isinstance(robot, dict):
-        return "path" in robot or any(has_files(value) for value in robot.values())
+def has_files(value: Any) -> bool:
+    """Whether something in a file, such as its robot or an obstacle, is given by another file."""
+    if isinstance(value, list):
+        return any(map(has_files, value))
+    if isinstance(value, dict):
+        return bool(FILE_KEYS & set(value)) or any(map(has_files, value.values()))
     return False
 
 
@@ -192,7 +197,7 @@ class _Reader:
             seed=read.seed,
             on_infeasible=read.on_infeasible,
             source=self._file.text,
-            folder=self._folder() if has_files(self._file.data["robot"]) else None,
+            folder=self._folder() if has_files(self._file.data) else None,
             catalog=self._catalog,
         )
         self._check_problems(scenario)

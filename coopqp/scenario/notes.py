@@ -14,14 +14,17 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
+    What limits cannot bound comes after it.
+
     Args:
         scenario: whose controllers say what they heed.
     """
-    return [
+    deaf_to = [
         f"{what} no effect on {' and '.join(deaf)}"
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in scenario.controllers.items() if part not in c.heeds])
     ]
+    return [*deaf_to, *(line for k in scenario.limits for line in k.notes(scenario.chain))]
 
 
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -65,7 +65,8 @@ def test_rows_and_margins_have_names_of_their_own(held_box: ClosedChain) -> None
         for name in by_name(limit.margins(held_box, q, np.zeros((1, held_box.n)), DT))
     ]
     assert len(set(margins)) == len(margins)
-    assert set(rows) <= set(margins)
+    # Corners belong to whichever pairs are closest; their margins are those of the pairs.
+    assert {name for name in rows if ".corner[" not in name} <= set(margins)
     assert {
         "limit.position[RElbowRoll].upper",
         "limit.velocity[RElbowRoll].lower",
@@ -110,7 +111,7 @@ def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) 
 def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten = limit.bind(held_box, DT)
-    for _ in range(5):
+    for _ in range(20):  # the allocators keep small blocks of the first ticks
         tighten(state, rows)
     tracemalloc.start()
     try:
@@ -147,6 +148,7 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
 ) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten, names = limit.bind(held_box, DT), names_of(limit.rows(held_box))
+    strip = limit.distance if isinstance(limit, SelfCollision) else SHALLOW
     deep = 0
     for q in held_box.sample(rng, 200):  # many with bodies in each other or under the table
         state.q[:] = q
@@ -154,10 +156,11 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
         tighten(state, rows)
         assert np.isfinite(rows.G).all()
         margins = by_name(limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT))
-        room = np.array([margins[name][0] for name in names])
-        assert (rows.h[(room >= 0.0) | (room < -SHALLOW)] >= 0.0).all()
-        assert rows.h.min() >= -10.0 * SHALLOW  # what is asked back, at the default gain
-        deep += int((room < -SHALLOW).sum())
+        h = rows.h[[name in margins for name in names]]  # without corners
+        room = np.array([margins[name][0] for name in names if name in margins])
+        assert (h[(room >= 0.0) | (room < -strip)] >= 0.0).all()
+        assert rows.h.min() >= -10.0 * strip  # what is asked back, at the default gain
+        deep += int((room < -strip).sum())
     assert deep > 30 or isinstance(limit, ObjectSpeed)
 
 
@@ -172,10 +175,14 @@ IN_SPACE = [limit for limit in EXAMPLES if type(limit).room is not Limit.room]
 
 @pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
 def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: ClosedChain) -> None:
-    """-G against central differences of the room, at random configurations with closed loops."""
+    """-G against central differences of the room, at random configurations with closed loops.
+
+    coal ends its search for the distance of what is round with a normal that is 1e-4 off.
+    """
     rng = np.random.default_rng(0)
     left = limit.room(held_box)
     assert left
+    allowed = np.array([2e-4 if "|post]" in row.name else 1e-6 for row in limit.rows(held_box)])
     for _ in range(5):
         state = State(held_box, held_box.q_start + rng.uniform(-0.1, 0.1, held_box.n))
         state.close_loops(20)
@@ -187,8 +194,8 @@ def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: Clo
             # Where an edge takes over from another the distance has a kink.
             smooth = np.abs((ahead - here) - (here - behind)) < 1e-9
             assert smooth.mean() > 0.7
-            slope = (ahead - behind)[smooth] / 2e-6
-            np.testing.assert_allclose(slope, -rows.G[smooth, i], atol=1e-6)
+            slope, G = (ahead - behind) / 2e-6, rows.G[: len(here), i]  # others only help
+            assert (np.abs(slope + G) <= allowed[: len(here)])[smooth].all()
 
 
 @pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
@@ -207,7 +214,7 @@ def test_an_eased_limit_leaves_so_much_more_and_nothing_else(
 
 
 def test_limits_that_are_not_in_space_cannot_be_eased() -> None:
-    assert [limit.eased(0.01) for limit in EXAMPLES if limit not in IN_SPACE] == [None] * 4
+    assert {limit.eased(0.01) for limit in EXAMPLES if limit not in IN_SPACE} == {None}
     assert SelfCollision(distance=0.01).eased(0.02) is None
 
 

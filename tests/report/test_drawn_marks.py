@@ -17,7 +17,7 @@ from coopqp.checked import Pose as PoseValue
 from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
-from coopqp.limits import Workspace
+from coopqp.limits import Obstacle, Obstacles, Workspace
 from coopqp.mark import (
     LineMark,
     Mark,
@@ -159,3 +159,19 @@ def test_every_kind_of_mark_has_its_key_on_the_page() -> None:
     page = render(coopqp.compare(replace(scenario, tasks=(Own(name="own"),)), controllers=["qp"]))
     for key in ("goal", "plane", "line", "way", "axes", "posture", "wall", "trail"):
         assert page.count(f'id="{key}-key"') == 1
+
+
+def test_obstacles_are_drawn_where_they_stand() -> None:
+    """A slab of 20 x 30 x 2 cm, turned by a quarter about z: its corners, in the world."""
+    slab = Obstacle(box=(0.2, 0.3, 0.02), position=(0.2, 0.0, 0.25), rpy_deg=(0.0, 0.0, 90.0))
+    scenario = replace(
+        load("point_on_point"),
+        limits=(Obstacles(shapes={"slab": slab}),),
+        duration=0.02,
+    )
+    bodies = scene(coopqp.compare(scenario))["bodies"]
+    (drawn,) = (body for body in bodies[-1:] if not body["moves"])
+    corners = np.array(drawn["vertices"]).reshape(-1, 3)
+    assert corners.min(axis=0) == pytest.approx([0.05, -0.1, 0.24], abs=1e-4)
+    assert corners.max(axis=0) == pytest.approx([0.35, 0.1, 0.26], abs=1e-4)
+    assert len(drawn["triangles"]) == 3 * 12

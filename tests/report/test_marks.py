@@ -326,11 +326,12 @@ def test_limits_without_a_place_show_nothing() -> None:
         "joint_acceleration": {"max": 10.0},
         "object_speed": {"linear": 0.1},
         "workspace": {"normal": (0, 0, 1), "through": (0, 0, 0)},
+        "obstacles": {"shapes": {"ball": {"sphere": 0.1}}},
     }
     for name, entry in Catalog().entries("limits").items():
         limit = entry.cls(**settings.get(name, {}))
         assert isinstance(limit, coopqp.Limit)
-        assert bool(limit.marks(0.0)) == (name == "workspace")
+        assert bool(limit.marks(0.0)) == (name in ("workspace", "obstacles"))
 
 
 # ---- marks -----------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ MOBILITY = {
     "two_pandas": (14, 6, 8, 6, 6),
     "three_ur": (18, 12, 6, 6, 6),
     "yeo_4_5": (10, 6, 4, 4, 4),
+    "two_so101": (10, 6, 4, 4, 4),
     "planar_pair": (6, 3, 3, 3, 3),
     "point_on_point": (10, 6, 4, 4, 4),
     "rigid_vs_passive": (12, 6, 6, 6, 6),
@@ -104,7 +105,7 @@ def test_a_shared_torso_moves_the_object_and_opens_no_loop() -> None:
 # ---- what the controllers do -----------------------------------------------------------------
 
 
-NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5")
+NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5", "two_so101")
 
 
 @cache
@@ -144,6 +145,19 @@ def test_the_torso_keeps_its_limits_with_the_qp_alone() -> None:
     trace = comparison("tiago_torso").traces["qp"]
     lift = trace.joints.index("torso_lift_joint")
     assert trace.q[-1, lift] - trace.q[0, lift] > 0.05  # it takes part
+
+
+@needs_robots
+def test_only_the_qp_keeps_an_so101_out_of_its_own_base() -> None:
+    assert of("two_so101", "pseudoinverse")["limit_violation_max"] > 0.1
+    base = "limit.self_collision[left/upper_arm_link|left/base_link]"
+    left = {
+        name: of("two_so101", name)["limits_audit"][base]["margin_min"]
+        for name in ("qp", "pseudoinverse", "pseudoinverse_null_space")
+    }
+    assert left["qp"] > -1e-4
+    assert left["pseudoinverse"] < -0.01  # less than nothing of the 10 mm: they are in each other
+    assert left["pseudoinverse_null_space"] < -0.01
 
 
 def test_without_the_package_a_scenario_says_what_to_install(

@@ -15,8 +15,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.mark import SolidMark
 from coopqp.report.scene.thinning import count_thinned, thinned
-from coopqp.report.scene.triangles import Triangles, joined, moved, of_capsule, of_shape
+from coopqp.report.scene.triangles import NOTHING, Triangles, joined, moved, of_capsule, of_shape
 from coopqp.robot import Capsule, RobotModel, Shape
 from coopqp.trace import Trace
 
@@ -58,6 +59,20 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
         few = _within([joined(surfaces[j]) for j in joints], len(arms) * MOST_TRIANGLES)
         bodies += [Body(j, arm_of[j], part) for j, part in zip(joints, few, strict=True)]
     return tuple(bodies), faults
+
+
+def solid_body(solid: SolidMark) -> Body:
+    """What stands in the world, as a body of the base."""
+    shape = Shape(
+        frame="universe",
+        placement=pin.SE3(solid.rotation, solid.position),
+        kind=solid.kind,
+        size=solid.size,
+        mesh=solid.mesh,
+    )
+    surface = _read(shape) or NOTHING
+    (few,) = _within([moved(surface, shape.placement)], MOST_TRIANGLES)
+    return Body(0, None, few)
 
 
 def body_places(

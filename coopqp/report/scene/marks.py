@@ -23,6 +23,7 @@ from coopqp.mark import (
     PoseMark,
     PostureMark,
     RelativeMark,
+    SolidMark,
     SphereMark,
     TrackedMark,
 )
@@ -40,6 +41,8 @@ KINDS = (
 )  # fmt: skip
 #: What moves with the robot, and so differs between controllers.
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
+#: What stands still, and is drawn as the robot is.
+SOLID = "solid"
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Shown:
     """A mark in all frames in which it is seen, one after the other.
 
     Attributes:
-        kind: one of KINDS, or of those that move with the robot.
+        kind: one of KINDS, one of those that move with the robot, or SOLID.
         name: of the task or limit.
         limit: whether it is a limit.
         first: frame.
@@ -146,6 +149,8 @@ class _Place:
                 return "circles", values
             case SphereMark():
                 return "spheres", {"center": mark.center, "radius": mark.radius}
+            case SolidMark():
+                return SOLID, {"solid": mark}
             case PoseMark():
                 return self._axes(mark)
             case TrackedMark() | PostureMark() | RelativeMark():

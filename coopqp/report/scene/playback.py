@@ -17,9 +17,9 @@ from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
-from coopqp.report.scene.bodies import Body, body_places, robot_bodies
+from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
 from coopqp.report.scene.carried import carried
-from coopqp.report.scene.marks import as_json, in_view, short, shown_marks
+from coopqp.report.scene.marks import SOLID, as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
 from coopqp.robot import RobotModel
@@ -42,6 +42,8 @@ def scene(comparison: Comparison) -> Json:
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
     marks = shown_marks(scenario, frames, first.t[frames])
+    solids = [mark.values[0]["solid"] for mark in marks if mark.kind == SOLID]
+    bodies = (*bodies, *map(solid_body, solids))
     moving = [body for body in bodies if body.joint > 0]
     return {
         "t": short(first.t[frames]),

@@ -46,7 +46,7 @@ class Room:
         self.rows: tuple[Row, ...] = ()
         self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._left: list[tuple[RoomLeft, Bounds]] = []
+        self._left: list[tuple[RoomLeft, Bounds, int]] = []
         self._state = State(chain)
         for limit in limits:
             self._add(limit)
@@ -54,11 +54,12 @@ class Room:
     def _add(self, limit: Limit) -> None:
         left = limit.room(self.chain)
         if left is not None:
-            rows = limit.rows(self.chain)
+            rows = limit.rows(self.chain)[: len(left(self._state))]
             self.owners += [len(self.limits)] * len(rows)
             self.rows += rows
             self.limits.append(limit)
-            self._left.append((left, Bounds(self.chain, [limit], self._state, self._dt)))
+            bounds = Bounds(self.chain, [limit], self._state, self._dt)
+            self._left.append((left, bounds, len(rows)))
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
         for row, margin in limit.margins(self.chain, q, v, self._dt).items():
@@ -81,16 +82,16 @@ class Room:
         if not self.rows:
             return np.zeros(0)
         self._look(q)
-        return np.concatenate([left(self._state) for left, _ in self._left])
+        return np.concatenate([left(self._state) for left, _, _ in self._left])
 
     def gradient(self, q: Array) -> Array:
         """How they change with the joints, shape (p, n)."""
         if not self.rows:
             return np.zeros((0, self.chain.n))
         self._look(q)
-        for _, bounds in self._left:
+        for _, bounds, _ in self._left:
             bounds.update(self._state)
-        return np.vstack([-bounds.G for _, bounds in self._left])
+        return np.vstack([-bounds.G[:k] for _, bounds, k in self._left])
 
     def _look(self, q: Array) -> None:
         if not np.array_equal(self._state.q, q):

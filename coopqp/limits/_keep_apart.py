@@ -1,0 +1,153 @@
+"""What self_collision and obstacles have in common: rows that keep pairs of bodies apart.
+
+With d a distance, or that of a corner from a plane (:mod:`coopqp.limits._corners`), each row is
+-d_dot <= gain (d - distance). What is too close is asked back, but no faster than joints at
+``BACK`` can do: where d hardly changes with the joints, no speed could. What is in each other may
+not go deeper and is not asked apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
+from coopqp.limits._corners import ROWS, Corners
+from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.row import Row
+from coopqp.state import State
+
+#: Speed of the joints that suffices for what is asked back [rad/s, m/s].
+BACK = 0.1
+
+
+def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
+    """A row a pair, then those of corners of whichever pairs are closest."""
+    named = [(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}") for a, b in pairs]
+    for i in range(1, ROWS + 1):
+        named.append((f".corner[{i}]", f"the distance at corner {i} of the closest bodies"))
+    return tuple(
+        Row(
+            name=f"limit.{owner}{name}",
+            kind="limit",
+            owner=owner,
+            unit="m",
+            label=label,
+            of_place=True,
+        )
+        for name, label in named
+    )
+
+
+def keep_apart(
+    chain: ClosedChain, pairs: Sequence[Pair], *, distance: float, gain: float, within: float
+) -> Tighten:
+    """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
+
+    Args:
+        chain: that carries the bodies.
+        pairs: of bodies.
+        distance: kept free [m].
+        gain: of the damper [1/s].
+        within: pairs farther apart than this are not bounded [m].
+    """
+    found, count = Distances(pairs), len(pairs)
+    corners = Corners(pairs, found, distance)
+    rates = _Rates(chain, pairs)
+    gains, free = np.full(count + ROWS, gain), np.array(distance)
+    shallow = max(distance, SHALLOW)
+    room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
+
+    def tighten(state: State, rows: LimitRows) -> None:
+        state.place(found.geometry, found.placed)
+        found.update(within)
+        corners.update()
+        np.subtract(found.d, free, room[:count])
+        room[count:] = corners.room
+        damp(room, gains, deep, rows.h, shallow)
+        rates.fill(state, found, corners, rows.G)
+        np.greater_equal(found.d, within, deep[:count])  # as far for what reads the rows
+        rows.G[:count][deep[:count]] = 0.0
+        for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
+            rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
+
+    return tighten
+
+
+class _Rates:
+    """How the distances of pairs, and of corners, change.
+
+    Args:
+        chain: that carries the bodies.
+        pairs: of bodies.
+    """
+
+    def __init__(self, chain: ClosedChain, pairs: Sequence[Pair]) -> None:
+        first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
+        # Joints that move both bodies change no distance.
+        self._sign = first - second
+        self._W, self._minus = np.zeros((len(pairs), 6)), np.zeros((len(pairs), 3))
+        self._G = np.zeros_like(self._sign)
+        self._G_corners = np.zeros((ROWS, chain.n))
+
+    def fill(self, state: State, found: Distances, corners: Corners, G: Array) -> None:
+        """Write -d_dot per joint speed, shape (p + ROWS, n); zero where pairs are far."""
+        near, count = found.near, len(found.d)
+        k = len(near)
+        n, p, W, minus, rows = found.n[:k], found.p[:k], self._W[:k], self._minus[:k], self._G[:k]
+        n[:, 3:], p[:, 3:] = n[:, :2], p[:, :2]
+        W[:, :3] = n[:, :3]
+        np.multiply(p[:, 1:4], n[:, 2:], W[:, 3:])
+        np.multiply(p[:, 2:], n[:, 1:4], minus)
+        np.subtract(W[:, 3:], minus, W[:, 3:])
+        W.dot(state.J_joints, rows)
+        G[:] = 0.0
+        G[near] = rows
+        np.multiply(G[:count], self._sign, G[:count])
+        if corners.count:
+            corners.W.dot(state.J_joints, self._G_corners)
+            np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
+
+
+def room_left(pairs: Sequence[Pair], *, distance: float, within: float) -> RoomLeft:
+    """What :func:`keep_apart` leaves each pair; none farther apart than ``within`` counts [m].
+
+    Corners have no room of their own: it is never less than that of their pair's bodies.
+    """
+    found = Distances(pairs)
+
+    def left(state: State) -> Array:
+        state.place(found.geometry, found.placed)
+        found.update(within)
+        return np.asarray(np.minimum(found.d, within) - distance, float)
+
+    return left
+
+
+def margins_along(
+    owner: str, chain: ClosedChain, pairs: Sequence[Pair], q: Array, distance: float
+) -> dict[Row, Array]:
+    """Distance of each pair after each tick, less what is kept free [m], however far they are."""
+    d = distances_along(chain, pairs, q[1:]) - distance
+    return dict(zip(pair_rows(owner, pairs), d.T, strict=False))  # without corners
+
+
+def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
+    """Distance of each pair at each row of q, shape (T, p) [m]."""
+    found = Distances(pairs)
+    d = np.zeros((len(q), len(pairs)))
+    for state, row in zip(states_along(chain, q), d, strict=True):
+        state.place(found.geometry, found.placed)
+        found.update(math.inf)
+        row[:] = found.d
+    return d
+
+
+def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, float]]:
+    """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
+    return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]

@@ -1,0 +1,173 @@
+"""Arms and object keep a distance from things in the world: d_dot >= -gain (d - distance).
+
+Things are boxes, balls, cylinders and the convex hulls of meshes that stand still; what is hollow
+is given in parts. Bodies are those of ``self_collision``: the robot's capsules, or the convex
+parts of its file's collision geometry, and the object's box. With n the unit normal from a body to
+a thing at their nearest points and d their signed distance,
+
+    n' J_body v <= gain (d - distance)
+
+A body that is too close by more than a millimetre may not come closer, but is not asked away
+(:func:`coopqp.limit.damp`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+from pydantic import Field
+
+from coopqp.checked import Array, Lengths3, NonNegative, Pose, Positive, overshoot, spec
+from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
+from coopqp.grasp import pose_matrix
+from coopqp.limit import Limit, RoomLeft, Tighten
+from coopqp.limits._bodies import bodies_of, named_bodies
+from coopqp.limits._convex import of_shape
+from coopqp.limits._distances import Body, Pair
+from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
+from coopqp.mark import Mark, SolidMark
+from coopqp.robot import Shape
+from coopqp.robot_files.keys import FilePath
+from coopqp.row import Row
+
+
+@spec
+class RoundSize:
+    """Size of a cylinder along its z axis."""
+
+    radius: Positive
+    """[m]"""
+    length: Positive
+    """[m]"""
+
+
+@spec
+class Obstacle(Pose):
+    """One thing in the world: its pose, and one of box, sphere, cylinder and mesh."""
+
+    box: Lengths3 | None = None
+    """Edges along its axes [m]."""
+    sphere: Positive | None = None
+    """Radius [m]."""
+    cylinder: RoundSize | None = None
+    """{radius: m, length: m}, along its z axis."""
+    mesh: FilePath | None = None
+    """A file of triangles such as STL or OBJ; its convex hull counts."""
+    scale: Lengths3 = (1.0, 1.0, 1.0)
+    """Of the mesh, along its axes."""
+
+    def __post_init__(self) -> None:
+        Pose.__post_init__(self)
+        kinds = ("box", "sphere", "cylinder", "mesh")
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none"
+            raise ValueError(f"needs one of {', '.join(kinds)}; found {found}")
+
+    @property
+    def shape(self) -> Shape:
+        """As robots have it, in the world."""
+        placement, world = pose_matrix(self), "universe"
+        if self.mesh is not None:
+            return Shape(
+                frame=world, placement=placement, kind="mesh", size=self.scale, mesh=self.mesh
+            )
+        if self.box is not None:
+            return Shape(frame=world, placement=placement, kind="box", size=self.box)
+        if self.sphere is not None:
+            return Shape(frame=world, placement=placement, kind="sphere", size=(self.sphere,))
+        assert self.cylinder is not None
+        size = (self.cylinder.radius, self.cylinder.length)
+        return Shape(frame=world, placement=placement, kind="cylinder", size=size)
+
+
+@spec
+class Obstacles(Limit):
+    """Arms and object keep a distance from things in the world."""
+
+    shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
+    """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
+    distance: NonNegative = 0.01
+    """Kept free between a body and a thing [m]."""
+    gain: Positive = 10.0
+    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
+    within: Positive = 0.1
+    """Bodies farther away than this are not slowed down, which spares their distances [m]."""
+    bodies: tuple[str, ...] | None = None
+    """Names of bodies, patterns such as *hand*, or "object"; all that move if omitted."""
+
+    def __post_init__(self) -> None:
+        if self.within <= self.distance:
+            raise ValueError(f"within: found {self.within:g}, needs more than distance")
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        """One row for each body and thing, and some for corners of the closest ones."""
+        return pair_rows("obstacles", self._pairs(chain))
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        """One row for each body and thing, whether near or not, so that the count never changes."""
+        if wrong := overshoot(self.gain, dt):
+            raise InvalidValueError(f"obstacles: {wrong}")
+        pairs = self._pairs(chain)
+        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
+
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
+        """Distance of each body from each thing after each tick, less what is kept free [m]."""
+        return margins_along("obstacles", chain, self._pairs(chain), q, self.distance)
+
+    def room(self, chain: ClosedChain) -> RoomLeft:
+        """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
+        return room_left(self._pairs(chain), distance=self.distance, within=self.within)
+
+    def eased(self, room: float) -> Obstacles | None:
+        """A smaller distance; None where bodies would have to sink into each other."""
+        return replace(self, distance=self.distance - room) if room <= self.distance else None
+
+    def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Bodies that are in a thing."""
+        return tuple(
+            f"obstacles: {body.name} is {1e3 * depth:.1f} mm in {thing.name} at the start; move "
+            "one of them"
+            for body, thing, depth in inside(chain, self._pairs(chain))
+        )
+
+    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Parts of the robot that are no bodies."""
+        return tuple(f"obstacles does not see {fault}" for fault in bodies_of(chain)[1])
+
+    def marks(self, t: float) -> tuple[Mark, ...]:
+        """The things."""
+        shapes = (thing.shape for thing in self.shapes.values())
+        return tuple(
+            SolidMark(
+                kind=shape.kind,
+                size=shape.size,
+                mesh=shape.mesh,
+                rotation=shape.placement.rotation,
+                position=shape.placement.translation,
+            )
+            for shape in shapes
+        )
+
+    def _pairs(self, chain: ClosedChain) -> list[Pair]:
+        """All bodies that move, or those named, with all things.
+
+        Raises:
+            InvalidValueError: the robot has no bodies, or a mesh cannot be used.
+            UnknownNameError: no body has the name given.
+        """
+        bodies, _ = bodies_of(chain)
+        if self.bodies is not None:
+            named = (named_bodies("obstacles.bodies: ", name, bodies) for name in self.bodies)
+            bodies = list(dict.fromkeys(body for found in named for body in found))
+        things = [_thing(name, thing) for name, thing in self.shapes.items()]
+        return [(body, thing) for body in bodies if body.joint for thing in things]
+
+
+def _thing(name: str, thing: Obstacle) -> Body:
+    try:
+        return Body(name, 0, of_shape(thing.shape))
+    except InvalidValueError as error:
+        raise InvalidValueError(f"obstacles.shapes.{name}: {error}") from None
