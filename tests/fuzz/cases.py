@@ -23,8 +23,12 @@ from coopqp.scenario.loader import load, solver_by_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
+from coopqp.study.explanation.leg import legs
+from coopqp.study.recorded_run import measured_run
 from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
+from coopqp.study.trace_file import recording_from_trace
 
 from . import mutations
 
@@ -170,8 +174,15 @@ def _trace(rng: Random, folder: Path) -> None:
             ",".join(map(str, row)) + "\n" if isinstance(row, list) else f"{row}\n" for row in rows
         )
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    tick = rng.choice((None, None, 0, 1, 4, 5, 10**6))
-    explanation.explain(recorded_tick(path, scenario, rng.choice((None, "qp")), tick))
+    asked = rng.choice(("tick", "run", "joints"))
+    if asked == "joints":
+        measured_run(path, scenario, rng.choice((None, "qp")))
+    elif asked == "run":
+        name = rng.choice(("qp", "pseudoinverse"))
+        list(legs(scenario.held_by(name), recording_from_trace(path, scenario, name)))
+    else:
+        tick = rng.choice((None, None, 0, 1, 4, 5, 10**6))
+        explanation.explain(recorded_tick(path, scenario, rng.choice((None, "qp")), tick))
 
 
 @cache
@@ -194,7 +205,7 @@ def _tick(rng: Random, folder: Path) -> None:
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
     record = TickRecord.read(path)
     solver = rng.choice(("daqp", "osqp", "proxqp"))
-    explanation.replay(record, solver_by_name(solver, catalog()))
+    replay(record, solver_by_name(solver, catalog()))
 
 
 MAKERS = {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}
