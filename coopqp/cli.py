@@ -355,7 +355,7 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     faults: list[Fault] = []
     for name in scenarios:
         try:
-            _note(_load(name, catalog, None))
+            _note(_load(name, catalog, None), [])
         except ScenarioError as error:
             faults.extend(error.faults)
         else:
@@ -407,11 +407,13 @@ def _recorded(trace: Path, catalog: Any) -> tuple[Path, Any]:
     return path, _load(str(path.parent / "scenario.yaml"), catalog, None)
 
 
-def _note(scenario: Any) -> None:
-    """Say which parts of a scenario have no effect on which of its controllers."""
+def _note(scenario: Any, controllers: list[str]) -> None:
+    """Say which parts of a scenario have no effect on which of these controllers."""
+    from coopqp.controller_run import controller_of
     from coopqp.scenario.notes import notes
 
-    for line in notes(scenario):
+    chosen = controllers or list(scenario.controllers)
+    for line in notes(scenario, {name: controller_of(scenario, name) for name in chosen}):
         click.echo(f"note: {line}", err=True)
 
 
@@ -421,7 +423,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     from coopqp.report import files, table
     from coopqp.report.terminal import console, progress_bars
 
-    _note(scenario)
+    _note(scenario, controllers)
     if out:
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:

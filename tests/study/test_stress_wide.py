@@ -34,7 +34,7 @@ TICKS = 100
 
 @pytest.fixture(scope="module")
 def small() -> list[Rollout]:
-    return stress(60, seed=0, jobs=1)
+    return stress(30, seed=0, jobs=1)
 
 
 def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Record:
@@ -225,8 +225,8 @@ def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
 def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
     marked = [dataclasses.replace(small[0], frozen=True, broken=("froze",)), *small[1:]]
     whole = summarize(marked)[-1]
-    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 60, 1, 1)
-    assert sum(whole.outcomes.values()) == 60
+    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 30, 1, 1)
+    assert sum(whole.outcomes.values()) == 30
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
