@@ -54,7 +54,7 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert not any(r.frozen or r.rattling or r.never_back for r in small)
     assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
     assert all(r.reason for r in small if r.outcome != "reached")
-    assert sum(r.outcome == "reached" for r in small) >= 15
+    assert sum(r.outcome == "reached" for r in small) >= len(small) // 4
 
 
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
