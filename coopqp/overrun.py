@@ -37,24 +37,36 @@ class Overrun:
         row: the one of its rows that was broken most.
         by: how far beyond the limit it was, at worst [the row's unit].
         at_start: how far it was when the run began, 0 inside.
+        at_end: how far it is when the run has ended, 0 inside.
     """
 
     row: Row
     by: float
-    at_start: float = 0.0
+    at_start: float
+    at_end: float
+
+    @property
+    def farther(self) -> bool:
+        """Whether the run went farther out than it began."""
+        return matters(self.by - self.at_start, self.row.unit)
 
 
 def broken(trace: Trace) -> list[Overrun]:
-    """One overrun for each limit that was broken by more than is negligible."""
+    """One overrun for each limit that the run was beyond by more than is negligible."""
     worst: dict[str, Overrun] = {}
     for row, margin in trace.margins.items():
         if row.owner in JUDGED_OTHERWISE or not margin.size:
             continue
-        found = Overrun(row, float(-margin.min()), max(0.0, float(-margin[0])))
+        at_start, at_end = (max(0.0, float(-margin[i])) for i in (0, -1))
+        found = Overrun(row, float(-margin.min()), at_start, at_end)
         known = worst.get(row.owner)
-        if matters(found.by - found.at_start, row.unit) and (not known or found.by > known.by):
+        if matters(found.by, row.unit) and (not known or _worse(found, known)):
             worst[row.owner] = found
     return list(worst.values())
+
+
+def _worse(one: Overrun, other: Overrun) -> bool:
+    return (one.farther, one.by) > (other.farther, other.by)
 
 
 def matters(by: float, unit: str) -> bool:

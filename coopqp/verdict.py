@@ -96,6 +96,9 @@ def _beyond(overrun: Overrun) -> str:
     row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
     if row.unit not in ("m", "rad"):
         return f"exceeds the {row.words} by {far}"
+    if not overrun.farther:
+        out = matters(overrun.at_end, row.unit)
+        return f"starts {far} beyond {row.words} and {'ends outside' if out else 'comes back'}"
     start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
     return f"goes {far} beyond {row.words}{start}"
 
@@ -115,7 +118,7 @@ def _speed(trace: Trace) -> str:
     worst = int(share.argmax())
     if share[worst] <= 1.0 + FASTER:
         return ""
-    return f"asks {_round(share[worst])} times the speed {trace.joints[worst]} has"
+    return f"needs {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 
 def _loop(metrics: Mapping[str, Any]) -> str:

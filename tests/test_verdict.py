@@ -99,6 +99,18 @@ def test_who_goes_through_a_wall_is_told_by_how_much(walled: Comparison) -> None
     assert any(line.startswith("table: ") for line in row.lines)
 
 
+def test_a_wall_that_is_broken_from_the_start_is_told_and_nobodys_fault() -> None:
+    sunk = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, 0.04))
+    limits = (JointPosition(), JointVelocity(), sunk)
+    reach = PointOnPoint(name="reach", goal=(0.19, 0.0, 0.05))
+    found = judged(nao(reach, limits=limits, duration=1.0, kappa=100.0))
+    assert re.search(
+        r"starts \d+ mm beyond the table, corner .* ends outside", found.verdicts["qp"]
+    )
+    assert "every limit" not in found.verdicts["qp"]
+    assert cells(found.traces["qp"], found.metrics["qp"])["limit"].bad is None
+
+
 def test_the_audit_has_one_line_for_a_wall(walled: Comparison) -> None:
     lines = [limit.name for limit in audit.limits_of(walled.traces["qp"])]
     assert lines.count("table") == 1

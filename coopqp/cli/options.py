@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -63,9 +63,11 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
     return path, read_scenario(str(path.parent / "scenario.yaml"), catalog)
 
 
-def print_notes(scenario: Any) -> None:
-    """Say which parts of a scenario have no effect on which of its controllers."""
+def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
+    """Say which parts of a scenario have no effect on which of the controllers that are to run."""
+    from coopqp.controller_run import controller_of
     from coopqp.scenario.notes import notes
 
-    for line in notes(scenario):
+    chosen = controllers or list(scenario.controllers)
+    for line in notes(scenario, {name: controller_of(scenario, name) for name in chosen}):
         click.echo(f"note: {line}", err=True)

@@ -168,7 +168,7 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     from coopqp.report import files, table
     from coopqp.report.terminal import console, progress_bars
 
-    print_notes(scenario)
+    print_notes(scenario, controllers)
     if out:
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:

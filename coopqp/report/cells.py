@@ -94,8 +94,9 @@ def _limit(trace: Trace, overrun: float, unit: str) -> Cell:
         value, of = length(found.by, found.row.unit)
         lines.append(f"{found.row.owner}: {number(value)}\N{NO-BREAK SPACE}{of}")
     at_start = max(0.0, float(outside(trace)[0].max()))
-    bad = bool(others) or matters(overrun - at_start, unit)
-    return Cell(tuple(lines), None if at_start > ROUNDING and not bad else bad)
+    bad = any(found.farther for found in others) or matters(overrun - at_start, unit)
+    some = at_start > ROUNDING or bool(others)
+    return Cell(tuple(lines), None if some and not bad else bad)
 
 
 def facts(comparison: Comparison) -> list[tuple[str, str]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
+from coopqp.controller import Controller
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.scenario import Scenario
 
@@ -11,18 +12,20 @@ from coopqp.scenario.scenario import Scenario
 USUAL_LIMITS = (JointPosition(), JointVelocity())
 
 
-def notes(scenario: Scenario) -> list[str]:
+def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
     What limits cannot bound comes after it.
 
     Args:
-        scenario: whose controllers say what they heed.
+        scenario: what is to be run.
+        controllers: that are to run, which say what they heed; the scenario's own when omitted.
     """
+    chosen = scenario.controllers if controllers is None else controllers
     deaf_to = [
         f"{what} no effect on {' and '.join(deaf)}"
         for part, what in _stated(scenario)
-        if (deaf := [name for name, c in scenario.controllers.items() if part not in c.heeds])
+        if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
     return [*deaf_to, *(line for k in scenario.limits for line in k.notes(scenario.chain))]
 

@@ -34,7 +34,7 @@ TICKS = 100
 
 @pytest.fixture(scope="module")
 def small() -> list[Rollout]:
-    return stress(60, seed=0, jobs=1)
+    return stress(30, seed=0, jobs=1)
 
 
 def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Record:
@@ -54,7 +54,7 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert not any(r.frozen or r.rattling or r.never_back for r in small)
     assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
     assert all(r.reason for r in small if r.outcome != "reached")
-    assert sum(r.outcome == "reached" for r in small) >= 15
+    assert sum(r.outcome == "reached" for r in small) >= len(small) // 4
 
 
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
@@ -225,8 +225,8 @@ def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
 def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
     marked = [dataclasses.replace(small[0], frozen=True, broken=("froze",)), *small[1:]]
     whole = summarize(marked)[-1]
-    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 60, 1, 1)
-    assert sum(whole.outcomes.values()) == 60
+    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 30, 1, 1)
+    assert sum(whole.outcomes.values()) == 30
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.disturbance import Disturbance
+from coopqp.limits import FollowingError
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import words
@@ -71,10 +73,14 @@ def explain(
         return late
     held = () if torques else held_up(leg)
     slow = sum(share.share for share in held if is_speed(share.row)) > MOSTLY
+    if not slow and (late := _leash(scenario, controller, leg)):
+        return late
     after = rerun(scenario, controller, leg.phase, Change(longer=longer(leg)))
     reached = not after.missed
     time = arrival(goal, after) if reached else None
     if not reached and not _falls(leg, after):
+        if late := _misled(scenario, controller, leg):
+            return late
         return Late("rest", _rests(leg, place), held, tried=False)
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
     gain = "" if slow else f" (gain {leg.missed[0][0].task.gain:g} 1/s)"
@@ -89,8 +95,27 @@ def explain(
 def _rests(leg: Leg, place: Place) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
-        return "the law does not settle there, although the goal is in reach"
+        return "it rests there, although the goal is in reach"
     return f"it rests although this is inside the limits: {words.start(place.q, leg)}"
+
+
+def _leash(scenario: Scenario, controller: str, leg: Leg) -> Late | None:
+    """Commands that had to wait for the measured joints."""
+    leash = tuple(limit for limit in scenario.limits if isinstance(limit, FollowingError))
+    if not leash or rerun(scenario, controller, leg.phase, Change(leave_out=leash)).missed:
+        return None
+    said = "following_error keeps the commands near the measured joints"
+    return Late("speed", f"{said}; without it the goal is reached (tried)", tried=True)
+
+
+def _misled(scenario: Scenario, controller: str, leg: Leg) -> Late | None:
+    """What the controller was not told keeps it from the goal."""
+    if scenario.disturbance == Disturbance():
+        return None
+    if rerun(scenario, controller, leg.phase, Change(perfect=True)).missed:
+        return None
+    said = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
+    return Late("model", f"{said}; 'coopqp calibrate' may find out what", tried=True)
 
 
 def _out_of_budget(leg: Leg) -> bool:

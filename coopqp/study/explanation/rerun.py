@@ -13,6 +13,7 @@ import numpy as np
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controller_run import run
+from coopqp.disturbance import Disturbance
 from coopqp.hold import Hold
 from coopqp.limit import Limit
 from coopqp.row import Row
@@ -38,6 +39,8 @@ class Change:
         longer: more time for the last phase [s].
         tasks: tasks instead of others, by name, in the last phase.
         kappa: another drift gain [1/s]; the scenario's where None.
+        leave_out: limits.
+        perfect: whether the controller knows all: no disturbance.
     """
 
     joints: Mapping[Row, float] = field(default_factory=dict)
@@ -46,6 +49,8 @@ class Change:
     longer: float = 0.0
     tasks: Mapping[str, Task] = field(default_factory=dict)
     kappa: float | None = None
+    leave_out: tuple[Limit, ...] = ()
+    perfect: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,12 +102,15 @@ def arrival(goal: Goal, leg: Leg) -> float:
 
 def _changed(scenario: Scenario, phase: int, change: Change) -> Scenario:
     """The scenario to be run."""
-    limits = [_instead(limit, change) for limit in scenario.limits]
+    kept = [limit for limit in scenario.limits if limit not in change.leave_out]
+    limits = [_instead(limit, change) for limit in kept]
     if change.without_places:
         limits = [limit for limit in limits if not bounds_places(limit, scenario.chain)]
     known = {name: getattr(scenario, name) for name in Scenario.__dataclass_fields__}
     known |= _times(scenario, phase, change)
     known |= {"limits": tuple(limits), "grasp_of": {}}
+    if change.perfect:
+        known["disturbance"] = Disturbance()
     if change.kappa is not None:
         known["kappa"] = change.kappa
     return _Wider(**known, wider=change.joints) if change.joints else Scenario(**known)

@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.controller_run import controller_of
 from coopqp.limit import states_along
 from coopqp.scenario.scenario import Scenario
-from coopqp.solver import Status
+from coopqp.solver import Budget, Status
 from coopqp.study.explanation import late, velocity, words
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, cure
@@ -30,9 +30,6 @@ from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
 
 Report = Callable[[float], None]
-
-#: A loop that comes open farther is not what a model got wrong [m], [rad].
-OPEN = (5e-3, 20e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +153,8 @@ def _opened(leg: Leg) -> str:
     for state in states_along(leg.problem.chain, leg.q):
         position = max(position, state.loop_position_error)
         angle = max(angle, state.loop_orientation_error)
-    if position <= OPEN[0] and angle <= OPEN[1]:
+    most = Budget()  # as for the verdict
+    if position <= most.loop_position and angle <= most.loop_orientation:
         return ""
     return (
         "no goal counts as reached: the loop came open by "
@@ -228,7 +226,7 @@ class _Whole:
             return replace(
                 base,
                 kind="contradiction",
-                sentence=words.contradiction(found, leg),
+                sentence=words.contradiction(found, leg, ordered=self._ordered()),
                 tasks=tuple(task.name for task in found.tasks),
                 any_robot=found.any_robot,
             )
@@ -237,6 +235,10 @@ class _Whole:
             tasks = (found.goal.tasks[0].name,)
             return replace(base, kind="freedom", sentence=said, tasks=tasks)
         return self._reach(found)
+
+    def _ordered(self) -> bool:
+        """Whether the law heeds which task comes first."""
+        return {"modes", "priorities"} <= controller_of(self._scenario, self._name).heeds
 
     def _held(self, shares: tuple[Share, ...]) -> str:
         return f"{words.stops(self._leg)}; {words.holding(shares)}"

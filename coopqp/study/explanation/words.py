@@ -174,7 +174,7 @@ def point(p: Array, digits: int = 3) -> str:
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def contradiction(found: Contradiction, leg: Leg) -> str:
+def contradiction(found: Contradiction, leg: Leg, *, ordered: bool) -> str:
     """Which tasks, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
@@ -183,7 +183,7 @@ def contradiction(found: Contradiction, leg: Leg) -> str:
         return text
     ranks = {_rank(task) for task in found.tasks}
     offs = [f"{part.name} stays {size(e, part.part.unit)} off" for part, e in mine]
-    if len(ranks) > 1:
+    if ordered and len(ranks) > 1:
         first = [task.name for task in found.tasks if _rank(task) == min(ranks)]
         verb = "comes" if len(first) == 1 else "come"
         return f"{text}; {listed(first)} {verb} first, {listed(offs)}"

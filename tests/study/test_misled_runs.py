@@ -1,0 +1,56 @@
+"""Goals that a leash or a wrong model keeps a run from: told so, and true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import coopqp
+from coopqp.comparison import summarize
+from coopqp.disturbance import Disturbance
+from coopqp.limits import FollowingError, JointPosition, JointVelocity
+from coopqp.plants import RigidBody
+from coopqp.report import files
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import RunExplanation, explain_run
+from coopqp.study.trace_file import recording_from_trace
+
+
+def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunExplanation:
+    trace = coopqp.run(scenario, controller=controller)
+    files.write(summarize(scenario, {controller: trace}), folder)
+    recording = recording_from_trace(folder / "trace.csv", scenario, controller)
+    return explain_run(scenario, recording)
+
+
+def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
+    scenario = replace(
+        coopqp.load("two_pandas"),
+        plant=RigidBody(),
+        disturbance=Disturbance(noise_position=1e-5),
+        limits=(JointPosition(), JointVelocity(), FollowingError(max=1e-4)),
+    )
+    found = explained(scenario, tmp_path)
+    assert found.kind == "speed"
+    assert "following_error" in found.sentence
+    free = replace(scenario, limits=scenario.limits[:2])
+    assert explained(free, tmp_path / "free").kind == "reached"
+
+
+def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> None:
+    wrong = Disturbance(grasp_offset=3e-3, encoder_offset=5e-3)
+    scenario = replace(coopqp.load("point_on_point"), plant=RigidBody(), disturbance=wrong)
+    found = explained(scenario, tmp_path)
+    assert found.kind == "model", found.sentence
+    assert "what the model gets wrong" in found.sentence
+
+
+def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> None:
+    low = coopqp.load("point_on_plane").tasks[0]
+    assert isinstance(low, coopqp.tasks.PointOnPlane)
+    high = replace(low, name="high", through=(0.0, 0.0, low.through[2] + 0.03), priority=1)
+    scenario = replace(coopqp.load("point_on_plane"), tasks=(low, high), duration=3.0)
+    assert "comes first" in explained(scenario, tmp_path).sentence
+    other = explained(scenario, tmp_path / "other", "pseudoinverse")
+    assert "cannot hold together" in other.sentence
+    assert "first" not in other.sentence
