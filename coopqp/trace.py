@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.row import Row
-from coopqp.solver import Budget
+from coopqp.solver import Budget, Status
 
 
 @dataclass(frozen=True)
@@ -277,6 +277,11 @@ class Trace:
     def last_instants(self) -> tuple[int, ...]:
         """The last row for which each task counts."""
         return tuple(range(len(self.t))[task.rows][-1] for task in self.tasks)
+
+    @property
+    def broke_down(self) -> bool:
+        """Whether the plant could not go on, so that nothing is true of it any more."""
+        return any(Status.PLANT_FAILED.name in status.split("+") for status in self.status)
 
     @property
     def torn(self) -> tuple[bool, ...]:

@@ -42,6 +42,8 @@ def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
 
 
 def _arrival(trace: Trace) -> str:
+    if trace.broke_down:
+        return ""
     missed = [
         k
         for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
@@ -71,6 +73,8 @@ def _where(trace: Trace, k: int) -> str:
 
 
 def _limits(trace: Trace) -> str:
+    if trace.broke_down:
+        return ""
     others = "; ".join(_beyond(overrun) for overrun in broken(trace))
     beyond = outside(trace)
     worst = int(beyond.max(axis=0).argmax())

@@ -174,3 +174,13 @@ def test_standing_still_says_why() -> None:
         coopqp.load("point_on_point"), {"qp": replace(trace, usable=usable, failures=failures)}
     )
     assert "holds still in 10 of 10 ticks: the loop budget is used up" in found.verdicts["qp"]
+
+
+def test_nothing_is_reached_once_the_plant_broke_down() -> None:
+    scenario = nao(PointOnPoint(goal=(0.19, 0.0, 0.06)), duration=0.1)
+    trace = run(scenario, controller="qp")
+    status = (*trace.status[:-1], coopqp.Status.PLANT_FAILED.name)
+    found = summarize(scenario, {"qp": replace(trace, status=status)})
+    assert not found.metrics["qp"]["reached"]
+    assert "eaches the goal" not in found.verdicts["qp"]
+    assert "keeps" not in found.verdicts["qp"]

@@ -13,5 +13,7 @@ class Reached(Metric):
 
     def measure(self, trace: Trace) -> bool:
         """At the last instant for which each counts."""
+        if trace.broke_down:
+            return False
         ends = zip(trace.final_error, trace.tasks, trace.torn, strict=True)
         return all(bool(error <= task.tolerance) and not torn for error, task, torn in ends)
