@@ -43,7 +43,7 @@ def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
 
 def _arrival(trace: Trace) -> str:
     if trace.broke_down:
-        return ""
+        return "reaches no goal"
     missed = [
         k
         for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
