@@ -232,6 +232,13 @@ class Law(ABC):
         command.note = note
         return command
 
+    def settle(self) -> Command:
+        """The velocity that a closed formula has written, if all of it are finite numbers."""
+        if not np.isfinite(self.command.v).all():
+            return self.refuse(Status.NOT_FINITE)
+        self.command.say(Status.OPTIMAL)
+        return self.command
+
     def hold_still(self, state: State) -> None:
         """Write torques that keep the arms where they are; for laws in velocities zero does.
 

@@ -55,6 +55,9 @@ class Limit(ABC):
     sacrificed_first: ClassVar[bool] = False
     """Whether it may be given up before the drift correction when not everything can hold."""
 
+    heeds_measured: ClassVar[bool] = False
+    """Whether it depends on what the sensors say, which geometry alone cannot explain."""
+
     bounds_position: ClassVar[bool] = False
     """Whether its bounds on v are bounds on q, divided by dt."""
 

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.limit import ROUNDING
 from coopqp.row import Row
 from coopqp.trace import Trace
 
-#: An overrun below this is rounding, in every unit.
-ROUNDING = 1e-9
 #: An overrun below this is told, but nobody's fault: a servo's lag, the curvature of a tick's step.
 #: It is a tenth of what hobby servos and NAO's encoders resolve, a tenth of a millimetre.
 NEGLIGIBLE = {"rad": 1e-4, "m": 1e-4, "rad/s": 1e-3, "m/s": 1e-3, "rad/s2": 0.1, "m/s2": 0.1}

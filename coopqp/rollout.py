@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.leverage import leverage
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
-from coopqp.leverage import leverage
 from coopqp.plant import PlantModel
 from coopqp.row import Row
 from coopqp.solver import Status, written

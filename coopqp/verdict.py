@@ -10,7 +10,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.overrun import ROUNDING, Overrun, at_limits, broken, matters, outside
+from coopqp.limit import ROUNDING
+from coopqp.overrun import Overrun, at_limits, broken, matters, outside
 from coopqp.trace import Trace
 
 #: A gap between the hands and the model below both is not worth saying [m], [rad].

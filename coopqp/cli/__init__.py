@@ -6,7 +6,7 @@ import click
 
 from coopqp import __version__
 from coopqp.cli import scenarios, studies
-from coopqp.ending import Group
+from coopqp.cli.ending import Group
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})

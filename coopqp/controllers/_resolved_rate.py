@@ -54,12 +54,9 @@ class ResolvedRateLaw(Law):
             np.dot(inverse, rows.b, out=command.v)
             if np.isfinite(command.v).all():
                 self._add_null_space(state, inverse)
-            command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
         except np.linalg.LinAlgError:  # the singular value decomposition did not converge
-            command.say(Status.SOLVER_ERROR)
-        if not command.status.usable:
-            command.v[:] = 0.0
-        return command
+            return self.refuse(Status.SOLVER_ERROR)
+        return self.settle()
 
     def _add_null_space(self, state: State, inverse: NDArray[np.floating[Any]]) -> None:
         if not self._secondary.tasks:

@@ -75,10 +75,7 @@ class KinematicPid(Law):
         N = null_space(state.J_loop)
         command.v[:] = N @ least_squares(tasks.J @ N, wanted)
         command.v -= np.linalg.pinv(state.J_loop) @ (self.problem.kappa * state.e_loop)
-        command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
-        if not command.status.usable:
-            command.v[:] = 0.0
-        return command
+        return self.settle()
 
 
 class TorquePid(Law):

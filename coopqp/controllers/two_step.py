@@ -60,10 +60,7 @@ class TwoStepLaw(Law):
             command.v[:] = self._motion @ least_squares(J_a, h_dot) + self._drift
         except np.linalg.LinAlgError:  # a singular value decomposition did not converge
             return self.refuse(Status.SOLVER_ERROR)
-        if not np.isfinite(command.v).all():
-            return self.refuse(Status.NOT_FINITE)
-        command.say(Status.OPTIMAL)
-        return command
+        return self.settle()
 
 
 @spec

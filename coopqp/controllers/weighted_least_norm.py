@@ -53,12 +53,9 @@ class WeightedLeastNormLaw(Law):
         shrink = 1.0 / np.sqrt(self.weights(state))
         try:
             command.v[:] = shrink * least_squares(rows.A * shrink, rows.b)
-            command.say(Status.OPTIMAL if np.isfinite(command.v).all() else Status.NOT_FINITE)
         except np.linalg.LinAlgError:  # the singular value decomposition did not converge
-            command.say(Status.SOLVER_ERROR)
-        if not command.status.usable:
-            command.v[:] = 0.0
-        return command
+            return self.refuse(Status.SOLVER_ERROR)
+        return self.settle()
 
     def weights(self, state: State) -> Array:
         """The diagonal of W at a state, shape (n,); 1 for joints without limits."""

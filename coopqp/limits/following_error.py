@@ -26,6 +26,7 @@ from coopqp.state import State
 class FollowingError(Limit):
     """A leash between commanded and measured joints."""
 
+    heeds_measured: ClassVar[bool] = True
     bounds_position: ClassVar[bool] = True
 
     max: Positive = 0.025

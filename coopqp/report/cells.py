@@ -12,7 +12,8 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.comparison import Comparison
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.overrun import ROUNDING, broken, matters, outside
+from coopqp.limit import ROUNDING
+from coopqp.overrun import broken, matters, outside
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

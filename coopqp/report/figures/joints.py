@@ -9,7 +9,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.overrun import ROUNDING
+from coopqp.limit import ROUNDING
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.figures.chart import Chart

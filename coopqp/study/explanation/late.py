@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.checked import type_name
 from coopqp.disturbance import Disturbance
-from coopqp.limits import FollowingError
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import words
@@ -101,10 +101,11 @@ def _rests(leg: Leg, place: Place) -> str:
 
 def _leash(scenario: Scenario, controller: str, leg: Leg) -> Late | None:
     """Commands that had to wait for the measured joints."""
-    leash = tuple(limit for limit in scenario.limits if isinstance(limit, FollowingError))
+    leash = tuple(limit for limit in scenario.limits if limit.heeds_measured)
     if not leash or rerun(scenario, controller, leg.phase, Change(leave_out=leash)).missed:
         return None
-    said = "following_error keeps the commands near the measured joints"
+    names = words.listed([type_name(type(limit)) for limit in leash])
+    said = f"{names} keeps the commands near the measured joints"
     return Late("speed", f"{said}; without it the goal is reached (tried)", tried=True)
 
 
