@@ -14,19 +14,17 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.leverage import leverage
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
 from coopqp.plant import PlantModel
+from coopqp.plants._guarded import GuardedPlant
 from coopqp.row import Row
 from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
-from coopqp.wording import raised
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
 
 PROGRESS_EVERY = 50  # ticks
-#: Joints that are beyond these are nowhere [rad or m], [rad/s or m/s].
-FARTHEST, FASTEST = 1e8, 1e12
 
 
 def rollout(
@@ -94,89 +92,6 @@ def drive(law: Law, plant: PlantModel, state: State, ticks: int) -> Iterator[tup
     state.update()
 
 
-class GuardedPlant(PlantModel):
-    """A plant that, where it breaks down, stays where it was: what raises or leaves all numbers.
-
-    Args:
-        plant: any.
-
-    Attributes:
-        broken: what happened; empty so far.
-    """
-
-    def __init__(self, plant: PlantModel) -> None:
-        super().__init__()
-        self._plant, self.broken = plant, ""
-        self.signals, self.measured = plant.signals, plant.measured
-        self._told: State | None = None  # what is true, where that is not the state itself
-
-    def step(self, state: State, command: Command) -> None:
-        """As the plant does; where that fails, everything stays as it was."""
-        if self.broken:
-            return
-        before = self._kept(state)
-        try:
-            with np.errstate(all="ignore"):  # what overflows is found below
-                self._plant.step(state, command)
-                self.measured = self._plant.measured
-                self._told = None
-                _check(state)
-                if self.truth(state) is not state:
-                    _check(self.truth(state))
-        except Exception as error:  # noqa: BLE001 - a plant may be the user's, or blow up
-            words = str(error) if isinstance(error, _BreakdownError) else raised(error)
-            self.broken = f"the plant: {words}"
-            for kept in before:
-                kept.put_back()
-            self._told = before[-1].state
-            for signal in self.signals.values():
-                signal[:] = 0.0
-
-    def _kept(self, state: State) -> list[_Kept]:
-        """The state, and what is true where that is another one."""
-        true = self.truth(state)
-        return [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
-
-    def truth(self, state: State) -> State:
-        """As the plant says after its last step that did not fail."""
-        if self._told is None:
-            self._told = self._plant.truth(state)
-        return self._told
-
-    def resume(self, before: PlantModel) -> None:
-        """As the plant does."""
-        self._plant.resume(before)
-
-
-class _Kept:
-    """Joints of a state, to be put back at rest."""
-
-    def __init__(self, state: State) -> None:
-        self.state, self._t, self._q = state, state.t, state.q.copy()
-        self._measured = state.q_measured
-
-    def put_back(self) -> None:
-        state = self.state
-        state.t, state.q[:], state.q_measured = self._t, self._q, self._measured
-        state.v[:] = 0.0
-        state.update()
-
-
-def _check(state: State) -> None:
-    """Refuse joints that are nowhere.
-
-    Raises:
-        _BreakdownError: a joint's position or speed is no number, or beyond all.
-    """
-    q, v = state.q, state.v
-    if not (q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2):
-        raise _BreakdownError("its joints run away")
-
-
-class _BreakdownError(Exception):
-    """Joints are nowhere."""
-
-
 class _Recorder:
     """Arrays for one run, filled tick by tick."""
 
@@ -201,7 +116,7 @@ class _Recorder:
         asking = [task for task in problem.tasks for _ in task.parts(problem.chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
-        self._measured = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
+        self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
@@ -220,7 +135,7 @@ class _Recorder:
         self.t[k], self.q[k] = state.t, true.q
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
-        for stack, error in self._measured:
+        for stack, error in self._stacks:
             try:
                 stack.update(true)
             except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
@@ -236,7 +151,7 @@ class _Recorder:
             self.v[k] = v
         for i in self._velocities:  # how far it missed the velocities that tasks ask for
             part = self._parts[i][1]
-            for stack, error in self._measured:
+            for stack, error in self._stacks:
                 error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
         for name, signal in self._plant.signals.items():
             self.signals[name][k] = signal
@@ -279,7 +194,7 @@ class _Recorder:
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
         with suppress(Exception):  # a tick that met the same error names it
-            return leverage(self._measured[0][0], parts, self._velocities, start, end)
+            return leverage(self._stacks[0][0], parts, self._velocities, start, end)
         return np.ones(len(parts))
 
     def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
