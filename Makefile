@@ -28,11 +28,13 @@ bench: .venv/installed-test
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/installed: pyproject.toml | .venv/bin/python
+KERNEL := hatch_build.py $(wildcard coopqp/kernel/*.cpp coopqp/kernel/core/*.hpp)
+
+.venv/installed: pyproject.toml $(KERNEL) | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-.venv/installed-test: pyproject.toml | .venv/bin/python
+.venv/installed-test: pyproject.toml $(KERNEL) | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ .venv/installed
 

@@ -162,6 +162,8 @@ class Command:
 class Law(ABC):
     """A controller built for one problem."""
 
+    engine: ClassVar[str | None] = None
+    """What solves its QP: "kernel" or "python"; None for laws without one."""
     memory_sizes: Mapping[str, int] = {}
     """What the law must remember between ticks, and how many numbers; see ``State.memory``."""
 

@@ -73,6 +73,8 @@ class Task(ABC):
     """Unit of the error."""
     joint_space: ClassVar[bool] = False
     """Whether J is the identity, zero in rows that ask nothing: it steers joints, no object."""
+    all_joints: ClassVar[bool] = False
+    """In joint space: whether every row asks something, so that nothing is left free."""
     asks_velocity: ClassVar[bool] = False
     """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 

@@ -24,6 +24,7 @@ class JointCentering(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

@@ -30,6 +30,7 @@ class JointLimitBarrier(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     width: Annotated[float, Field(ge=1e-3, lt=1.0)] = 0.05
     """Where the slope stops growing, as a share of half the joint's range."""

@@ -22,6 +22,7 @@ class MinimumVelocity(Task):
 
     unit: ClassVar[str] = "rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""

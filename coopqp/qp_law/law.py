@@ -61,6 +61,8 @@ class QPLaw(Law):
     Attributes:
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
+        stacks: the soft tasks of each level. exact: the hard and scaled tasks.
+        bounds: the limits.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
             soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
@@ -68,14 +70,16 @@ class QPLaw(Law):
             :attr:`LaterLevel.pull`.
     """
 
+    engine = "python"
+
     def __init__(
         self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
     ) -> None:
         super().__init__(problem)
         chain, start = problem.chain, State(problem.chain)
         self._error_damping, self._reach = error_damping, chain.reach
-        self._bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
-        self._exact = exact = ExactTasks(problem, start)
+        self.bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
+        self.exact = exact = ExactTasks(problem, start)
         stacks = [TaskStack(group, start) for group in groups(problem)]
         rows = (*chain.loops.solver_rows, *exact.rows)
         self.first = Level(problem, stacks[0], rows, bounds, damping, exact.scaled_names)
@@ -85,7 +89,7 @@ class QPLaw(Law):
             if later.nothing_free:
                 break
             self._later.append(later)
-        self._stacks = stacks[: len(self._later) + 1]
+        self.stacks = stacks[: len(self._later) + 1]
         self.memory_sizes = {
             "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
             "missing": len(exact.scaled_names), "later pulls": len(self._later),
@@ -138,19 +142,19 @@ class QPLaw(Law):
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
         first, m, kappa = self.first, len(state.e_loop), self._probe.kappa(state)
-        self._bounds.update(state)
+        self.bounds.update(state)
         if self._recovery.begins(state):
-            self._recovery.decide(state, self._bounds, state.e_loop, kappa)
-            self._recovery.tighten(self._bounds)
+            self._recovery.decide(state, self.bounds, state.e_loop, kappa)
+            self._recovery.tighten(self.bounds)
             kappa = self._probe.kappa(state, self._recovery.share)
-        for stack in self._stacks:
+        for stack in self.stacks:
             stack.update(state)
         extra = self._step_damping(first.tasks, state)
         if self._has_exact:
-            self._exact.update(state)
-            self._exact.fill(first.qp.A[m:], first.b[m:])
+            self.exact.update(state)
+            self.exact.fill(first.qp.A[m:], first.b[m:])
             extra += self._exact_damping(state)
-        first.assemble(self._bounds, extra)
+        first.assemble(self.bounds, extra)
         loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
 
     def _step_damping(self, tasks: TaskStack, state: State) -> float:
@@ -161,7 +165,7 @@ class QPLaw(Law):
 
         The multiplier of a scaled task is SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
         """
-        share, scaled = self._error_damping * self.problem.dt, self._exact.scaled
+        share, scaled = self._error_damping * self.problem.dt, self.exact.scaled
         if not self._scales:
             hard: float = share * self._reach * state.memory["pull"][0]
             return min(hard, MOST_HARD_DAMPING)
@@ -193,7 +197,7 @@ class QPLaw(Law):
         for i, later in enumerate(self._later):
             pull = step_damping(pulls[i], self.problem.dt, self._error_damping)
             extra = self._step_damping(later.level.tasks, state) + min(pull, MOST_DAMPING)
-            status, v = later.improve(state, self._bounds, v, status, extra)
+            status, v = later.improve(state, self.bounds, v, status, extra)
             pulls[i] = later.pull
         return v, (status,)
 

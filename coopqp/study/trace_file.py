@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.controller import Law
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.qp_law.law import QPLaw
 from coopqp.reading import open_bytes
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -141,7 +141,7 @@ def _last_errors(rows: Sequence[_Row]) -> dict[str, float]:
 
 
 def state_from_trace(
-    path: Path, controller: str, tick: int, law: QPLaw, t_start: float = 0.0
+    path: Path, controller: str, tick: int, law: Law, t_start: float = 0.0
 ) -> State:
     """The state that a tick of a written trace decided from; the law's tick repeats it.
 

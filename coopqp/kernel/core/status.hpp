@@ -1,0 +1,19 @@
+// What became of a tick of the kernel. All but Optimal are handed to the plain law.
+#pragma once
+
+namespace coopqp {
+
+enum class Status : int {
+    Optimal = 0,
+    Inaccurate,   // feasible, but the certificate is short of digits
+    Infeasible,   // the constraints leave nothing
+    Iterations,   // the active set changed too often
+    NotFinite,    // the state or the answer has NaN or infinite values
+    Equality,     // the answer breaks the loop closure
+    Bound,        // the answer breaks a limit
+    Singular,     // loop or hard rows that are independent in general are not so here
+    Opens,        // the step would open a loop too far
+    Outside,      // a joint is outside its limits
+};
+
+}  // namespace coopqp

@@ -1,0 +1,40 @@
+"""The kernel and the plain law decide the same, along whole motions."""
+
+from __future__ import annotations
+
+import pytest
+from scenario_files import LOADABLE
+from side_by_side import drive
+
+from coopqp.controllers.qp import QPController
+from coopqp.kernel import native
+from coopqp.kernel.law import why_not
+from coopqp.scenario.loader import load
+from coopqp.study.stress.draw import draw
+
+pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+
+SAME = 1e-10  # [rad/s, m/s]
+
+
+@pytest.mark.parametrize("name", LOADABLE)
+def test_shipped_scenarios_move_alike(name: str) -> None:
+    """Every tick is the kernel's, and as the plain law's to rounding."""
+    scenario = load(name)
+    if not any(isinstance(c, QPController) for c in scenario.controllers.values()):
+        pytest.skip("no controller solves a QP in velocities")
+    problem = scenario.problem()
+    assert why_not(problem) == ""
+    ticks = min(scenario.schedule[0].ticks(scenario.dt), 400)
+    seen = drive(problem, ticks)
+    assert seen.decided == ticks, dict(seen.left)
+    assert seen.v < SAME
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5, 7, 9, 12, 15, 23, 30, 33, 41, 50])
+def test_random_problems_move_alike(seed: int) -> None:
+    """Hard tasks, limits that bind, several levels, arms in number; where both are optimal."""
+    problem = draw(seed).problem
+    if why_not(problem):
+        pytest.skip(why_not(problem))
+    assert drive(problem, 40).v < SAME

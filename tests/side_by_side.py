@@ -1,0 +1,62 @@
+"""The plain law drives; the kernel is asked at the same states."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopqp.controller import ControlProblem
+from coopqp.kernel.law import KernelLaw
+from coopqp.qp_law.law import QPLaw
+from coopqp.solver import Status, written
+from coopqp.state import Memory, State
+
+DAMPING, ERROR_DAMPING = 1e-6, 0.5
+
+
+@dataclass
+class Agreement:
+    """What became of the ticks of one motion.
+
+    Attributes:
+        ticks: how many.
+        decided: by the kernel.
+        left: what the plain law said in ticks that the kernel left to it.
+        v: largest difference of velocities where the plain law is optimal too [rad/s].
+        memory: largest difference of what is remembered.
+    """
+
+    ticks: int = 0
+    decided: int = 0
+    left: Counter[str] = field(default_factory=Counter)
+    v: float = 0.0
+    memory: float = 0.0
+
+
+def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
+    """The plain law, and the kernel with a plain law of its own."""
+    plain, own = (QPLaw(problem, DAMPING, ERROR_DAMPING) for _ in range(2))
+    return plain, KernelLaw(problem, own, DAMPING, ERROR_DAMPING)
+
+
+def drive(problem: ControlProblem, ticks: int) -> Agreement:
+    """Compare along a motion."""
+    plain, kernel = laws(problem)
+    state, seen = plain.start(), Agreement(ticks)
+    other = State(problem.chain, memory=Memory(plain.memory_sizes))
+    for _ in range(ticks):
+        other.q[:], other.v[:], other.t = state.q, state.v, state.t
+        other.memory.numbers[:] = state.memory.numbers
+        found, wanted = kernel.tick(other), plain.tick(state)
+        if not kernel.decided:
+            seen.left[written(wanted.causes)] += 1
+        else:
+            seen.decided += 1
+            if wanted.causes == (Status.OPTIMAL,):
+                seen.v = max(seen.v, float(np.abs(found.v - wanted.v).max()))
+                off = np.abs(other.memory.numbers - state.memory.numbers)
+                seen.memory = max(seen.memory, float(off.max(initial=0.0)))
+        state.advance(wanted.v, problem.dt)
+    return seen
