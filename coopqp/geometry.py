@@ -22,7 +22,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from coopqp.checked import Array, Direction, Vector3, one_angle, spec, unit
-from coopqp.profile import Profile
+from coopqp.profile import KINDS, Profile
 from coopqp.state import PointOfObject, State
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
@@ -90,6 +90,18 @@ class Reference:
         self._turning = turn.profile if turn else None
         self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
         self.moves = turn is not None or bool(self.c_dot.any())
+
+    def numbers(self) -> Array:
+        """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
+
+        The profile is kind, duration and delay; a reference that does not turn has zeros there.
+        """
+        turning = self._turning
+        profile = [0.0, 1.0, 0.0]
+        if turning:
+            profile = [float(KINDS.index(turning.kind)), turning.duration, turning.delay]
+        parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
+        return np.concatenate([*parts, [float(turning is not None)]])
 
     def update(self, t: float) -> None:
         """Go to where it is at time t [s]."""

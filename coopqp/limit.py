@@ -37,6 +37,22 @@ class LimitRows:
     h: Array
 
 
+@dataclass(frozen=True, kw_only=True)
+class JointBounds:
+    """Bounds on each joint's velocity, for the kernel.
+
+    Attributes:
+        lower, upper: of v where ``position`` is false; else of q, which no step may overrun.
+        position: whether they bound q.
+        recovery_speed: fastest way back from outside a bound on q [rad/s, m/s].
+    """
+
+    lower: Array
+    upper: Array
+    position: bool = False
+    recovery_speed: float = 0.0
+
+
 Tighten = Callable[[State, LimitRows], None]
 
 RoomLeft = Callable[[State], Array]
@@ -77,6 +93,15 @@ class Limit(ABC):
             chain: what is limited.
             dt: control period [s].
         """
+
+    def bounds(self, chain: ClosedChain, dt: float) -> JointBounds | None:
+        """The same as numbers for the kernel; None where it is more than bounds on the joints.
+
+        Args:
+            chain: what is limited.
+            dt: control period [s].
+        """
+        return None
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """How far a run stayed away from this limit, for the audit.

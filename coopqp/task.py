@@ -23,6 +23,7 @@ from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.mark import Mark
 from coopqp.profile import Profile
+from coopqp.program import Primitive
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -107,6 +108,14 @@ class Task(ABC):
         Args:
             start: the state from which the reference sets out.
         """
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """The same rows as a list of primitives, for the kernel; None where they are no such.
+
+        Args:
+            start: the state from which the reference sets out.
+        """
+        return None
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""

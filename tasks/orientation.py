@@ -18,6 +18,7 @@ from coopqp.geometry import RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.mark import Mark, PoseMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, rotation
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -58,6 +59,10 @@ class Orientation(Task):
             error.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        return (rotation(self._goal(), self.profile, start.R_WO),)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The orientation, wherever the object is."""

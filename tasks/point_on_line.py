@@ -16,6 +16,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -61,6 +62,10 @@ class PointOnLine(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        return (point(start, self._line(), self.point, self.profile, (0, 1)),)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The line, and the point that goes there."""

@@ -16,10 +16,11 @@ import numpy as np
 from coopqp.checked import Pose as PoseValue
 from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, RotationError
+from coopqp.geometry import Approach, Reference, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, rotation
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -68,6 +69,13 @@ class Pose(Task):
             rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        goal = pose_matrix(self.goal)
+        x, y, z = goal.translation.tolist()
+        place = point(start, Reference((x, y, z)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
+        return place, rotation(goal.rotation, self.profile, start.R_WO)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The goal, and the object's origin."""

@@ -19,6 +19,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
+from coopqp.program import Kind, Primitive
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -69,6 +70,18 @@ class Posture(Task):
             np.multiply(way, speed, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        goal, q_start = posture(self.goal, start.chain), start.q.copy()
+        given = np.flatnonzero(np.isfinite(goal))
+        way = np.where(np.isfinite(goal), goal - q_start, 0.0)
+        return (
+            Primitive(
+                kind=Kind.POSTURE, rows=tuple(given.tolist()), profile=self.profile,
+                numbers=(q_start, way),
+            ),
+        )  # fmt: skip
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The arms as they shall stand."""

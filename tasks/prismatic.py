@@ -23,6 +23,7 @@ from coopqp.geometry import Approach, PointInReference, Reference, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, rotation
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -93,6 +94,13 @@ class Prismatic(Task):
                 rate[2:] += rotation.rows.dot(line.omega)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        offset, line = point(start, self._line(), self.point, self.profile, (0, 1)), self._line()
+        R_goal, RT = self._goal(), line.RT.copy()
+        Q_goal = RT @ (start.R_WO if R_goal is None else R_goal)
+        return offset, rotation(Q_goal, self.profile, RT @ start.R_WO, line)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""

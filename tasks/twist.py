@@ -20,6 +20,7 @@ from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.mark import Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Kind, Primitive
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -91,6 +92,19 @@ class Twist(Task):
             np.multiply(wanted, share, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a function commands it."""
+        if self.command is not None:
+            return None
+        rows = tuple(AXES.index(name) for name in self.rows(start.chain))
+        velocity = [self.velocity.get(axis, 0.0) for axis in AXES]  # type: ignore[call-overload]
+        return (
+            Primitive(
+                kind=Kind.TWIST, rows=rows, point=self.point, profile=self.profile,
+                velocity=velocity, planar=self.axes == "object",
+            ),
+        )  # fmt: skip
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The point that moves."""

@@ -7,7 +7,9 @@
 #include <atomic>
 #include <cstdlib>
 
+#include "core/bounds.hpp"
 #include "core/kernel.hpp"
+#include "core/program.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -96,6 +98,69 @@ coopqp::Level level_of(const nb::dict& d, const coopqp::Model& m, coopqp::Arena&
     return level;
 }
 
+coopqp::Profile profile_of(const double* x) {
+    return {static_cast<coopqp::Profile::Kind>(int(x[0])), x[1], x[2]};
+}
+
+coopqp::Reference reference_of(const std::vector<double>& x) {
+    coopqp::Reference r;
+    std::copy(&x[0], &x[3], r.c_0);
+    std::copy(&x[3], &x[12], r.RT_0);
+    std::copy(&x[12], &x[15], r.c_dot);
+    std::copy(&x[15], &x[18], r.turn);
+    r.turning = profile_of(&x[18]);
+    r.turns = x[21] != 0.0;
+    r.moves = r.turns || x[12] != 0.0 || x[13] != 0.0 || x[14] != 0.0;
+    r.begin();
+    return r;
+}
+
+void into(double* to, const std::vector<double>& from) {
+    std::copy(from.begin(), from.end(), to);
+}
+
+coopqp::Primitive primitive_of(const nb::dict& d) {
+    coopqp::Primitive p;
+    p.kind = static_cast<coopqp::Kind>(int(number(d, "kind")));
+    p.level = int(number(d, "level"));
+    p.at = int(number(d, "at"));
+    p.rows = integers(d, "rows");
+    p.reference = reference_of(numbers(d, "reference"));
+    p.profile = profile_of(numbers(d, "profile").data());
+    into(p.p_O, numbers(d, "point"));
+    into(p.a_O, numbers(d, "axis"));
+    into(p.e_start, numbers(d, "e_start"));
+    into(p.phi, numbers(d, "phi"));
+    into(p.Q_start, numbers(d, "Q_start"));
+    into(p.velocity, numbers(d, "velocity"));
+    p.length = number(d, "length");
+    p.planar = number(d, "planar") != 0.0;
+    p.weight = number(d, "weight");
+    p.gain = number(d, "gain");
+    p.numbers = numbers(d, "numbers");
+    return p;
+}
+
+coopqp::Bounds bounds_of(const nb::list& limits, std::size_t n, double dt) {
+    coopqp::Bounds bounds;
+    bounds.lower.assign(n, -1e300);
+    bounds.upper.assign(n, 1e300);
+    for (nb::handle limit : limits) {
+        const auto d = nb::cast<nb::dict>(limit);
+        const auto lower = numbers(d, "lower"), upper = numbers(d, "upper");
+        if (number(d, "position") != 0.0) {
+            bounds.positions.push_back(
+                {lower, upper, 1.0 / dt, number(d, "recovery_speed"), coopqp::OUTSIDE / dt});
+            continue;
+        }
+        for (std::size_t j = 0; j < n; j++) {
+            bounds.lower[j] = std::max(bounds.lower[j], lower[j]);
+            bounds.upper[j] = std::min(bounds.upper[j], upper[j]);
+        }
+    }
+    return bounds;
+}
+
 // Rows that Python fills, and where they go.
 struct Filled {
     const double *e, *J, *rate;
@@ -112,17 +177,28 @@ class Engine {
         std::vector<coopqp::Level> levels;
         for (nb::handle level : nb::cast<nb::list>(d["levels"]))
             levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
+        const auto settings = settings_of(nb::cast<nb::dict>(d["settings"]));
+        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"])) {
+            program_.primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+            const auto& p = program_.primitives.back();
+            if (p.kind != coopqp::Kind::Posture) continue;
+            const std::size_t stride = std::size_t(model->blocks) * coopqp::LANES;
+            double* J = levels[std::size_t(p.level)].J + std::size_t(p.at) * stride;
+            for (std::size_t i = 0; i < p.rows.size(); i++)
+                J[i * stride + std::size_t(model->joints[std::size_t(p.rows[i])].lane)] = 1.0;
+        }
+        bounds_ = bounds_of(nb::cast<nb::list>(d["bounds"]), model->joints.size(), settings.dt);
         const auto flags = integers(d, "kept");
         std::vector<std::vector<int>> kept(flags.size() / 6);
         for (std::size_t i = 0; i < flags.size(); i++)
             if (flags[i]) kept[i / 6].push_back(int(i % 6));
         kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model), kept,
-                                                   settings_of(nb::cast<nb::dict>(d["settings"])),
-                                                   std::move(levels));
+                                                   settings, std::move(levels));
     }
 
     void bind_state(const Numbers& q, const Numbers& v_last, const Numbers& gap,
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
+                    const Written& drift, const Written& q_seen,
                     const Written& later_pulls, const Written& hard_pull) {
         auto& b = kernel_->bound;
         b.q = q.data();
@@ -131,9 +207,12 @@ class Engine {
         b.p_WO = p_WO.data();
         b.R_WO = R_WO.data();
         b.loop_error = loop_error.data();
+        b.drift = drift.data();
+        b.q_seen = q_seen.data();
         b.later_pulls = later_pulls.data();
         b.hard_pull = hard_pull.data();
-        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, later_pulls, hard_pull);
+        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, later_pulls,
+                                hard_pull);
     }
 
     void bind_command(const Written& v) {
@@ -156,28 +235,50 @@ class Engine {
         rows_.append(nb::make_tuple(e, J, rate));
     }
 
-    int update() {
+    // A whole tick of a problem of which Python fills nothing.
+    int tick(double t) {
         const Use use(*this);
-        if (!use.alone) return -1;
+        if (!use.alone) return BUSY;
         nb::gil_scoped_release released;
-        return int(kernel_->update());
-    }
-
-    int solve() {
-        const Use use(*this);
-        if (!use.alone) return -1;
-        nb::gil_scoped_release released;
-        take_limits();
-        for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
-        for (const Filled& rows : filled_) take_rows(rows);
+        const int status = evaluate(t);
+        if (status) return status;
+        bounds_.update(kernel_->model(), kernel_->bound.q, kernel_->lb, kernel_->ub);
         return int(kernel_->solve());
     }
+
+    // The same where Python has filled limits and the rows of some tasks.
+    int tick_with_rows(double t) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        nb::gil_scoped_release released;
+        const int status = evaluate(t);
+        if (status) return status;
+        for (const Filled& rows : filled_) take_rows(rows);
+        if (lb_)
+            take_limits();
+        else
+            bounds_.update(kernel_->model(), kernel_->bound.q, kernel_->lb, kernel_->ub);
+        return int(kernel_->solve());
+    }
+
+    // e, J and rate of a level's rows, one row after the other, for tests.
+    std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
 
     std::vector<double> worst() const {
         return {kernel_->check().worst_primal, kernel_->check().worst_dual};
     }
 
   private:
+    static constexpr int BUSY = -1;
+
+    int evaluate(double t) {
+        const int status = int(kernel_->update(t));
+        if (status) return status;
+        for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
+        program_.run(t, kernel_->kinematics, kernel_->model(), kernel_->bound.q, kernel_->levels);
+        return 0;
+    }
+
     // One thread at a time: another is told so.
     struct Use {
         explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_.test_and_set()) {}
@@ -222,6 +323,8 @@ class Engine {
     }
 
     std::unique_ptr<coopqp::Kernel> kernel_;
+    coopqp::Program program_;
+    coopqp::Bounds bounds_;
     std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
     const double *lb_ = nullptr, *ub_ = nullptr, *G_ = nullptr, *h_ = nullptr;
     std::vector<Filled> filled_;
@@ -240,8 +343,9 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_command", &Engine::bind_command)
         .def("bind_limits", &Engine::bind_limits)
         .def("bind_rows", &Engine::bind_rows)
-        .def("update", &Engine::update)
-        .def("solve", &Engine::solve)
+        .def("tick", &Engine::tick)
+        .def("tick_with_rows", &Engine::tick_with_rows)
+        .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

@@ -10,7 +10,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.limit import movers
+from coopqp.limit import JointBounds, movers
 
 Flat = dict[str, Any]
 
@@ -83,6 +83,16 @@ def flat_settings(
         "upper": np.minimum(chain.upper, LARGE),
         "second_order": np.ascontiguousarray(second_order).ravel(),
         "inequalities": float(inequalities),
+    }
+
+
+def flat_bounds(bounds: JointBounds) -> Flat:
+    """Bounds on the joints, as numbers."""
+    return {
+        "lower": np.maximum(bounds.lower, -LARGE),
+        "upper": np.minimum(bounds.upper, LARGE),
+        "position": float(bounds.position),
+        "recovery_speed": float(bounds.recovery_speed),
     }
 
 

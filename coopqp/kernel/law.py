@@ -8,6 +8,8 @@ once, in the plain law, which decides every tick that the kernel does not call o
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from coopqp.checked import Array
@@ -15,14 +17,15 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
-from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
+from coopqp.kernel.flat import flat_bounds, flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Levels
 from coopqp.limit import movers
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
-from coopqp.state import State
+from coopqp.state import Memory, State
 
 OPTIMAL = 0  # what the compiled module calls it
+ALL_WELL = (Status.OPTIMAL,)
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 
@@ -49,58 +52,92 @@ class KernelLaw(Law):
         super().__init__(problem)
         self.plain, self.memory_sizes = plain, plain.memory_sizes
         self.decided = False
-        self._levels, bounds = Levels(plain), plain.bounds
+        chain, bounds = problem.chain, plain.bounds
+        self._levels = levels = Levels(plain, State(chain))
+        limits = [limit.bounds(chain, problem.dt) for limit in problem.limits]
+        of_joints = [flat_bounds(limit) for limit in limits if limit is not None]
+        self._fills_limits = len(of_joints) < len(limits)
+        self._all_compiled = not self._fills_limits and not levels.filled
         found = native.module()
         assert found is not None  # whoever builds this has asked why_not
         self._engine = found.Engine({
-            "model": flat_model(problem.chain),
-            "kept": kept_rows(problem.chain),
-            "levels": self._levels.flat,
+            "model": flat_model(chain),
+            "kept": kept_rows(chain),
+            "levels": levels.flat,
+            "primitives": levels.primitives,
+            "bounds": of_joints,
             "settings": flat_settings(problem, damping, error_damping, len(bounds.rows)),
         })  # fmt: skip
         self._engine.bind_command(self.command.v)
-        self._engine.bind_limits(bounds.lb, bounds.ub, bounds.G, bounds.h)
-        for rows in self._levels.filled:
-            block = rows.e, rows.J, rows.rate
-            self._engine.bind_rows(*block, rows.level, rows.at, rows.joints, rows.weight, rows.gain)
-        self._bound: tuple[Array, ...] = ()
+        if self._fills_limits:
+            self._engine.bind_limits(bounds.lb, bounds.ub, bounds.G, bounds.h)
+        for task in levels.filled:
+            self._engine.bind_rows(*task.bound)
+        self._bound: tuple[Any, ...] = ()
+
+    def tick(self, state: State) -> Command:
+        """The command for the next dt; without a line of Python between where nothing needs it."""
+        if self._all_compiled and state.q_measured is None and self._ready(state):
+            if self._engine.tick(state.t) == OPTIMAL:
+                state.mark_stale()
+                state.corrected = 1.0
+                return self._optimal()
+            self.decided = False
+        return super().tick(state)
 
     def decide(self, state: State) -> Command:
-        """Let the kernel decide; the plain law where it does not."""
-        memory = state.memory
+        """Fill what Python has to, and let the kernel decide; the plain law where it does not."""
         self.decided = False
-        if not (memory["stopped"][0] or memory["soft"][0]):
-            self._bind(state)
-            self.plain.bounds.update(state)
+        if self._ready(state):
+            if self._fills_limits:
+                self.plain.bounds.update(state)
             self._levels.update(state)
-            if self._engine.update() == OPTIMAL and self._engine.solve() == OPTIMAL:
-                self.decided = True
-                command = self.command
-                command.scale = command.drift = 1.0
-                command.say(Status.OPTIMAL)
-                return command
-        self._take(self.plain.decide(state))
-        return self.command
-
-    def _take(self, other: Command) -> None:
-        command = self.command
+            if self._engine.tick_with_rows(state.t) == OPTIMAL:
+                return self._optimal()
+        other, command = self.plain.decide(state), self.command
         command.v[:] = other.v
         command.scale, command.drift = other.scale, other.drift
         command.say(*other.causes)
+        return command
 
-    def _bind(self, state: State) -> None:
-        """Show the kernel a state's arrays, if it has not seen these."""
-        memory = state.memory.numbers
-        arrays = (state.q, state.v, state.gap, memory)
-        if len(self._bound) == len(arrays) and all(
-            a is b for a, b in zip(arrays, self._bound, strict=True)
+    def _optimal(self) -> Command:
+        self.decided = True
+        command = self.command
+        command.scale = command.drift = 1.0
+        command.causes, command.note = ALL_WELL, ""
+        return command
+
+    def _ready(self, state: State) -> bool:
+        """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""
+        memory, bound = state.memory, self._bound
+        if (
+            len(bound) == 5
+            and state is bound[0]
+            and state.q is bound[1]
+            and state.v is bound[2]
+            and state.gap is bound[3]
+            and memory is bound[4]
         ):
-            return
+            return not self._waits()
+        if not self._fits(state) or not _plain_numbers(state.q, state.v, state.gap):
+            return False
+        if memory.sizes != self.memory_sizes:
+            state.memory = memory = Memory(self.memory_sizes)
         self._engine.bind_state(
-            state.q, state.v, state.gap, np.zeros(3), np.zeros((3, 3)),
-            np.zeros_like(state.loop_error), state.memory["later pulls"], state.memory["pull"],
-        )  # fmt: skip
-        self._bound = arrays
+            state.q, state.v, state.gap, *state.written(), memory["later pulls"], memory["pull"]
+        )
+        self._bound = (state, state.q, state.v, state.gap, memory)
+        self._stopped, self._soft = memory["stopped"], memory["soft"]
+        return not self._waits()
+
+    def _waits(self) -> bool:
+        """Whether the law stands still, or hard tasks were given up a moment ago."""
+        return bool(self._stopped[0] or self._soft[0])
+
+
+def _plain_numbers(*arrays: Array) -> bool:
+    """Whether arrays are as the kernel reads them."""
+    return all(a.dtype == np.float64 and a.flags.c_contiguous for a in arrays)
 
 
 def why_not(problem: ControlProblem) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.kernel.flat import Flat
+from coopqp.program import Primitive
 from coopqp.qp_law.law import QPLaw
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -14,23 +18,26 @@ from coopqp.task import Task, TaskStack
 
 @dataclass(frozen=True)
 class Filled:
-    """Rows of a task that Python fills, for the kernel to read.
+    """A task whose rows Python fills, for the kernel to read.
 
     Attributes:
-        e, J, rate: the task's part of a stack.
-        level, at: where they go: level, and its first row.
+        stack: of this task alone.
+        level, at: where its rows go: level, and the first of its rows.
         joints: whether J is the identity, so that the task has no rows there.
-        weight, gain: of the task.
     """
 
-    e: np.ndarray[tuple[int], np.dtype[np.float64]]
-    J: np.ndarray[tuple[int, int], np.dtype[np.float64]]
-    rate: np.ndarray[tuple[int], np.dtype[np.float64]]
+    stack: TaskStack
     level: int
     at: int
     joints: bool
-    weight: float
-    gain: float
+
+    @property
+    def bound(self) -> tuple[Any, ...]:
+        """What the kernel is to read, and where it goes."""
+        (task,) = self.stack.tasks
+        weight, gain = float(task.weight), float(task.gain)
+        block = self.stack.e, self.stack.J, self.stack.rate
+        return *block, self.level, self.at, self.joints, weight, gain
 
 
 @dataclass
@@ -41,63 +48,81 @@ class _Rows:
     weight: list[float] = field(default_factory=list)
     lever: list[float] = field(default_factory=list)
     asks_velocity: list[float] = field(default_factory=list)
+    twist: list[float] = field(default_factory=list)
 
-    def take(self, task: Task, levers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+    def take(self, task: Task, levers: Array, *, twist: bool) -> None:
         count = len(levers)
         self.gain += [float(task.gain)] * count
         self.weight += [float(task.weight)] * count
         self.lever += levers.tolist()
         self.asks_velocity += [float(task.asks_velocity)] * count
+        self.twist += [float(twist)] * count
 
 
 class Levels:
-    """The levels of a plain law, with its own stacks of rows.
+    """The levels of a plain law.
 
     Args:
-        law: whose tasks; its stacks are shared, so that a tick that is handed over to it finds
-            them as they are.
+        law: whose tasks.
+        start: the state from which their references set out.
 
     Attributes:
         flat: each level's numbers.
-        filled: the rows that are read from the stacks.
+        primitives: the tasks that the kernel evaluates itself, as numbers.
+        filled: the others.
     """
 
-    def __init__(self, law: QPLaw) -> None:
+    def __init__(self, law: QPLaw, start: State) -> None:
         self.flat: list[Flat] = []
+        self.primitives: list[Flat] = []
         self.filled: list[Filled] = []
-        self._stacks = (*law.stacks, law.exact.hard)
+        self._start = start
         for level, soft in enumerate(law.stacks):
-            hard = law.exact.hard if level == 0 else None
-            self.flat.append(self._level(level, hard, soft))
+            hard = law.exact.hard.tasks if level == 0 else ()
+            self.flat.append(self._level(level, hard, soft.tasks))
 
     def update(self, state: State) -> None:
-        """Fill the rows at a state."""
-        for stack in self._stacks:
-            stack.update(state)
+        """Fill what Python fills, at a state."""
+        for task in self.filled:
+            task.stack.update(state)
 
-    def _level(self, level: int, hard: TaskStack | None, soft: TaskStack) -> Flat:
+    def _level(self, level: int, hard: Sequence[Task], soft: Sequence[Task]) -> Flat:
         rows, joint_weight = _Rows(), 0.0
-        for stack in (hard, soft) if hard else (soft,):
-            for task, part in zip(stack.tasks, stack.slices, strict=True):
-                joints = stack is soft and whole_joint_space(task)
-                block = stack.e[part], stack.J[part], stack.rate[part]
-                weight, gain = float(task.weight), float(task.gain)
-                self.filled.append(Filled(*block, level, len(rows.gain), joints, weight, gain))
-                if joints:
-                    joint_weight += weight
-                else:
-                    rows.take(task, stack.levers[part])
-        return {
-            "gain": np.array(rows.gain),
-            "weight": np.array(rows.weight),
-            "lever": np.array(rows.lever),
-            "asks_velocity": np.array(rows.asks_velocity),
-            "twist": np.zeros(len(rows.gain)),
-            "hard": float(len(hard.e) if hard else 0),
-            "joint_weight": joint_weight,
-        }
+        for task in hard:
+            self._take(level, task, rows)
+        of_hard = len(rows.gain)
+        for task in soft:
+            joints = task.joint_space and task.all_joints
+            self._take(level, task, rows, joints=joints)
+            joint_weight += float(task.weight) if joints else 0.0
+        numbers = {name: np.array(values, float) for name, values in vars(rows).items()}
+        return {**numbers, "hard": float(of_hard), "joint_weight": joint_weight}
+
+    def _take(self, level: int, task: Task, rows: _Rows, *, joints: bool = False) -> None:
+        """Add a task's rows to a level, as primitives where it has any."""
+        program, at = task.program(self._start), len(rows.gain)
+        stack = TaskStack([task], self._start)
+        if program is None or any(primitive.of_joints != joints for primitive in program):
+            self.filled.append(Filled(stack, level, at, joints))
+            if not joints:
+                rows.take(task, stack.levers, twist=False)
+            return
+        for primitive in program:
+            self.primitives.append(
+                {
+                    **primitive.flat(),
+                    "level": float(level),
+                    "at": float(at),
+                    "weight": float(task.weight),
+                    "gain": float(task.gain),
+                }
+            )
+            at += len(primitive.rows)
+        if not joints:
+            count = at - len(rows.gain)
+            rows.take(task, stack.levers[:count], twist=_sees_twist(program))
 
 
-def whole_joint_space(task: Task) -> bool:
-    """Whether a task's J is the identity in all rows, so that it decides whatever is left."""
-    return task.joint_space and task.all_joints
+def _sees_twist(program: Sequence[Primitive]) -> bool:
+    """Whether a task's rows are those of the object's twist."""
+    return all(not primitive.over_joints for primitive in program)

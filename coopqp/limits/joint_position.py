@@ -12,7 +12,7 @@ import numpy as np
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import ROUNDING, Limit, LimitRows, Tighten, joint_margins
+from coopqp.limit import ROUNDING, JointBounds, Limit, LimitRows, Tighten, joint_margins
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -54,6 +54,12 @@ class JointPosition(Limit):
                 np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=high)
 
         return tighten
+
+    def bounds(self, chain: ClosedChain, dt: float) -> JointBounds:
+        """Of q."""
+        lower, upper = self._ends(chain)
+        speed = self.recovery_speed
+        return JointBounds(lower=lower, upper=upper, position=True, recovery_speed=speed)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance to both ends after each tick [rad, m]."""

@@ -55,9 +55,9 @@ class Kernel {
           q_after_(std::size_t(m_->n())) {}
 
     // Kinematics of q; what follows from them is written to the bound arrays.
-    Status update() {
+    Status update(double t) {
         const double* q = bound.q;
-        double size = 0.0;
+        double size = t;
         for (int j = 0; j < m_->n(); j++) size += q[j] * q[j] + bound.v_last[j] * bound.v_last[j];
         if (!std::isfinite(size)) return Status::NotFinite;
         kinematics.place(q);
@@ -66,6 +66,9 @@ class Kernel {
         std::copy(kinematics.p_WO, kinematics.p_WO + 3, bound.p_WO);
         std::copy(kinematics.R_WO, kinematics.R_WO + 9, bound.R_WO);
         std::copy(kinematics.loop_error.begin(), kinematics.loop_error.end(), bound.loop_error);
+        for (std::size_t i = 0; i < kinematics.loop_error.size(); i++)
+            bound.drift[i] = drift(int(i));
+        std::copy(q, q + m_->n(), bound.q_seen);
         return Status::Optimal;
     }
 
@@ -91,6 +94,24 @@ class Kernel {
         for (std::size_t l = 1; l < levels.size(); l++) bound.later_pulls[l - 1] = pulls_[l];
         if (levels[0].hard) bound.hard_pull[0] = pulls_[0];
         return Status::Optimal;
+    }
+
+    // For tests: e, J over the joints and rate of each row.
+    std::vector<double> rows_of(int l) const {
+        const Level& level = levels[std::size_t(l)];
+        std::vector<double> found, dense(std::size_t(stride()) + LANES);
+        auto at = reinterpret_cast<std::uintptr_t>(dense.data());
+        double* J = reinterpret_cast<double*>((at + 31) / 32 * 32);
+        for (int s = 0; s < level.rows; s++) {
+            double tau[6] = {0, 0, 0, 0, 0, 0};
+            clear(J, m_->blocks);
+            rows_.pull_row(level, s, 1.0, tau, J);
+            rows_.pull_object(tau, J);
+            found.push_back(level.e[std::size_t(s)]);
+            for (const Joint& joint : m_->joints) found.push_back(J[joint.lane]);
+            found.push_back(level.rate[std::size_t(s)]);
+        }
+        return found;
     }
 
     int stride() const { return m_->blocks * LANES; }

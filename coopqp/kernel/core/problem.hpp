@@ -38,7 +38,8 @@ struct Bound {
     const double* v_last = nullptr;
     double* v = nullptr;
     const double* gap = nullptr;
-    double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr;
+    double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
+    double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;
     double* hard_pull = nullptr;
 };
