@@ -2,13 +2,16 @@
 # make test   the same with the test tools, and run the suite
 # make lint   style, types, direction of imports
 # make bench  one tick side by side with Pink
+# make sanitize  the kernel on random robots and garbage, watched by the compiler's sanitizers
 
 PYTHON ?= python3
 BIN := .venv/bin
 SCENARIO ?= scenarios/point_on_point.yaml
 OUT ?= out/point_on_point
 
-.PHONY: demo test lint bench clean
+CXX ?= c++
+
+.PHONY: demo test lint bench sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -24,6 +27,12 @@ lint: .venv/installed-test
 
 bench: .venv/installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist
+
+sanitize:
+	mkdir -p out
+	$(CXX) -std=c++17 -O1 -g -ffp-contract=off -Wall -Wextra -Werror -Wno-psabi -DCOOPQP_FAULTS \
+	  -fsanitize=address,undefined -fno-sanitize-recover=all tests/kernel/core.cpp -o out/core
+	out/core 0 2000
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

@@ -160,7 +160,13 @@ class Command:
 
 
 class Law(ABC):
-    """A controller built for one problem."""
+    """A controller built for one problem.
+
+    Attributes:
+        problem: what it was built for.
+        command: of the last tick.
+        compiled: whether the kernel has decided the last tick.
+    """
 
     engine: ClassVar[str | None] = None
     """What solves its QP: "kernel" or "python"; None for laws without one."""
@@ -169,6 +175,7 @@ class Law(ABC):
 
     def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
         self.problem = problem
+        self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
         self._observer = LoopObserver(problem.chain, problem.dt)
 

@@ -117,7 +117,7 @@ class _Recorder:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
-        self.tick_us = np.zeros(ticks)
+        self.tick_us, self.compiled = np.zeros(ticks), np.zeros(ticks, bool)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
         self.status = [Status.OPTIMAL.name] * ticks
@@ -165,6 +165,7 @@ class _Recorder:
             self.measured[k] = measured
         self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
+        self.compiled[k] = self._law.compiled
         if command.causes != (Status.OPTIMAL,):
             self._note(k, command)
 
@@ -204,6 +205,7 @@ class _Recorder:
         return Trace(
             controller=controller,
             solver=solver,
+            engine=self._law.engine,
             dt=problem.dt,
             kappa=problem.kappa,
             joints=chain.joint_names,
@@ -232,6 +234,7 @@ class _Recorder:
             status=tuple(self.status),
             scale=self.scale,
             margins=self._margins(),
+            compiled=self.compiled,
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             heeds=heeds,

@@ -178,6 +178,7 @@ class Trace:
     Attributes:
         controller: its name.
         solver: name of its QP solver; None for laws without one.
+        engine: "kernel" or "python", whichever is asked first; None for laws without a QP.
         dt: control period [s]. kappa: gain of the drift correction [1/s].
         joints: names, shape (n,). units: of their coordinates, "rad" or "m".
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
@@ -208,6 +209,7 @@ class Trace:
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
         scale: least share of its speed at which a scaled task ran, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
+        compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
@@ -218,6 +220,7 @@ class Trace:
 
     controller: str = field(metadata={"join": _same})
     solver: str | None = field(metadata={"join": _same})
+    engine: str | None = field(metadata={"join": _same})
     dt: float = field(metadata={"join": _same})
     kappa: float = field(metadata={"join": _same})
     joints: tuple[str, ...] = field(metadata={"join": _same})
@@ -246,6 +249,7 @@ class Trace:
     status: tuple[str, ...] = field(metadata={"join": _statuses})
     scale: Array = field(metadata={"join": _ticks})
     margins: dict[Row, Array] = field(metadata={"join": _margins})
+    compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
     tick_us: Array = field(metadata={"join": _ticks})
     points: dict[str, Array] = field(metadata={"join": _points})
     heeds: frozenset[str] = field(metadata={"join": _same})

@@ -50,7 +50,7 @@ def drive(problem: ControlProblem, ticks: int) -> Agreement:
         other.q[:], other.v[:], other.t = state.q, state.v, state.t
         other.memory.numbers[:] = state.memory.numbers
         found, wanted = kernel.tick(other), plain.tick(state)
-        if not kernel.decided:
+        if not kernel.compiled:
             seen.left[written(wanted.causes)] += 1
         else:
             seen.decided += 1

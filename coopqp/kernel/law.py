@@ -41,7 +41,6 @@ class KernelLaw(Law):
 
     Attributes:
         plain: as given.
-        decided: whether the kernel has decided the last tick.
     """
 
     engine = "kernel"
@@ -51,7 +50,6 @@ class KernelLaw(Law):
     ) -> None:
         super().__init__(problem)
         self.plain, self.memory_sizes = plain, plain.memory_sizes
-        self.decided = False
         chain, bounds = problem.chain, plain.bounds
         self._levels = levels = Levels(plain, State(chain))
         limits = [limit.bounds(chain, problem.dt) for limit in problem.limits]
@@ -82,12 +80,12 @@ class KernelLaw(Law):
                 state.mark_stale()
                 state.corrected = 1.0
                 return self._optimal()
-            self.decided = False
+            self.compiled = False
         return super().tick(state)
 
     def decide(self, state: State) -> Command:
         """Fill what Python has to, and let the kernel decide; the plain law where it does not."""
-        self.decided = False
+        self.compiled = False
         if self._ready(state):
             if self._fills_limits:
                 self.plain.bounds.update(state)
@@ -101,7 +99,7 @@ class KernelLaw(Law):
         return command
 
     def _optimal(self) -> Command:
-        self.decided = True
+        self.compiled = True
         command = self.command
         command.scale = command.drift = 1.0
         command.causes, command.note = ALL_WELL, ""
@@ -155,11 +153,11 @@ def why_not(problem: ControlProblem) -> str:
         return "a joint is neither a hinge nor a slide"
     if chain.n <= len(chain.loops.kept):
         return "the loops leave no motion"
-    return _too_large(chain)
+    return _unfit(chain)
 
 
-def _too_large(chain: ClosedChain) -> str:
-    """What of a chain the compiled arrays do not hold."""
+def _unfit(chain: ClosedChain) -> str:
+    """What of a chain the compiled arrays do not hold, loop by loop."""
     moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
     shared = moved.sum(axis=0) > 1.0
     first = np.count_nonzero(shared | (moved[0] > 0.0))
@@ -168,6 +166,12 @@ def _too_large(chain: ClosedChain) -> str:
         return f"two arms have more than {MOST_LANES} joints together"
     if np.count_nonzero(shared) > MOST_SHARED:
         return f"more than {MOST_SHARED} joints move several arms"
+    carry, kept = int(first), kept_rows(chain).reshape(-1, 6).sum(axis=1)
+    for own, rows in zip(others, kept, strict=True):
+        left = int(carry + own - rows)
+        if left < 0:
+            return "a loop has fewer joints than rows"
+        carry = min(left, 6 + int(np.count_nonzero(shared)))
     if chain.holding - 1 > MOST_LOOPS:
         return f"there are more than {MOST_LOOPS} loops"
     return ""

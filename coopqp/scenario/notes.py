@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from coopqp.controller import Controller
+from coopqp.controllers.qp import QPController
+from coopqp.kernel import native
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.scenario import Scenario
 
@@ -15,7 +17,7 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    What limits cannot bound comes after it.
+    That the kernel is not built, and what limits cannot bound, comes after it.
 
     Args:
         scenario: what is to be run.
@@ -27,7 +29,14 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
-    return [*deaf_to, *(line for k in scenario.limits for line in k.notes(scenario.chain))]
+    of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
+    return [*deaf_to, *_without_kernel(chosen), *of_limits]
+
+
+def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
+    """One line where ticks could be compiled, but are not."""
+    asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
+    return [native.MISSING] if asked and native.module() is None else []
 
 
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:

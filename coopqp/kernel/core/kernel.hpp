@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "faults.hpp"
 #include "hierarchy.hpp"
 #include "least_distance.hpp"
 #include "loops.hpp"
@@ -81,8 +82,10 @@ class Kernel {
             last_[m_->joints[i].lane] = bound.v_last[j];
         }
         aim_loops();
-        if (!loops_->factor()) return Status::Singular;
+        if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
+        if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
         loops_->particular(b_.data(), v_);
+        if (fault(Fault::WrongSide)) v_[0] += 1e-4;
         see_object();
         hierarchy_.begin();
         for (std::size_t l = 0; l < levels.size(); l++) {
@@ -187,6 +190,7 @@ class Kernel {
                 level.rate[std::size_t(s)] - level.gain[std::size_t(s)] * level.e[std::size_t(s)];
         if (l > 0 && !hierarchy_.singular_values()) return Status::Singular;
         write_rows(level);
+        if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
         hierarchy_.append(level.rows);
         const double d = s_.damping + extra_damping(l);
         copy(before_, v_, m_->blocks);
@@ -232,8 +236,11 @@ class Kernel {
         if (c)
             for (int i = first + own; i < loops_->free; i++) x_[i] = c[i] / curvature;
         advance(x_);
+        if (fault(Fault::WrongAnswer)) add(v_, loops_->Z, 1e-4, m_->blocks);
         Status status = bring_inside(first, own, curvature);
         if (status != Status::Optimal) return status;
+        if (fault(Fault::WrongMultiplier)) nearest_.spoil();
+        if (fault(Fault::ActiveForgotten)) nearest_.active = 0;
         const Outcome outcome = check_.judge(l, first, d, v_, before_, nearest_, lb, ub, G, h);
         pulls_[std::size_t(l)] = outcome.pull;
         return outcome.status;
@@ -308,7 +315,7 @@ class Kernel {
             slack[i] = h[std::size_t(i)] - dot(G + std::size_t(i) * std::size_t(n), v_, m_->blocks);
             inside &= slack[i] >= -INSIDE;
         }
-        if (inside) return Status::Optimal;
+        if (inside || fault(Fault::LimitsForgotten)) return Status::Optimal;
         for (int b = 0; b < m_->blocks; b++) {
             lanes(nearest_.lower)[b] = lo[b] - x[b];
             lanes(nearest_.upper)[b] = hi[b] - x[b];

@@ -54,6 +54,11 @@ class LeastDistance {
         return side_[std::size_t(i)] * multiplier_[std::size_t(i)];
     }
 
+    // For tests of the check.
+    void spoil() {
+        if (active) multiplier_[0] = 1.5 * multiplier_[0] + 1e-6;
+    }
+
     Status solve(int columns) {
         K_ = columns;
         blocks_ = blocks_of(columns);

@@ -10,6 +10,7 @@
 // space of all loops. With two arms this is the factorisation of the 6 x n matrix itself.
 #pragma once
 #include <memory>
+#include <stdexcept>
 #include <vector>
 
 #include "kinematics.hpp"
@@ -71,6 +72,7 @@ class StagedLoops final : public Loops {
         for (int i = 1; i < model.holding; i++) {
             Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, false};
             const int left = s.left(model);
+            if (left < 0) throw std::invalid_argument("a loop has fewer joints than rows");
             const bool last = i == model.holding - 1;
             s.next = last ? 0 : std::min(left, touches);
             s.compresses = !last && left > touches;
@@ -140,6 +142,7 @@ class StagedLoops final : public Loops {
     }
 
     void balance(double* t, double* y) const override {
+        if (stages_.empty()) return;
         alignas(64) double x[WIDTH], g[MOST_BASE];
         double rho[MOST_STAGES][6];
         const int base = m_.base_blocks;
