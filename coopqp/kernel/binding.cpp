@@ -261,6 +261,36 @@ class Engine {
         return int(kernel_->solve());
     }
 
+    // Ticks and steps q += v dt until a tick is not optimal, from the state that is bound, on joints
+    // that do as told. Written: q before each tick and at the end, v of each tick. Returns how many
+    // ticks were done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v, const Written& q_now,
+            const Written& v_now, int ticks) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const std::size_t n = kernel_->model().joints.size();
+        if (q.size() < n * std::size_t(ticks + 1) || v.size() < n * std::size_t(ticks) ||
+            q_now.data() != kernel_->bound.q || v_now.data() != kernel_->bound.v_last)
+            return BUSY;
+        nb::gil_scoped_release released;
+        const double dt = kernel_->settings().dt;
+        const double* decided = kernel_->bound.v;
+        int done = 0;
+        for (; done < ticks; done++) {
+            std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
+            if (evaluate(t)) break;
+            bounds_.update(kernel_->model(), kernel_->bound.q, kernel_->lb, kernel_->ub);
+            if (kernel_->solve() != coopqp::Status::Optimal) break;
+            for (std::size_t j = 0; j < n; j++) {
+                q_now.data()[j] += dt * decided[j];
+                v_now.data()[j] = v.data()[std::size_t(done) * n + j] = decided[j];
+            }
+            t += dt;
+        }
+        std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
+        return done;
+    }
+
     // e, J and rate of a level's rows, one row after the other, for tests.
     std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
 
@@ -345,6 +375,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_rows", &Engine::bind_rows)
         .def("tick", &Engine::tick)
         .def("tick_with_rows", &Engine::tick_with_rows)
+        .def("run", &Engine::run)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     m.def("has_avx2", [] {

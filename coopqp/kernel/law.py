@@ -98,6 +98,38 @@ class KernelLaw(Law):
         command.say(*other.causes)
         return command
 
+    def run(self, state: State, ticks: int) -> tuple[Array, Array]:
+        """Many ticks at once on joints that do as told, the same as one by one.
+
+        Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
+        Python fills rows or limits, or joints are measured, every tick is one of :meth:`tick`.
+
+        Args:
+            state: where it begins, of :meth:`start`; written, so that it is where it ends.
+            ticks: how many.
+
+        Returns:
+            q before each tick and at the end, shape (T + 1, n), and v, shape (T, n).
+        """
+        n, dt = self.problem.chain.n, self.problem.dt
+        q, v = np.zeros((ticks + 1, n)), np.zeros((ticks, n))
+        done = 0
+        while done < ticks:
+            if self._all_compiled and state.q_measured is None and self._ready(state):
+                rest = ticks - done
+                made = self._engine.run(state.t, q[done:], v[done:], state.q, state.v, rest)
+                for _ in range(max(made, 0)):
+                    state.t += dt  # as tick by tick, to the last digit
+                done += max(made, 0)
+                state.mark_stale()
+            if done < ticks:
+                q[done], v[done] = state.q, self.tick(state).v
+                state.advance(v[done], dt)
+                done += 1
+        q[ticks] = state.q
+        state.update()
+        return q, v
+
     def _optimal(self) -> Command:
         self.compiled = True
         command = self.command
@@ -162,7 +194,8 @@ def _unfit(chain: ClosedChain) -> str:
     shared = moved.sum(axis=0) > 1.0
     first = np.count_nonzero(shared | (moved[0] > 0.0))
     others = (moved[1 : chain.holding] * ~shared).sum(axis=1)
-    if first + others.max(initial=0.0) > MOST_LANES and chain.holding > 1:
+    widest = max(first, 6 + np.count_nonzero(shared)) + others.max(initial=0.0)
+    if widest > MOST_LANES and chain.holding > 1:
         return f"two arms have more than {MOST_LANES} joints together"
     if np.count_nonzero(shared) > MOST_SHARED:
         return f"more than {MOST_SHARED} joints move several arms"

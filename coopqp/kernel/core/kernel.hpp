@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <stdexcept>
 #include <vector>
 
 #include "check.hpp"
@@ -138,6 +139,7 @@ class Kernel {
                                            const std::vector<std::vector<int>>& kept,
                                            Arena& arena) {
         const int blocks = blocks_of(StagedLoops<2>::width(m));
+        if (blocks > 16) throw std::invalid_argument("two arms have too many joints");
         if (blocks <= 2) return std::make_unique<StagedLoops<2>>(m, kept, arena);
         if (blocks == 3) return std::make_unique<StagedLoops<3>>(m, kept, arena);
         if (blocks == 4) return std::make_unique<StagedLoops<4>>(m, kept, arena);

@@ -58,16 +58,8 @@ class StagedLoops final : public Loops {
     StagedLoops(const Model& model, const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), rows_(arena.take(8 * WIDTH)), nulls_(arena.take(WIDTH * WIDTH)),
           touch_(arena.take((6 + MOST_SHARED) * WIDTH)) {
-        std::vector<int> shared;
-        for (const Arm& arm : model.arms)
-            if (&arm != &model.arms[0])
-                for (int j : arm.base) {
-                    const int lane = model.joints[std::size_t(j)].lane;
-                    if (std::find(shared.begin(), shared.end(), lane) == shared.end())
-                        shared.push_back(lane);
-                }
-        shared_ = shared;
-        const int touches = 6 + int(shared.size());
+        shared_ = shared_lanes(model);
+        const int touches = 6 + int(shared_.size());
         int carry = model.base_lanes;
         for (int i = 1; i < model.holding; i++) {
             Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, false};
@@ -95,9 +87,10 @@ class StagedLoops final : public Loops {
 
     // Lanes that a chain's widest stage takes; more than WIDTH cannot be done.
     static int width(const Model& model) {
+        const int carry = std::max(model.base_lanes, 6 + int(shared_lanes(model).size()));
         int most = 0;
         for (int i = 1; i < model.holding; i++)
-            most = std::max(most, model.base_lanes + int(model.arms[std::size_t(i)].own.size()));
+            most = std::max(most, carry + int(model.arms[std::size_t(i)].own.size()));
         return most;
     }
 
@@ -193,6 +186,17 @@ class StagedLoops final : public Loops {
 
   private:
     static constexpr int MOST_SHARED = 6, MOST_STAGES = 16, MOST_BASE = WIDTH;
+    // Of joints in block 0 that move another arm than the first.
+    static std::vector<int> shared_lanes(const Model& model) {
+        std::vector<int> shared;
+        for (std::size_t i = 1; i < model.arms.size(); i++)
+            for (int j : model.arms[i].base) {
+                const int lane = model.joints[std::size_t(j)].lane;
+                if (std::find(shared.begin(), shared.end(), lane) == shared.end())
+                    shared.push_back(lane);
+            }
+        return shared;
+    }
     static std::size_t lanes_of(const Model& model) { return std::size_t(model.blocks) * LANES; }
     int stride() const { return m_.blocks * LANES; }
 
