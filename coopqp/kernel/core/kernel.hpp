@@ -101,22 +101,7 @@ class Kernel {
     }
 
     // For tests: e, J over the joints and rate of each row.
-    std::vector<double> rows_of(int l) const {
-        const Level& level = levels[std::size_t(l)];
-        std::vector<double> found, dense(std::size_t(stride()) + LANES);
-        auto at = reinterpret_cast<std::uintptr_t>(dense.data());
-        double* J = reinterpret_cast<double*>((at + 31) / 32 * 32);
-        for (int s = 0; s < level.rows; s++) {
-            double tau[6] = {0, 0, 0, 0, 0, 0};
-            clear(J, m_->blocks);
-            rows_.pull_row(level, s, 1.0, tau, J);
-            rows_.pull_object(tau, J);
-            found.push_back(level.e[std::size_t(s)]);
-            for (const Joint& joint : m_->joints) found.push_back(J[joint.lane]);
-            found.push_back(level.rate[std::size_t(s)]);
-        }
-        return found;
-    }
+    std::vector<double> rows_of(int l) const { return rows_.listed(levels[std::size_t(l)], t_); }
 
     int stride() const { return m_->blocks * LANES; }
     const Model& model() const { return *m_; }

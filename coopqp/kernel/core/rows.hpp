@@ -1,5 +1,7 @@
 // Rows of tasks, of the object's twist or of all joints, times velocities and multipliers.
 #pragma once
+#include <vector>
+
 #include "kinematics.hpp"
 #include "problem.hpp"
 
@@ -68,6 +70,21 @@ class Rows {
     void pull_object(const double* tau, double* t) const {
         for (std::size_t i = 0; i < m_.arms.size(); i++)
             if (m_.arms[i].alpha != 0.0) pull(int(i), tau, m_.arms[i].alpha, t);
+    }
+
+    // e, J over the joints and rate of each row of a level; J is scratch, (lanes,).
+    std::vector<double> listed(const Level& level, double* J) const {
+        std::vector<double> found;
+        for (int s = 0; s < level.rows; s++) {
+            double tau[6] = {0, 0, 0, 0, 0, 0};
+            clear(J, m_.blocks);
+            pull_row(level, s, 1.0, tau, J);
+            pull_object(tau, J);
+            found.push_back(level.e[std::size_t(s)]);
+            for (const Joint& joint : m_.joints) found.push_back(J[joint.lane]);
+            found.push_back(level.rate[std::size_t(s)]);
+        }
+        return found;
     }
 
     std::size_t stride() const { return std::size_t(m_.blocks) * LANES; }
