@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.row import Row
+from coopqp.signal import Course, Kind, Moment
 from coopqp.solver import Budget, Status
 
 
@@ -48,6 +49,25 @@ class PhaseInfo:
     name: str
     first: int
     released: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InputTrace:
+    """What arrived at an input, and what was made of it.
+
+    Attributes:
+        kind: of its values.
+        arrived: what arrived for each tick, NaN where nothing did, shape (T, values).
+        sent: when that was sent, NaN where nothing was, shape (T,) [s].
+        value: what was followed in each tick, shape (T, values).
+        rate: how that moved, shape (T, rates).
+    """
+
+    kind: Kind
+    arrived: Array
+    sent: Array
+    value: Array
+    rate: Array
 
 
 @dataclass(frozen=True)
@@ -163,6 +183,29 @@ def _signals(legs: Legs, name: str) -> dict[str, Array]:
     }
 
 
+def _inputs(legs: Legs, name: str) -> dict[str, InputTrace]:
+    """By input; NaN in the phases in which nothing follows it."""
+    found = {}
+    for key in dict.fromkeys(key for _, leg in legs for key in getattr(leg, name)):
+        given = [getattr(leg, name).get(key) for _, leg in legs]
+        kind = next(part.kind for part in given if part)
+        parts = []
+        for (_, leg), part in zip(legs, given, strict=True):
+            parts.append(part or no_input(kind, leg.ticks))
+        arrays = (
+            np.concatenate([getattr(part, field) for part in parts])
+            for field in ("arrived", "sent", "value", "rate")
+        )
+        found[key] = InputTrace(kind, *arrays)
+    return found
+
+
+def no_input(kind: Kind, ticks: int) -> InputTrace:
+    """An input that nothing follows, for ticks of which each is NaN."""
+    shapes = ((ticks, kind.values), (ticks,), (ticks, kind.values), (ticks, kind.rates))
+    return InputTrace(kind, *(np.full(shape, np.nan) for shape in shapes))
+
+
 def _phases(legs: Legs, name: str) -> tuple[PhaseInfo, ...]:
     return tuple(info for info, _ in legs)
 
@@ -214,6 +257,7 @@ class Trace:
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
+        inputs: what arrived from outside, by name.
     """
 
     controller: str = field(metadata={"join": _same})
@@ -251,6 +295,7 @@ class Trace:
     heeds: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
+    inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
 
     def __repr__(self) -> str:
@@ -266,6 +311,21 @@ class Trace:
     def ticks(self) -> int:
         """T."""
         return len(self.v)
+
+    def moment(self, k: int, t: float) -> Moment:
+        """An instant as references see it.
+
+        Args:
+            k: row.
+            t: since they set out [s].
+        """
+        moment = Moment(t)
+        for name, kept in self.inputs.items():
+            row = min(k, self.ticks - 1)
+            if row >= 0 and np.isfinite(kept.value[row]).all():
+                moment.inputs[name] = Course(kept.kind, kept.value[row])
+                moment.inputs[name].rate[:] = kept.rate[row]
+        return moment
 
     @property
     def final_error(self) -> Array:

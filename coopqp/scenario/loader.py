@@ -19,7 +19,7 @@ from coopqp.grasps import Rigid
 from coopqp.plant import Plant
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
-from coopqp.scenario.form import SOLVE, check, chosen, file_model
+from coopqp.scenario.form import SOLVE, check, chosen
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
@@ -30,8 +30,8 @@ from coopqp.solvers import qpsolvers
 from coopqp.task import Task
 from coopqp.wording import Location
 
-#: Keys whose values are paths, of robots and of obstacles.
-FILE_KEYS = {"path", "mesh"}
+#: Keys whose values are paths, of robots, obstacles, way-points and what was sent.
+FILE_KEYS = {"path", "mesh", "file", "feed_file"}
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -165,7 +165,7 @@ class _Reader:
 
     def __init__(self, file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> None:
         self._file, self._catalog, self._needs_start = file, catalog, needs_start
-        self._read: BaseModel = check(file, file_model(catalog))
+        self._read: BaseModel = check(file, catalog)
         self._faults: list[Fault] = []
 
     def scenario(self) -> Scenario:
@@ -187,6 +187,7 @@ class _Reader:
             limits=_plugins(read.limits),
             controllers=self._controllers(),
             plant=chosen(read.plant)[1],
+            inputs=read.inputs,
             disturbance=read.disturbance,
             solver=solver,
             solver_name=getattr(solver, "backend", solver_name),
