@@ -9,9 +9,10 @@ from pathlib import Path
 
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
+from coopqp.recordings.known import controllers_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord, record_tick
-from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
+from coopqp.study.trace_file import blocked_tick, state_from_trace
 
 
 def recorded_tick(
@@ -20,7 +21,7 @@ def recorded_tick(
     """Do a tick of a trace again and keep it.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         scenario: that it was written for.
         controller: whose; the first QP controller of the trace when None.
         tick: which; the first that gave something up when None, else the last.
