@@ -87,6 +87,8 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
         raise CoopqpError(f"--out is one file, but '{path}' has {listed}; add --controller NAME")
     suffix = {known.name: known.suffix for known in EXPORTS}[to]
     for name in names:
+        if not out and Path(name).name != name:
+            raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
         file = out or path.parent / f"{name}{suffix}"
         write(path, scenario, to, name, file)
         click.echo(f"wrote {file}")

@@ -141,34 +141,26 @@ def unit_of(scenario: Scenario) -> UnitOf:
     axes = dict(zip(AXES, AXIS_UNITS, strict=True))
 
     def unit(column: str) -> str:
-        parts = split(column)
-        key = parts[1] if len(parts) > 1 else ""
-        of_joint = joints.get(key, "")
-        match parts:
-            case (name,):
-                return _FIXED.get(name, "")
-            case ("q" | "commanded" | "measured", _):
-                return of_joint
-            case ("v", _):
-                return f"{of_joint}/s"
-            case ("tau", _):
-                return {"rad": "N m", "m": "N"}.get(of_joint, "")
-            case ("gap", _, axis):
-                return axes.get(axis, "")
-            case ("error" | "e", _):
-                return asked.get(key, "")
-            case ("rate", _):
-                return f"{asked.get(key, '')}/s"
-            case ("margin", _, of_limit):
-                return of_limit
-        return ""
+        if column in _FIXED:
+            return _FIXED[column]
+        name, key, part = (*split(column), "", "")[:3]
+        of_joint, of_task = joints.get(key, ""), asked.get(key, "")
+        return {
+            **dict.fromkeys(("q", "commanded", "measured"), of_joint),
+            "v": f"{of_joint}/s",
+            "tau": {"rad": "N m", "m": "N"}.get(of_joint, ""),
+            "gap": axes.get(part, ""),
+            **dict.fromkeys(("error", "e"), of_task),
+            "rate": f"{of_task}/s",
+            "margin": part,
+        }.get(name, "")
 
     return unit
 
 
 def _asked(scenario: Scenario) -> dict[str, str]:
     """Unit of each part and each row of all tasks, by their names in the trace."""
-    found = {}
+    found: dict[str, str] = {}
     for phase in scenario.schedule:
         begin = f"{phase.name}." if scenario.phases else ""
         for task in phase.tasks:

@@ -27,7 +27,7 @@ class CsvFile(Format):
         reader = csv.reader(_lines(path), strict=True)
         try:
             header = next(reader, [])
-            if not NEEDED <= set(header):
+            if not set(header) >= NEEDED:
                 words = "is not a trace.csv written by 'coopqp compare --out'"
                 raise CoopqpError(f"{path}:1: {words}")
             for cells in reader:

@@ -7,7 +7,7 @@ import secrets
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -121,7 +121,8 @@ class ExportFormat(Format):
         except OSError as error:
             raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
         finally:
-            shutil.rmtree(aside) if aside.is_dir() else aside.unlink(missing_ok=True)
+            with suppress(OSError):
+                shutil.rmtree(aside) if aside.is_dir() else aside.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -148,6 +149,6 @@ def readable(path: Path) -> Iterator[None]:
         yield
     except CoopqpError:
         raise
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 - each library has its own, and names them anew
         words = " ".join(str(error).split()) or type(error).__name__
         raise CoopqpError(f"{path}: cannot be read: {words[:200]}; the file is damaged") from None

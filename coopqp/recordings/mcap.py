@@ -18,7 +18,7 @@ from coopqp.errors import CoopqpError
 from coopqp.reading import open_bytes
 from coopqp.recordings import column
 from coopqp.recordings.format import Cells, ExportFormat, RecordedRun, needs, readable
-from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed
+from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark
 from coopqp.recordings.messages import instants as instants_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
@@ -36,21 +36,19 @@ class Mcap(ExportFormat):
     suffix: ClassVar[str] = ".mcap"
 
     def write(self, run: RecordedRun, path: Path) -> None:
+        # foxglove's own writer prints what goes wrong, and goes on; this one raises.
         with needs("MCAP"):
-            import foxglove
-            from foxglove.mcap import MCAPWriteOptions
-        context = foxglove.Context()
-        options = MCAPWriteOptions(chunk_size=CHUNK)
-        with foxglove.open_mcap(path, context=context, writer_options=options) as writer:
-            source = run.source.encode("utf-8")
-            writer.attach(
-                log_time=0, create_time=0, name=ATTACHED, media_type="text/yaml", data=source
-            )
-            about = {"version": __version__, "controller": run.controller}
-            writer.write_metadata("coopqp", about)
-            messages = _Messages(context, run.controller)
+            from foxglove import messages
+            from mcap.writer import Writer
+        with open(path, "wb") as stream:
+            writer = Writer(stream, chunk_size=CHUNK)
+            writer.start(library=f"coopqp {__version__}")
+            writer.add_attachment(0, 0, ATTACHED, "text/yaml", run.source.encode("utf-8"))
+            writer.add_metadata("coopqp", {"controller": run.controller})
+            file = _Messages(writer, messages, run.controller)
             for instant in instants_of(run):
-                messages.log(instant)
+                file.log(instant)
+            writer.finish()
 
     def rows(self, path: Path) -> Iterator[Cells]:
         with needs("MCAP"):
@@ -71,18 +69,11 @@ class Mcap(ExportFormat):
 
 
 class _Messages:
-    """Channels of one file, and how rows go into them."""
+    """The topics of one file, and how rows go into them."""
 
-    def __init__(self, context: Any, controller: str) -> None:
-        from foxglove import Channel, channels, messages
-
-        self._new, self._context, self._controller = channels, context, controller
-        self._of: Any = messages
-        self._tf = channels.FrameTransformsChannel(TF, context=context)
-        self._pose = channels.PoseInFrameChannel(POSE, context=context)
-        self._log = channels.LogChannel(LOG, context=context)
-        self._joints: dict[str, Any] = {}
-        self._json, self._tick = Channel, None
+    def __init__(self, writer: Any, messages: Any, controller: str) -> None:
+        self._writer, self._of, self._controller = writer, messages, controller
+        self._channels: dict[str, int] = {}
         self._said: dict[str, tuple[int, str]] = {}
 
     def log(self, instant: Instant) -> None:
@@ -90,42 +81,47 @@ class _Messages:
         of, ns = self._of, instant.ns
         stamp = of.Timestamp(ns // NS, ns % NS)
         for topic, joints in instant.joints.items():
-            if topic not in self._joints:
-                new = self._new.JointStatesChannel(topic, context=self._context)
-                self._joints[topic] = new
-            states = of.JointStates(timestamp=stamp, joints=self._states(joints))
-            self._joints[topic].log(states, log_time=ns)
+            self._write(topic, ns, of.JointStates(timestamp=stamp, joints=self._states(joints)))
         frames = [self._frame(stamp, placed) for placed in (*instant.frames, instant.held)]
-        self._tf.log(of.FrameTransforms(transforms=frames), log_time=ns)
+        self._write(TF, ns, of.FrameTransforms(transforms=frames))
         p, q = self._vectors(instant.held)
         pose = of.Pose(position=p, orientation=q)
-        self._pose.log(of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose), log_time=ns)
-        self._remark(instant, stamp)
-        row = column.nested(instant.cells)
-        if self._tick is None:
-            schema = {"title": "coopqp.Tick", **_schema(row)}
-            self._tick = self._json(TICK, schema=schema, context=self._context)
-        self._tick.log(json.dumps(row).encode("utf-8"), log_time=ns)
-
-    def _remark(self, instant: Instant, stamp: Any) -> None:
-        """Log what is new."""
-        levels = [getattr(self._of.LogLevel, name) for name in ("Info", "Warning", "Error")]
+        self._write(POSE, ns, of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
         for remark in instant.remarks:
             said = remark.level, remark.words
-            if said == self._said.get(remark.about, (0, "")):
-                continue
-            self._said[remark.about] = said
-            message = self._of.Log(
-                timestamp=stamp,
-                level=levels[remark.level],
-                message=f"{remark.about}: {remark.words or 'free again'}",
-                name=self._controller,
-            )
-            self._log.log(message, log_time=instant.ns)
+            if said != self._said.get(remark.about, (0, "")):
+                self._said[remark.about] = said
+                self._write(LOG, ns, self._log(stamp, remark))
+        self._write_row(ns, column.nested(instant.cells))
+
+    def _write(self, topic: str, ns: int, message: Any) -> None:
+        """Write a message of Foxglove's."""
+        if topic not in self._channels:
+            schema = type(message).get_schema()
+            known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
+        self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
+
+    def _write_row(self, ns: int, row: dict[str, Any]) -> None:
+        """Write all of it as JSON."""
+        if TICK not in self._channels:
+            schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
+            known = self._writer.register_schema("coopqp.Tick", "jsonschema", schema)
+            self._channels[TICK] = self._writer.register_channel(TICK, "json", known)
+        self._writer.add_message(self._channels[TICK], ns, json.dumps(row).encode("utf-8"), ns)
+
+    def _log(self, stamp: Any, remark: Remark) -> Any:
+        level = (self._of.LogLevel.Info, self._of.LogLevel.Warning, self._of.LogLevel.Error)
+        return self._of.Log(
+            timestamp=stamp,
+            level=level[remark.level],
+            message=f"{remark.about}: {remark.words or 'free again'}",
+            name=self._controller,
+        )
 
     def _states(self, joints: Joints) -> list[Any]:
         values = (joints.position, joints.velocity, joints.effort)
-        columns = [of or [None] * len(joints.names) for of in values]
+        columns: list[list[Any]] = [list(of) or [None] * len(joints.names) for of in values]
         return [
             self._of.JointState(name=name, position=q, velocity=v, effort=tau)
             for name, q, v, tau in zip(joints.names, *columns, strict=True)
@@ -151,9 +147,7 @@ class _Messages:
 def _schema(row: dict[str, Any]) -> dict[str, Any]:
     """JSON Schema of a row: whose columns there are; each may be null."""
     inside = {
-        key: _schema(value)
-        if isinstance(value, dict)
-        else {"type": ["number", "string", "null"]}
+        key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
         for key, value in row.items()
     }
     return {"type": "object", "properties": inside}

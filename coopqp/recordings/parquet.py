@@ -1,7 +1,7 @@
 """Parquet, for pandas, polars, DuckDB and their like: a column each, with its unit.
 
-Numbers are float64, ``tick`` is int64, texts are UTF-8; an empty cell is null. The file's metadata has
-the scenario, each field's its unit.
+Numbers are float64, ``tick`` is int64, texts are UTF-8; an empty cell is null. The file's metadata
+has the scenario, each field's its unit.
 """
 
 from __future__ import annotations
@@ -63,9 +63,7 @@ def _arrow() -> tuple[Any, Any]:
     return pa, pq
 
 
-def arrow_schema(
-    scenario: Scenario, controller: str, source: str, columns: tuple[str, ...]
-) -> Any:
+def arrow_schema(scenario: Scenario, controller: str, source: str, columns: tuple[str, ...]) -> Any:
     """The columns' types and units, and the scenario; of Parquet and of Arrow alike.
 
     Args:

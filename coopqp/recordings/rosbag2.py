@@ -9,6 +9,7 @@ references and margins; and as std_msgs/String ``/coopqp/tick`` with the whole r
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -42,12 +43,15 @@ class Rosbag2(ExportFormat):
     def write(self, run: RecordedRun, path: Path) -> None:
         with needs("rosbag2"):
             from rosbags.rosbag2 import Writer
-        with Writer(path, version=VERSION) as writer:
-            bag = _Bag(writer, run.controller)
-            for i, instant in enumerate(instants_of(run)):
-                if not i:
-                    bag.write(SCENARIO, STRING, instant.ns, bag.new(STRING, data=run.source))
-                bag.log(instant)
+        try:
+            with Writer(path, version=VERSION) as writer:
+                bag = _Bag(writer, run.controller)
+                for i, instant in enumerate(instants_of(run)):
+                    if not i:
+                        bag.write(SCENARIO, STRING, instant.ns, bag.new(STRING, data=run.source))
+                    bag.log(instant)
+        except sqlite3.Error as error:  # as of a full disk
+            raise OSError(str(error)) from error
 
     def rows(self, path: Path) -> Iterator[Cells]:
         for i, said in enumerate(_strings(path, TICK)):

@@ -30,7 +30,9 @@ class Beside:
         self._limits = tuple(dict.fromkeys(key for trace in traces for key in _limits(trace)))
         self.of_instants = [f"{key}[{row}]" for key in ("e", "rate") for row in self._task_rows]
         self.of_ticks = [
-            f"{key}[{owner}].{unit}" for owner, unit in self._limits for key in ("margin", "nearest")
+            f"{key}[{owner}].{unit}"
+            for owner, unit in self._limits
+            for key in ("margin", "nearest")
         ]
 
     def instants(self, trace: Trace) -> list[list[Any]]:
