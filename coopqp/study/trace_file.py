@@ -207,7 +207,8 @@ def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: f
         raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     found = []
     for row in _rows(path, controller):
-        if not row.tells("measured", joints):
+        sensed = any(key.startswith("measured[") for key in row.cells)
+        if not sensed or all(row.cells.get(f"measured[{joint}]") == "" for joint in joints):
             continue
         measured = row.numbers("measured", joints, nan=True)
         if row.tick < ticks:
