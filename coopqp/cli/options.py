@@ -12,6 +12,7 @@ import click
 SCENARIO = click.argument("scenario")
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
+SAME = 1e-6  # velocities of a tick that is done again [rad/s, m/s]
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
 
@@ -65,6 +66,20 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
     loaded = format_of(path).scenario(path, catalog)
     _warn(loaded)
     return path, loaded
+
+
+def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:
+    """A tick of a recorded run, done again; says where it does not come out as recorded."""
+    from coopqp.study.recorded_tick import off_the_record, recorded_tick
+
+    path, scenario = read_trace(trace, catalog)
+    record = recorded_tick(path, scenario, controller, tick)
+    off = off_the_record(path, record)
+    if off > SAME:
+        words = "done again it commands another velocity than recorded, by up to"
+        why = "its scenario or the code is another than when it was run"
+        click.echo(f"warning: tick {record.tick}: {words} {off:.2g}; {why}", err=True)
+    return record
 
 
 def _warn(scenario: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, catalogued, read_trace
+from coopqp.cli.options import JSON, catalogued, read_tick, read_trace
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -41,19 +41,17 @@ def explain(
     from coopqp.report import explained, files
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
-    from coopqp.study.recorded_tick import recorded_tick
     from coopqp.study.trace_file import recording_from_trace
 
-    path, scenario = read_trace(trace, catalog)
-    known = controllers_of(path)
     if tick is not None or save:
-        record = recorded_tick(path, scenario, controller, tick)
+        record = read_tick(trace, catalog, controller, tick)
         click.echo(explained.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
             click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
         return
-    own = scenario.controllers
+    path, scenario = read_trace(trace, catalog)
+    known, own = controllers_of(path), scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]
     recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
@@ -148,14 +146,11 @@ def replay(
     from coopqp.recordings.known import is_run
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study.recorded_tick import recorded_tick
     from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
 
-    if is_run(file):
-        record = recorded_tick(*read_trace(file, catalog), controller, tick)
-    else:
-        record = TickRecord.read(file)
+    recorded = is_run(file)
+    record = read_tick(file, catalog, controller, tick) if recorded else TickRecord.read(file)
     answers = {
         name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)

@@ -49,11 +49,14 @@ class LiveRecording:
 
     Args:
         path: of the file, ``NAME.arrows``; must not exist.
-        scenario: read from a file, so that whoever reads the recording has it too.
-        law: whose ticks; it tells the joints and how much is remembered.
+        scenario: whose joints and tasks they are.
+        law: whose ticks, of the first phase.
         start: the state before the first tick. Where it has measured joints, all ticks have.
         controller: the law's name in the scenario.
-        also: names of further columns, such as ``input[hand].x``; all numbers.
+        source: the scenario's text, with which ticks are done again; what it was read from if
+            omitted.
+        also: names of further columns, such as ``input[hand].x``; all numbers, NaN is nothing.
+        memory: how many numbers the laws remember at most, where later ones remember more.
         every: seconds between pieces; 0 without a thread: whoever ticks calls :meth:`flush`.
 
     Attributes:
@@ -62,7 +65,7 @@ class LiveRecording:
 
     Raises:
         CoopqpError: the file exists, or cannot be made.
-        InvalidValueError: another ending than ``.arrows``; a scenario without a source; a further
+        InvalidValueError: another ending than ``.arrows``; a scenario without a text; a further
             column whose name is taken.
         MissingDependencyError: pyarrow is not installed.
     """
@@ -75,18 +78,21 @@ class LiveRecording:
         start: State,
         *,
         controller: str,
+        source: str = "",
         also: Sequence[str] = (),
+        memory: int = 0,
         every: float = EVERY,
     ) -> None:
-        self.path, self.fault = Path(path), ""
-        self._ring = TickRing(law, start, also, max(16, int(ROOM / law.problem.dt)))
+        self.path, self.fault, self._also = Path(path), "", tuple(also)
+        self._ring = TickRing(law, start, also, max(16, int(ROOM / law.problem.dt)), memory)
         columns = ("controller", "tick", *self._ring.names, "status")
-        _check(self.path, scenario, columns, also)
+        text = source or scenario.portable
+        _check(self.path, text, columns, also)
         with needs("a recording of a live loop"):
             import pyarrow as pa
         self._pa: Any = pa
         held = scenario.held_by(controller)
-        self._schema = arrow_schema(held, controller, scenario.portable, columns)
+        self._schema = arrow_schema(held, controller, text, columns)
         names = pa.array([controller] * self._ring.capacity)
         self._batch = pa.record_batch(  # over the ring's own memory, but for names and statuses
             [names, self._ring.numbered, *self._ring.numbers, names], schema=self._schema
@@ -115,9 +121,14 @@ class LiveRecording:
         """
         self._ring.add(state, command, us, also)
 
-    def begin(self, state: State) -> None:
-        """Say that the loop goes on from another state than the last tick's, as after a stop."""
-        self._ring.begin(state)
+    def begin(self, state: State, since: float = 0.0) -> None:
+        """Say that the loop goes on from another state than the last tick's, as after a stop.
+
+        Args:
+            state: before its first tick.
+            since: when its own time began, as in a later phase [s].
+        """
+        self._ring.begin(state, since)
 
     def flush(self) -> None:
         """Write what is new; a thread does it by itself."""
@@ -182,13 +193,19 @@ class LiveRecording:
         words = self._pa.array(list(map(_word, self._ring.causes[piece])))
         batch = self._batch.slice(piece.start, piece.stop - piece.start)
         last = batch.num_columns - 1
-        self._stream.write_batch(batch.set_column(last, self._schema.field(last), words))
+        batch = batch.set_column(last, self._schema.field(last), words)
+        for name in self._also:
+            numbers = self._ring.numbers[self._ring.names.index(name), piece]
+            known = self._pa.array(numbers, from_pandas=True)  # NaN is nothing
+            i = self._schema.get_field_index(name)
+            batch = batch.set_column(i, self._schema.field(i), known)
+        self._stream.write_batch(batch)
 
 
 _word = cache(written)
 
 
-def _check(path: Path, scenario: Scenario, columns: Sequence[str], also: Sequence[str]) -> None:
+def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -> None:
     """Refuse what could be written and not be read.
 
     Raises:
@@ -196,9 +213,9 @@ def _check(path: Path, scenario: Scenario, columns: Sequence[str], also: Sequenc
     """
     if path.suffix != SUFFIX:
         raise InvalidValueError(f"'{path}': needs a name that ends with {SUFFIX}")
-    if not scenario.source:
+    if not text:
         words = "a recording keeps its scenario's text, but this one was read from no file"
-        raise InvalidValueError(f"{words}; use coopqp.load")
+        raise InvalidValueError(f"{words}; use coopqp.load, or give source")
     for name in also:
         if list(columns).count(name) > 1 or is_text(name) or is_whole(name):
             raise InvalidValueError(f"also: '{name}' is the name of another column")

@@ -27,6 +27,7 @@ class TickRing:
         start: the state before the first tick.
         also: names of further columns.
         capacity: how many ticks it holds.
+        memory: room for what is remembered, where a law to come remembers more than this one.
 
     Attributes:
         names: of the columns that are numbers, C of them.
@@ -38,8 +39,10 @@ class TickRing:
         capacity: as given.
     """
 
-    def __init__(self, law: Law, start: State, also: Sequence[str], capacity: int) -> None:
-        parts = _parts(law, start, also)
+    def __init__(
+        self, law: Law, start: State, also: Sequence[str], capacity: int, memory: int = 0
+    ) -> None:
+        parts = _parts(law, start, also, max(memory, len(start.memory.numbers)))
         self.names = tuple(name for names in parts.values() for name in names)
         self.capacity = capacity
         self.numbers = np.zeros((len(self.names), capacity))
@@ -59,15 +62,20 @@ class TickRing:
         self._last, self._also = views["last"], views["also"]
         self.begin(start)
 
-    def begin(self, state: State) -> None:
-        """Take down what a law remembers before a first tick.
+    def begin(self, state: State, since: float = 0.0) -> None:
+        """Take down from what a law decides its first tick.
+
+        A tick is done again from the velocity of the one before. Where that is not the state's, as
+        after a stop, a number is left out between them.
 
         Args:
-            state: with which the loop goes on, where it is not that of the tick before. That tick
-                is not followed by this one, so a number is left out.
+            state: with which the loop goes on.
+            since: when the state's own time began, as in a later phase [s].
         """
-        self._memory[:] = state.memory.numbers
-        self._ticks += bool(self._ticks)
+        self._remember(state)
+        self._since = since
+        if self._ticks and not np.array_equal(self._v, state.v):
+            self._ticks += 1
 
     def add(self, state: State, command: Command, us: float, also: Array | Sequence[float]) -> None:
         """Copy a tick; count it as dropped where there is no room."""
@@ -82,10 +90,15 @@ class TickRing:
             self.filled += 1
         else:
             self.dropped += 1
-        self._memory[:] = state.memory.numbers
+        self._remember(state)
+
+    def _remember(self, state: State) -> None:
+        kept = state.memory.numbers
+        self._memory[: len(kept)], self._memory[len(kept) :] = kept, 0.0
 
     def _fill(self, state: State, command: Command, us: float) -> None:
-        self._t[0], self._q[:], self._v[:], self._gap[:] = state.t, state.q, command.v, state.gap
+        self._t[0], self._q[:] = self._since + state.t, state.q
+        self._v[:], self._gap[:] = command.v, state.gap
         if len(self._measured):
             self._measured[:] = np.nan if state.q_measured is None else state.q_measured
         if len(self._tau):
@@ -103,7 +116,7 @@ class TickRing:
         return [piece for piece in pieces if piece.stop > piece.start]
 
 
-def _parts(law: Law, start: State, also: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _parts(law: Law, start: State, also: Sequence[str], memory: int) -> dict[str, tuple[str, ...]]:
     """The columns, part by part."""
     joints, loops = law.problem.chain.joint_names, range(len(start.gap) // 6)
     sensed, torques = start.q_measured is not None, law.command.tau is not None
@@ -113,7 +126,7 @@ def _parts(law: Law, start: State, also: Sequence[str]) -> dict[str, tuple[str, 
         "v": tuple(f"v[{joint}]" for joint in joints),
         "measured": tuple(f"measured[{joint}]" for joint in joints if sensed),
         "gap": tuple(f"gap[{loop + 1}].{axis}" for loop in loops for axis in AXES),
-        "memory": tuple(f"memory[{i}]" for i in range(len(start.memory.numbers))),
+        "memory": tuple(f"memory[{i}]" for i in range(memory)),
         "tau": tuple(f"tau[{joint}]" for joint in joints if torques),
         "pose": POSE,
         "last": LAST,

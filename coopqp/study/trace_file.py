@@ -15,6 +15,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
+from coopqp.recordings.column import split
 from coopqp.recordings.known import controllers_of, format_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -180,6 +181,19 @@ def state_from_trace(
         )
     state.update()
     return state
+
+
+def recorded_velocity(path: Path, controller: str, tick: int) -> dict[str, float]:
+    """What was commanded in a tick, by joint [rad/s, m/s].
+
+    Raises:
+        CoopqpError: no such file, or a damaged row.
+    """
+    for row in _rows(path, controller):
+        if row.cells["tick_us"] and row.tick == tick:
+            parts = ((split(key), key) for key, text in row.cells.items() if text)
+            return {part[1]: row.number(key) for part, key in parts if part[0] == "v"}
+    return {}
 
 
 def _read(row: _Row, start: str, numbers: Array) -> None:

@@ -8,19 +8,21 @@ import sys
 import textwrap
 import time
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import typed
+from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
 from coopqp import CoopqpError, InvalidValueError, Law, Scenario, State
 from coopqp.online.recording import ROOM, LiveRecording
 from coopqp.recordings.known import format_of
 from coopqp.scenario.catalog import Catalog
-from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.recorded_tick import off_the_record, recorded_tick
 from coopqp.study.trace_file import state_from_trace
 
 
@@ -98,7 +100,47 @@ def test_after_a_stop_the_loop_begins_anew(scenario: Scenario, law: Law, tmp_pat
         recording.tick(state, law.tick(state), 1.0, [np.nan])
     rows = cells(path)
     assert [row["tick"] for row in rows] == ["0", "2"]
-    assert [row["input[hand].x"] for row in rows] == ["0.25", "nan"]
+    assert [row["input[hand].x"] for row in rows] == ["0.25", ""]  # NaN is nothing
+
+
+def test_phases_go_into_one_recording(tmp_path: Path) -> None:
+    """The time of the second goes on, and its first tick follows from the last one's velocity."""
+    scenario = phased(tmp_path, HEAD + PHASES + TAIL)
+    trace, path = coopqp.run(scenario, controller="qp"), tmp_path / "live.arrows"
+    ends = (*scenario.first_ticks, scenario.ticks)
+    problems = list(scenario.problems(lambda first: trace.q[first]))
+    laws = [scenario.controllers["qp"].build(problem) for problem in problems]
+    state = laws[0].start()
+    room = max(sum(law.memory_sizes.values()) for law in laws)
+    with LiveRecording(path, scenario, laws[0], state, controller="qp", memory=room) as recording:
+        for law, (first, end) in zip(laws, pairwise(ends), strict=True):
+            if first:
+                v, state = state.v, law.start()
+                state.v[:] = v
+                recording.begin(state, scenario.dt * first)
+            for _ in range(first, end):
+                command = law.tick(state)
+                recording.tick(state, command, 100.0)
+                state.advance(command.v, scenario.dt)
+    rows = cells(path)
+    assert [int(row["tick"]) for row in rows] == list(range(scenario.ticks))
+    np.testing.assert_allclose([float(row["t"]) for row in rows], trace.t[:-1], atol=1e-12)
+    for tick in (10, 60, 61, 130):
+        record = recorded_tick(path, scenario, "qp", tick)
+        assert off_the_record(path, record) < 1e-9
+
+
+def test_ticks_that_do_not_come_out_as_recorded_are_said(
+    scenario: Scenario, law: Law, tmp_path: Path
+) -> None:
+    path, state = tmp_path / "live.arrows", law.start(q_measured=scenario.chain.q_start)
+    slower = scenario.portable.replace("kappa: 100.0", "kappa: 50.0").replace("gain: 5", "gain: 1")
+    assert slower != scenario.portable
+    with LiveRecording(path, scenario, law, state, controller="qp", source=slower) as recording:
+        drive(law, state, recording, 60)
+    result = typed("explain", path, "--tick", "50")
+    assert result.exit_code == 0
+    assert "done again it commands another velocity than recorded" in result.stderr
 
 
 LOOP = """\
