@@ -69,9 +69,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = (Path(folder) / f"{i}.arrows" for i in range(given.kills))
         lost = [killed(path, chance.uniform(0.5, 2.0)) for path in paths]
-    print(
-        f"{len(lost)} kills: lost {sum(lost) / len(lost):.0f} ms on average, {max(lost):.0f} ms at most"
-    )
+    print(f"{len(lost)} kills, lost on average and at most [ms]:")
+    print(f"{sum(lost) / len(lost):.0f} {max(lost):.0f}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import secrets
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -111,18 +111,17 @@ class ExportFormat(Format):
         """
         if path.is_dir() and not self.holds(path):
             raise CoopqpError(f"'{path}' is a folder, and none of this format; choose another name")
-        aside = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{self.suffix}")
+        aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self.write(run, aside)
+            aside.mkdir(parents=True)
+            self.write(run, aside / path.name)  # files in it are named after it
             if path.is_dir():
                 shutil.rmtree(path)
-            os.replace(aside, path)
+            os.replace(aside / path.name, path)
         except OSError as error:
             raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
         finally:
-            with suppress(OSError):
-                shutil.rmtree(aside) if aside.is_dir() else aside.unlink(missing_ok=True)
+            shutil.rmtree(aside, ignore_errors=True)
 
 
 @contextmanager

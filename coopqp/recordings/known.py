@@ -65,16 +65,17 @@ def export(path: Path, scenario: Scenario, to: str, controller: str, out: Path) 
     chosen = {known.name: known for known in EXPORTS}.get(to)
     if chosen is None:
         raise UnknownNameError("format", to, NAMES)
-    if controller not in controllers_of(path):
-        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     if out.resolve() == path.resolve():
         raise CoopqpError(f"'{out}' is what is read; choose another name with --out")
     rows = partial(_rows, path, controller)
+    first = next(rows(), None)
+    if first is None:
+        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     run = RecordedRun(
         controller=controller,
         scenario=scenario.held_by(controller),
         source=scenario.portable,
-        columns=tuple(next(rows()).texts),
+        columns=tuple(first.texts),
         rows=rows,
     )
     chosen.replace(run, out)

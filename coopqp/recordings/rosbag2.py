@@ -28,7 +28,7 @@ from coopqp.scenario.scenario import Scenario
 DIAGNOSTICS, SCENARIO = "/diagnostics", "/coopqp/scenario"
 STRING = "std_msgs/msg/String"
 NS = 1_000_000_000
-VERSION = 8  # of a bag's metadata: read by ROS 2 Iron and later
+VERSION = 8  # of a bag's metadata; the older one that rosbags writes, for older readers
 
 
 class Rosbag2(ExportFormat):

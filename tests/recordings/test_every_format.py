@@ -35,8 +35,9 @@ def test_ticks_are_explained_and_solved_again_bit_for_bit(name: str, written: An
     for tick in (0, 70, 150):  # in each phase
         again = recorded_tick(path, scenario, "qp", tick)
         assert again == recorded_tick(written.trace_csv, scenario, "qp", tick)
-        said = typed("replay", path, "--tick", tick, "--solver", "daqp", "--json")
-        assert '"difference": 0.0' in said.stdout
+    said = typed("replay", path, "--tick", 150, "--solver", "daqp", "--json")
+    assert '"difference": 0.0' in said.stdout
+    assert not said.stderr  # it comes out as recorded
 
 
 @every_format
@@ -111,4 +112,4 @@ def test_what_cannot_be_exported_is_refused_in_one_line(
     assert result.exit_code == 2
     assert words in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
-    assert not list(folder.glob(".*.mcap"))
+    assert not list(folder.glob(".*mcap*"))
