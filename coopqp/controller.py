@@ -211,12 +211,17 @@ class Law(ABC):
         wrong = [] if self._observer.update(state) else [Status.NOT_MEASURED]
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
+        if state.inputs.stale:
+            wrong.append(Status.INPUT_STALE)
+        if state.inputs.refused:
+            wrong.append(Status.INPUT_REFUSED)
         try:
             command = self.decide(state)
         except Exception as error:  # noqa: BLE001 - code of plug-ins may raise anything
             command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
             self.hold_still(state)
         if wrong:
+            command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command

@@ -105,6 +105,7 @@ def _legs(
         state = law.start(q_measured=plant.measured)
         if ended:
             state.v[:] = ended[1].v
+        feed = scenario.feed(problem, state, first)
         leg = rollout(
             law,
             plant,
@@ -114,6 +115,7 @@ def _legs(
             heeds=chosen.heeds,
             progress=_shifted(progress, name, first),
             state=state,
+            feed=feed,
         )
         yield PhaseInfo(phase.name, first, phase.released), leg
         last = first == scenario.first_ticks[-1]

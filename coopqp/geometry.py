@@ -21,8 +21,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from coopqp.checked import Array, Direction, Vector3, one_angle, spec, unit
+from coopqp.checked import Array, Direction, Pose, Vector3, one_angle, spec, unit
+from coopqp.errors import InvalidValueError
+from coopqp.grasp import pose_matrix
 from coopqp.profile import KINDS, Profile
+from coopqp.signal import DIRECTION, POINT, POSE, Course, Instant, Moment, Signal, course
 from coopqp.state import PointOfObject, State
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
@@ -31,7 +34,7 @@ TINY = 1e-12  # sine of an angle, or [m]
 #: Half angle of the cone about the opposite direction in which rows are kept from growing [rad].
 CONE = 0.02
 
-_STILL = (0.0, 0.0, 0.0)
+_STILL, _UP = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
 @spec
@@ -56,45 +59,82 @@ class Turn:
         return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 
-def last_end(profile: Profile, turn: Turn | None) -> float:
-    """When the error has gone to zero and the reference has turned [s]."""
-    return max(profile.end, turn.profile.end if turn else 0.0)
+def last_end(*moving: object) -> float:
+    """When all of what a task follows is where it stays; what never rests does not count [s].
+
+    Args:
+        moving: profiles, turns, signals; anything else is at rest.
+    """
+    ends = (
+        x.profile.end
+        if isinstance(x, Turn)
+        else x.end
+        if isinstance(x, Profile)
+        else x.rest
+        if isinstance(x, Signal)
+        else 0.0
+        for x in moving
+    )
+    return max((end for end in ends if math.isfinite(end)), default=0.0)
 
 
 class Reference:
     """A frame that the object is steered to.
 
     Args:
-        origin: where it is at t = 0, in the world, shape (3,) [m].
-        direction: of its third axis before it turns, in the world; any length.
+        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal.
+        direction: of its third axis before it turns, in the world; any length; or a signal.
         velocity: of its origin, in the world, shape (3,) [m/s].
         turn: about an axis through its origin.
+        start: the instant from which it sets out. An input begins, at a state, where nothing would
+            have to move for it:
+        point: of the object, in the object frame [m]; it is where the origin begins.
+        axis: of the object, in the object frame; it is along it that the direction begins.
+
+    Raises:
+        InvalidValueError: something moves in two ways at once.
 
     Attributes:
         c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
         RT: its axes as rows, R', shape (3, 3).
         omega: its angular velocity, in the world, shape (3,) [rad/s].
         moves: whether anything changes with time.
+        follows: whether it follows a signal.
     """
 
     def __init__(
         self,
-        origin: Vector3 = _STILL,
-        direction: Vector3 = (0.0, 0.0, 1.0),
+        origin: Vector3 | Signal = _STILL,
+        direction: Vector3 | Signal = _UP,
         velocity: Vector3 = _STILL,
         turn: Turn | None = None,
+        *,
+        start: Instant | None = None,
+        point: Vector3 | None = None,
+        axis: Vector3 | None = None,
     ) -> None:
-        self._c_0, self._RT_0 = np.array(origin, float), axes_along(direction)
+        start = start or Moment()
+        _one_motion(origin, direction, velocity, turn)
+        here = along = None
+        if isinstance(start, State):
+            here = None if point is None else start.point(np.array(point))
+            along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
+        self._origin = course(origin, POINT, start, here)
+        self._axes = course(direction, DIRECTION, start, along)
+        self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
         self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
         self.c_dot, self.omega = np.array(velocity, float), np.zeros(3)
         self._turning = turn.profile if turn else None
         self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
-        self.moves = turn is not None or bool(self.c_dot.any())
+        self._slides = bool(self.c_dot.any())
+        self.follows = self._origin.moves or self._axes.moves
+        self.moves = self.follows or turn is not None or self._slides
 
     def numbers(self) -> Array:
         """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
 
         The profile is kind, duration and delay; a reference that does not turn has zeros there.
+        What follows a signal is not in them.
         """
         turning = self._turning
         profile = [0.0, 1.0, 0.0]
@@ -103,28 +143,46 @@ class Reference:
         parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
         return np.concatenate([*parts, [float(turning is not None)]])
 
-    def update(self, t: float) -> None:
-        """Go to where it is at time t [s]."""
+    def update(self, at: Instant) -> None:
+        """Go to where it is then."""
         if not self.moves:
             return
-        np.multiply(self.c_dot, t, self.c)
-        np.add(self.c, self._c_0, self.c)
-        if self._turning:
-            share, speed = self._turning.at(t)
+        if self._origin.moves:
+            self._origin.update(at)
+            self.c[:], self.c_dot[:] = self._origin.value, self._origin.rate
+        elif self._slides:
+            np.multiply(self.c_dot, at.t, self.c)
+            np.add(self.c, self._c_0, self.c)
+        if self._axes.moves:
+            self._axes.update(at)
+            self.RT[:], self.omega[:] = self._axes.R.T, self._axes.rate
+        elif self._turning:
+            share, speed = self._turning.at(at.t)
             self._RT_0.dot(pin.exp3(self._turn * share).T, self.RT)
             np.multiply(self._turn, speed, self.omega)
 
 
-def axes_along(direction: Vector3) -> Array:
-    """Right-handed unit axes as rows, the third along the direction, shape (3, 3).
+def _one_motion(
+    origin: Vector3 | Signal, direction: Vector3 | Signal, velocity: Vector3, turn: Turn | None
+) -> None:
+    """Refuse what moves in two ways at once."""
+    if isinstance(origin, Signal) and any(velocity):
+        raise InvalidValueError("velocity: the place is a signal, which says how it moves; omit it")
+    if isinstance(direction, Signal) and turn is not None:
+        raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
 
-    The first is the world axis that is farthest from the direction, made normal to it.
+
+def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Course:
+    """A pose to follow.
+
+    Args:
+        given: of a task.
+        start: the instant from which the reference sets out.
+        here: the value with which nothing would have to move, shape (7,).
     """
-    d = unit(direction)
-    farthest = int(np.argmin(np.abs(d)))
-    first = np.eye(3)[farthest] - d[farthest] * d
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(d, first), d])
+    if isinstance(given, Signal):
+        return given.bind(POSE, start, here)
+    return Course(POSE, POSE.read(pose_matrix(given)))
 
 
 class PointInReference:
@@ -243,15 +301,17 @@ class Alignment:
 
 
 class RotationError:
-    """Three rows that turn Q, an orientation that the joints change, into its goal.
+    """Three rows that turn Q, an orientation that the joints change, onto its goal.
 
-    The reference turns about one axis, Q_r = exp(s phi) Q_start with phi = log(Q_goal Q_start').
-    With Q_e = Q Q_r', Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
+    The reference turns about one axis of the goal, which may turn itself at omega_g,
+    Q_r = exp((s - 1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r',
+    Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
 
-        e = log Q_e,   J = Jl^-1(e) R' J_omega,   rate = Jl^-1(e) Q_e s_dot phi
+        e = log Q_e,   J = Jl^-1(e) R' J_omega
+        rate = Jl^-1(e) Q_e (s_dot phi + exp((s - 1) phi) omega_g)
 
     Args:
-        goal: Q_goal, shape (3, 3).
+        goal: where Q_goal is, a rotation or a pose; updated by the task before this.
         profile: how the reference turns there.
         start: Q_start, shape (3, 3).
 
@@ -259,9 +319,10 @@ class RotationError:
         rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
     """
 
-    def __init__(self, goal: Array, profile: Profile, start: Array) -> None:
-        self._profile, self._start = profile, start.copy()
-        self._phi = np.array(pin.log3(goal @ start.T))
+    def __init__(self, goal: Course, profile: Profile, start: Array) -> None:
+        self._profile, self._goal, self._omega = profile, goal, goal.rate[goal.kind.numbers :]
+        self._start = start.copy()
+        self._phi = np.array(pin.log3(goal.R @ start.T))
         self.rows = np.zeros((3, 3))
 
     def fill(
@@ -278,13 +339,20 @@ class RotationError:
         """
         e, J, rate = out
         share, speed = self._profile.at(t)
-        Q_e = Q.dot(pin.exp3(self._phi * share).dot(self._start).T)
+        turning = self._phi * speed
+        if self._goal.moves:
+            left = pin.exp3(self._phi * (share - 1.0))
+            Q_r = left.dot(self._goal.R)
+            turning += left.dot(self._omega)
+        else:  # the same, and exactly the start at the start
+            Q_r = pin.exp3(self._phi * share).dot(self._start)
+        Q_e = Q.dot(Q_r.T)
         e[:] = pin.log3(Q_e)
         # pinocchio's Jlog3 takes body velocities; Q_e' turns those of the reference into them.
         J_log = pin.Jlog3(Q_e)
         J_log.dot(Q_e.T).dot(RT, self.rows)
         self.rows.dot(J_omega, J)
-        J_log.dot(self._phi * speed, rate)
+        J_log.dot(turning, rate)
 
 
 class Approach:

@@ -140,7 +140,7 @@ def radial(
 
 def lean(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
     """An axis of the object goes to the reference's third, :class:`coopqp.geometry.Alignment`."""
-    reference.update(start.t)
+    reference.update(start)
     a_O = unit((axis[0], axis[1], axis[2]))
     seen = polar(reference.RT @ start.R_WO @ a_O)
     phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
@@ -152,7 +152,7 @@ def lean(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
     """A line of the object goes into the plane of the reference's first two axes."""
-    reference.update(start.t)
+    reference.update(start)
     a_O = unit((axis[0], axis[1], axis[2]))
     angle = 0.5 * math.pi - polar(reference.RT @ start.R_WO @ a_O).angle
     return Primitive(
@@ -174,6 +174,6 @@ def rotation(
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     """Where a point is at the start, in the reference's axes."""
     seen = PointInReference(p_O, reference, start.chain.n)
-    reference.update(start.t)
+    reference.update(start)
     seen.update(start)
     return seen.x

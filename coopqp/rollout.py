@@ -13,13 +13,14 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.leverage import leverage
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
+from coopqp.input import Feed
 from coopqp.plant import PlantModel
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.row import Row
 from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.trace import Failure, TaskInfo, Trace
+from coopqp.trace import Failure, TaskInfo, Trace, no_input
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
@@ -37,6 +38,7 @@ def rollout(
     heeds: Heeds = HEEDS_NOTHING,
     progress: Progress | None = None,
     state: State | None = None,
+    feed: Feed | None = None,
 ) -> Trace:
     """Run a law on a plant.
 
@@ -50,6 +52,7 @@ def rollout(
         progress: called every few ticks.
         state: where it begins, of the law's own start; written, so that it is where it ends. At
             rest where the plant's sensors say when omitted.
+        feed: who sends to the inputs; nothing arrives when omitted.
 
     Returns:
         All that happened.
@@ -57,7 +60,7 @@ def rollout(
     state = law.start(q_measured=plant.measured) if state is None else state
     guarded = GuardedPlant(plant)
     recorder = _Recorder(law, guarded, state, ticks)
-    for k, (command, us) in enumerate(drive(law, guarded, state, ticks)):
+    for k, (command, us) in enumerate(drive(law, guarded, state, ticks, feed)):
         recorder.instant(k, state)
         recorder.tick(k, command, us, state)
         if progress and k % PROGRESS_EVERY == 0:
@@ -68,20 +71,25 @@ def rollout(
     return recorder.trace(controller, solver, heeds)
 
 
-def drive(law: Law, plant: PlantModel, state: State, ticks: int) -> Iterator[tuple[Command, float]]:
-    """The control loop: decide, hand over the command, let the plant move.
+def drive(
+    law: Law, plant: PlantModel, state: State, ticks: int, feed: Feed | None = None
+) -> Iterator[tuple[Command, float]]:
+    """The control loop: take what has arrived, decide, hand over the command, let the plant move.
 
     Args:
         law: the controller, built.
         plant: where the state is.
         state: written; after the last step its kinematics are up to date.
         ticks: how many.
+        feed: who sends to the inputs; nothing arrives when omitted.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
     """
     guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
     for _ in range(ticks):
+        if feed:
+            feed.step(state)
         before = time.perf_counter_ns()
         broken = guarded.broken
         command = law.refuse(Status.PLANT_FAILED, broken) if broken else law.tick(state)
@@ -89,6 +97,8 @@ def drive(law: Law, plant: PlantModel, state: State, ticks: int) -> Iterator[tup
         guarded.step(state, command)
         if guarded.broken:
             state.t += law.problem.dt
+    if feed:
+        feed.step(state)
     state.update()
 
 
@@ -101,10 +111,11 @@ class _Recorder:
         self._law, self._plant = law, plant
         # Its own stacks, so that a controller without tasks inside is measured alike.
         # Starts of their own: a task may keep its arrays.
-        stacks = [
-            TaskStack(tasks, State(problem.chain, start.q, start.t))
-            for tasks in (problem.tasks, [task.at_goal() for task in problem.tasks])
-        ]
+        stacks = []
+        for tasks in (problem.tasks, [task.at_goal() for task in problem.tasks]):
+            begin = State(problem.chain, start.q, start.t)
+            begin.inputs = start.inputs
+            stacks.append(TaskStack(tasks, begin))
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         self.loop = np.zeros((rows, 2))
@@ -117,11 +128,13 @@ class _Recorder:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
+        self.e, self.rate = np.full((2, rows, len(stacks[0].e)), np.nan)
         self.tick_us, self.compiled = np.zeros(ticks), np.zeros(ticks, bool)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
         self.status = [Status.OPTIMAL.name] * ticks
         self.scale = np.ones(ticks)
+        self.inputs = {n: no_input(c.kind, ticks) for n, c in start.inputs.items()}
         self.failures: list[Failure] = []
         self.signals = {
             name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
@@ -130,8 +143,10 @@ class _Recorder:
     def instant(self, k: int, state: State) -> None:
         """Keep what tick k - 1 has led to, which is the state before tick k."""
         true = self._plant.truth(state)
+        true.inputs = state.inputs
         if k:
             self._close(k - 1, true.v)
+        self._inputs_at_end = state.inputs
         self.t[k], self.q[k] = state.t, true.q
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
@@ -144,6 +159,8 @@ class _Recorder:
             for i, (_, part) in enumerate(self._parts):
                 if i not in self._velocities:
                     error[k, i] = np.linalg.norm(stack.e[part])
+            if error is self.task_error:
+                self.e[k], self.rate[k] = stack.e, stack.rate
 
     def _close(self, k: int, v: Array) -> None:
         """Keep what only shows after the step of tick k."""
@@ -166,6 +183,11 @@ class _Recorder:
         self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
         self.compiled[k] = self._law.compiled
+        for name, kept in self.inputs.items():
+            followed = state.inputs[name]
+            kept.value[k], kept.rate[k] = followed.value, followed.rate
+            if name in state.inputs.arrived:
+                kept.sent[k], kept.arrived[k] = state.inputs.arrived[name]
         if command.causes != (Status.OPTIMAL,):
             self._note(k, command)
 
@@ -192,6 +214,7 @@ class _Recorder:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
         chain = self._law.problem.chain
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
+        start.inputs = end.inputs = self._inputs_at_end
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
         with suppress(Exception):  # a tick that met the same error names it
@@ -229,6 +252,9 @@ class _Recorder:
             task_error=self.task_error,
             leverage=self._leverage(),
             goal_error=self.goal_error,
+            task_rows=_task_rows(problem.tasks, chain),
+            e=self.e,
+            rate=self.rate,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),
@@ -240,6 +266,7 @@ class _Recorder:
             heeds=heeds,
             failures=tuple(self.failures),
             signals=self.signals,
+            inputs=self.inputs,
         )
 
 
@@ -253,6 +280,11 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found
+
+
+def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

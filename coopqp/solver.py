@@ -57,6 +57,8 @@ class Status(enum.Enum):
     RAISED = "stands still: code of a task, a limit, a solver or the controller raised an error"
     PLANT_FAILED = "stands still: what is controlled broke down, or its simulation did"
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
+    INPUT_STALE = "nothing new has arrived at an input in time", True
+    INPUT_REFUSED = "what arrived at an input cannot be used", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 

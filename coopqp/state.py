@@ -19,6 +19,7 @@ from scipy.linalg import lapack
 from coopqp.checked import Array, vector
 from coopqp.closed_chain import ClosedChain
 from coopqp.rank import independent_rows, least_squares
+from coopqp.signal import Followed
 
 
 class Memory:
@@ -77,6 +78,7 @@ class State:
         q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
             what there is, as for joints that do exactly as told.
         corrected: share of the drift correction that the last tick did.
+        inputs: what is made of what arrived from outside, by name; empty where nothing can.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class State:
         self.q = vector("q", chain.q_start if q is None else q, n)
         self.v = np.zeros(n)
         self.memory = Memory({}) if memory is None else memory
+        self.inputs = Followed()
         self._J_ext = np.zeros((6 * arms, n))
         self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
         self._q_seen, self._stale = self.q.copy(), False
@@ -112,7 +115,7 @@ class State:
     def __reduce__(self) -> tuple[Any, ...]:
         # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
         own = (self.v, self.gap, self.q_measured, self.corrected, self._commanded)
-        return _state, (self.chain, self.q, self.t, self.memory, own)
+        return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
 
     def __repr__(self) -> str:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
@@ -359,9 +362,11 @@ def _state(
     t: float,
     memory: Memory,
     own: tuple[Array, Array, Array | None, float, Array],
+    inputs: Followed,
 ) -> State:
     """A state from what a copy is made of."""
     state = State(chain, q, t, memory)
+    state.inputs = inputs
     state.v[:], state.gap[:], state.q_measured, state.corrected, state._commanded[:] = own
     state.update()
     return state

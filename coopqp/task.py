@@ -25,6 +25,7 @@ from coopqp.mark import Mark
 from coopqp.profile import Profile
 from coopqp.program import Primitive
 from coopqp.row import Row
+from coopqp.signal import Instant
 from coopqp.state import State
 
 
@@ -121,11 +122,11 @@ class Task(ABC):
         """The rows by unit, in their order; one part for most tasks."""
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """What pictures show of it: where the goal is then, not the way there; nothing by default.
 
         Args:
-            t: since its reference set out [s].
+            at: time since its reference set out, and what is made of inputs then.
         """
         return ()
 

@@ -6,7 +6,7 @@ so positions have T + 1 rows and commands T.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.row import Row
+from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
 
 
@@ -48,6 +49,36 @@ class PhaseInfo:
     name: str
     first: int
     released: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InputTrace:
+    """What arrived at an input, and what was made of it.
+
+    Attributes:
+        kind: of its values.
+        arrived: what arrived for each tick, NaN where nothing did, shape (T, values).
+        sent: when that was sent, NaN where nothing was, shape (T,) [s].
+        value: what was followed in each tick, shape (T, values).
+        rate: how that moved, shape (T, rates).
+    """
+
+    kind: Kind
+    arrived: Array
+    sent: Array
+    value: Array
+    rate: Array
+
+
+def followed(inputs: Mapping[str, InputTrace], k: int) -> Followed:
+    """What was made of the inputs in a tick; after the last as in it."""
+    found = Followed()
+    for name, kept in inputs.items():
+        row = min(k, len(kept.value) - 1)
+        if row >= 0 and np.isfinite(kept.value[row]).all():
+            found[name] = Course(kept.kind, kept.value[row])
+            found[name].rate[:] = kept.rate[row]
+    return found
 
 
 @dataclass(frozen=True)
@@ -114,6 +145,11 @@ def _tasks(legs: Legs, name: str) -> tuple[TaskInfo, ...]:
     )
 
 
+def _rows_of_tasks(legs: Legs, name: str) -> tuple[str, ...]:
+    """Every phase's rows of tasks."""
+    return tuple(f"{info.name}.{row}" for info, leg in legs for row in getattr(leg, name))
+
+
 def _task_errors(legs: Legs, name: str) -> Array:
     """A column for each phase's tasks, NaN in the other phases."""
     instants, columns = len(_times(legs, "t")), []
@@ -163,6 +199,29 @@ def _signals(legs: Legs, name: str) -> dict[str, Array]:
     }
 
 
+def _inputs(legs: Legs, name: str) -> dict[str, InputTrace]:
+    """By input; NaN in the phases in which nothing follows it."""
+    found = {}
+    for key in dict.fromkeys(key for _, leg in legs for key in getattr(leg, name)):
+        given = [getattr(leg, name).get(key) for _, leg in legs]
+        kind = next(part.kind for part in given if part)
+        parts = []
+        for (_, leg), part in zip(legs, given, strict=True):
+            parts.append(part or no_input(kind, leg.ticks))
+        arrays = (
+            np.concatenate([getattr(part, field) for part in parts])
+            for field in ("arrived", "sent", "value", "rate")
+        )
+        found[key] = InputTrace(kind, *arrays)
+    return found
+
+
+def no_input(kind: Kind, ticks: int) -> InputTrace:
+    """An input that nothing follows, for ticks of which each is NaN."""
+    shapes = ((ticks, kind.values), (ticks,), (ticks, kind.values), (ticks, kind.rates))
+    return InputTrace(kind, *(np.full(shape, np.nan) for shape in shapes))
+
+
 def _phases(legs: Legs, name: str) -> tuple[PhaseInfo, ...]:
     return tuple(info for info, _ in legs)
 
@@ -204,6 +263,10 @@ class Trace:
         task_error: Euclidean norm of each task's error, to its reference, which may be on its way
             to the goal, shape (T + 1, K) [the task's unit].
         goal_error: the same to the goal, as if the reference were there from the start.
+        task_rows: the rows of all tasks, such as "reach.z", R of them.
+        e: each row's error to its reference, value minus reference, shape (T + 1, R) [the task's
+            unit]; 0 for tasks that ask for a velocity alone.
+        rate: how fast each row's reference moves, shape (T + 1, R) [unit/s].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
@@ -216,6 +279,7 @@ class Trace:
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
+        inputs: what arrived from outside, by name.
     """
 
     controller: str = field(metadata={"join": _same})
@@ -244,6 +308,9 @@ class Trace:
     loop_orientation: Array = field(metadata={"join": _instants})
     task_error: Array = field(metadata={"join": _task_errors})
     goal_error: Array = field(metadata={"join": _task_errors})
+    task_rows: tuple[str, ...] = field(metadata={"join": _rows_of_tasks})
+    e: Array = field(metadata={"join": _task_errors})
+    rate: Array = field(metadata={"join": _task_errors})
     usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
     inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
     status: tuple[str, ...] = field(metadata={"join": _statuses})
@@ -255,6 +322,7 @@ class Trace:
     heeds: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
+    inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
 
     def __repr__(self) -> str:
@@ -270,6 +338,15 @@ class Trace:
     def ticks(self) -> int:
         """T."""
         return len(self.v)
+
+    def moment(self, k: int, t: float) -> Moment:
+        """An instant as references see it.
+
+        Args:
+            k: row.
+            t: since they set out [s].
+        """
+        return Moment(t, followed(self.inputs, k))
 
     @property
     def final_error(self) -> Array:

@@ -16,10 +16,11 @@ import numpy as np
 
 from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import TINY, Approach, Reference
+from coopqp.geometry import TINY, Approach, Reference, last_end
 from coopqp.mark import Mark, SphereMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, radial
+from coopqp.signal import Instant, MovingPoint
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -28,7 +29,7 @@ from coopqp.task import Evaluate, Task, TaskRows
 class Distance(Task):
     """A point of the object goes to a distance from a point in space (1 row), a sphere."""
 
-    to: Vector3
+    to: MovingPoint
     """The point in space at the start, in the world [m]."""
     length: Positive
     """The distance [m]."""
@@ -46,7 +47,7 @@ class Distance(Task):
     @property
     def end(self) -> float:
         """When the distance shall be the length [s]."""
-        return self.profile.end
+        return last_end(self.profile, self.to)
 
     @property
     def curvature(self) -> float:
@@ -55,13 +56,13 @@ class Distance(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The distance changes from what it is now."""
-        other, length = self._other(), self.length
+        other, length = self._other(start), self.length
         tracked, away = PointOfObject(self.point, start.chain.n), np.zeros(3)
 
         def measure(state: State) -> float:
             """The distance; leaves the direction in ``away``."""
             tracked.update(state)
-            other.update(state.t)
+            other.update(state)
             np.subtract(tracked.p, other.c, away)
             x, y, z = away.tolist()
             distance = math.hypot(x, y, z)
@@ -84,14 +85,14 @@ class Distance(Task):
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
         of = self.point, self.profile
-        return (radial(start, self._other(), *of, self.length, planar=False),)
+        return (radial(start, self._other(start), *of, self.length, planar=False),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """All points at the distance, and the point that goes there."""
-        other = self._other()
-        other.update(t)
+        other = self._other(at)
+        other.update(at)
         return SphereMark(center=other.c, radius=self.length), TrackedMark(point=self.point)
 
-    def _other(self) -> Reference:
+    def _other(self, start: Instant) -> Reference:
         """The point in space."""
-        return Reference(self.to, velocity=self.velocity)
+        return Reference(self.to, velocity=self.velocity, start=start)

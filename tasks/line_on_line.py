@@ -23,6 +23,7 @@ from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Tu
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -31,9 +32,9 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class LineOnLine(Task):
     """A line of the object goes onto a line (4 rows); it may slide along and spin."""
 
-    direction: Direction
+    direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the line at the start, in the world [m]."""
     axis: Direction
     """Of the object's line, in the object frame; any length."""
@@ -64,13 +65,13 @@ class LineOnLine(Task):
     @property
     def end(self) -> float:
         """When the lines shall coincide and the one in space has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.direction)
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        line = self._line()
+        line = self._line(start)
         seen = PointInReference(self.point, line, start.chain.n)
-        line.update(start.t)
+        line.update(start)
         seen.update(start)
         against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
         axis = tuple(-np.array(self.axis)) if against else self.axis
@@ -79,7 +80,7 @@ class LineOnLine(Task):
 
         def evaluate(state: State, rows: TaskRows) -> None:
             e, J, rate = rows.e, rows.J, rows.rate
-            line.update(state.t)
+            line.update(state)
             seen.update(state)
             e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
             approach.shift(state.t, e[:2], rate[:2])
@@ -89,17 +90,20 @@ class LineOnLine(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        line = self._line()
+        line = self._line(start)
         offset = point(start, line, self.point, self.profile, (0, 1))
         against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
         axis = -np.array(self.axis) if against else np.array(self.axis)
-        return offset, lean(start, self._line(), axis.tolist(), self.profile)
+        return offset, lean(start, self._line(start), axis.tolist(), self.profile)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, and the point of the object's own."""
-        line = self._line()
-        line.update(t)
+        line = self._line(at)
+        line.update(at)
         return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
 
-    def _line(self) -> Reference:
-        return Reference(self.through, self.direction, self.velocity, self.turn)
+    def _line(self, start: Instant) -> Reference:
+        held = {"point": self.point, "axis": self.axis}
+        return Reference(
+            self.through, self.direction, self.velocity, self.turn, start=start, **held
+        )

@@ -25,6 +25,7 @@ from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_en
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, tilt
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -33,9 +34,9 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class LineOnPlane(Task):
     """A line of the object goes into a plane (2 rows); four motions stay free."""
 
-    normal: Direction
+    normal: MovingDirection
     """Of the plane at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the plane at the start, in the world [m]."""
     axis: Direction
     """Of the object's line, in the object frame; any length."""
@@ -64,16 +65,16 @@ class LineOnPlane(Task):
     @property
     def end(self) -> float:
         """When the line shall be in the plane and the plane has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.normal)
 
     def bind(self, start: State) -> Evaluate:
         """Height and angle shrink from what they are now."""
-        plane = self._plane()
+        plane = self._plane(start)
         seen, a_O = PointInReference(self.point, plane, start.chain.n), unit(self.axis)
         aside, across = np.zeros(3), np.zeros(3)  # -w in the plane's axes and in the world's
 
         def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
-            plane.update(state.t)
+            plane.update(state)
             seen.update(state)
             line = polar(plane.RT.dot(state.R_WO.dot(a_O)))
             aside[0], aside[1] = line.way[1], -line.way[0]
@@ -95,14 +96,15 @@ class LineOnPlane(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        height = point(start, self._plane(), self.point, self.profile, (2,))
-        return height, tilt(start, self._plane(), self.axis, self.profile)
+        height = point(start, self._plane(start), self.point, self.profile, (2,))
+        return height, tilt(start, self._plane(start), self.axis, self.profile)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's line."""
-        plane = self._plane()
-        plane.update(t)
+        plane = self._plane(at)
+        plane.update(at)
         return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
 
-    def _plane(self) -> Reference:
-        return Reference(self.through, self.normal, self.velocity, self.turn)
+    def _plane(self, start: Instant) -> Reference:
+        held = {"point": self.point}
+        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)

@@ -14,11 +14,12 @@ import numpy as np
 
 from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import RotationError
+from coopqp.geometry import RotationError, last_end
 from coopqp.grasp import pose_matrix
 from coopqp.mark import Mark, PoseMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, rotation
+from coopqp.signal import ROTATION, Course, Instant, MovingRotation, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -33,13 +34,17 @@ class Orientation(Task):
     """Roll, pitch, yaw of the object at the end, about fixed x, y, z of the world [rad]."""
     rpy_deg: Vector3 | None = None
     """Roll, pitch, yaw [degrees]; instead of rpy."""
+    goal: MovingRotation = None
+    """A signal, instead of rpy."""
     profile: Profile = Profile()
     """How the reference turns from the start to the goal."""
     tolerance: Positive = 5e-3
     """Angle at the end that still counts as reached [rad]."""
 
     def __post_init__(self) -> None:
-        one_angle("rpy", self.rpy, self.rpy_deg, needed=True)
+        one_angle("rpy", self.rpy, self.rpy_deg, needed=self.goal is None)
+        if self.goal is not None and (self.rpy or self.rpy_deg):
+            raise ValueError("give rpy, rpy_deg or goal, not two of them")
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """Rotation about the world axes."""
@@ -48,26 +53,34 @@ class Orientation(Task):
     @property
     def end(self) -> float:
         """When the reference arrives [s]."""
-        return self.profile.end
+        return last_end(self.profile, self.goal)
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from how the object is turned now."""
-        error, world = RotationError(self._goal(), self.profile, start.R_WO), np.eye(3)
+        goal, world = self._course(start, quaternion_of(start.R_WO)), np.eye(3)
+        goal.update(start)
+        error = RotationError(goal, self.profile, start.R_WO)
 
         def evaluate(state: State, rows: TaskRows) -> None:
+            goal.update(state)
             out = rows.e, rows.J, rows.rate
             error.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
-        return (rotation(self._goal(), self.profile, start.R_WO),)
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal is the goal."""
+        goal = self._course(start)
+        return None if goal.moves else (rotation(goal.R, self.profile, start.R_WO),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The orientation, wherever the object is."""
-        return (PoseMark(rotation=self._goal()),)
+        goal = self._course(at)
+        goal.update(at)
+        return (PoseMark(rotation=goal.R),)
 
-    def _goal(self) -> Array:
-        R: Array = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        return R
+    def _course(self, start: Instant, here: Array | None = None) -> Course:
+        if self.goal is not None:
+            return self.goal.bind(ROTATION, start, here)
+        R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+        return Course(ROTATION, quaternion_of(R))

@@ -21,6 +21,7 @@ from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Tu
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -29,9 +30,9 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class PlaneOnPlane(Task):
     """A plane of the object goes onto a plane (3 rows); it may slide and spin there."""
 
-    normal: Direction
+    normal: MovingDirection
     """Of the plane at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the plane at the start, in the world [m]."""
     axis: Direction
     """Normal of the object's plane, in the object frame; any length."""
@@ -60,20 +61,20 @@ class PlaneOnPlane(Task):
     @property
     def end(self) -> float:
         """When the planes shall coincide and the one in space has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.normal)
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        plane = self._plane()
+        plane = self._plane(start)
         seen = PointInReference(self.point, plane, start.chain.n)
-        plane.update(start.t)
+        plane.update(start)
         seen.update(start)
         alignment = Alignment(self.axis, plane, self.profile, start)
         approach = Approach(self.profile, seen.x[2:])
 
         def evaluate(state: State, rows: TaskRows) -> None:
             e, J, rate = rows.e, rows.J, rows.rate
-            plane.update(state.t)
+            plane.update(state)
             seen.update(state)
             e[:1], J[:1], rate[:1] = seen.x[2], seen.J[2], seen.rate[2]
             approach.shift(state.t, e[:1], rate[:1])
@@ -83,14 +84,15 @@ class PlaneOnPlane(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        height = point(start, self._plane(), self.point, self.profile, (2,))
-        return height, lean(start, self._plane(), self.axis, self.profile)
+        height = point(start, self._plane(start), self.point, self.profile, (2,))
+        return height, lean(start, self._plane(start), self.axis, self.profile)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's own."""
-        plane = self._plane()
-        plane.update(t)
+        plane = self._plane(at)
+        plane.update(at)
         return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
 
-    def _plane(self) -> Reference:
-        return Reference(self.through, self.normal, self.velocity, self.turn)
+    def _plane(self, start: Instant) -> Reference:
+        held = {"point": self.point, "axis": self.axis}
+        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)

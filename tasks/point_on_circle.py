@@ -16,12 +16,13 @@ import math
 
 import numpy as np
 
-from coopqp.checked import Direction, Positive, Vector3, spec
+from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import CircleMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, radial
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -30,9 +31,9 @@ from coopqp.task import Evaluate, Task, TaskRows
 class PointOnCircle(Task):
     """A point of the object goes to a circle (2 rows); it may go round and turn."""
 
-    center: Vector3
+    center: MovingPoint
     """Of the circle at the start, in the world [m]."""
-    normal: Direction
+    normal: MovingDirection
     """Of the circle's plane at the start, in the world; any length."""
     radius: Positive
     """[m]"""
@@ -52,7 +53,7 @@ class PointOnCircle(Task):
     @property
     def end(self) -> float:
         """When the point shall be on the circle and the circle has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.center, self.normal)
 
     @property
     def curvature(self) -> float:
@@ -61,12 +62,12 @@ class PointOnCircle(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The offset shrinks from what it is now."""
-        circle = self._circle()
+        circle = self._circle(start)
         seen, radius = PointInReference(self.point, circle, start.chain.n), self.radius
         outward = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
         def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
-            circle.update(state.t)
+            circle.update(state)
             seen.update(state)
             x, y, z = seen.x.tolist()
             away = math.hypot(x, y)
@@ -87,18 +88,18 @@ class PointOnCircle(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        circle, of = self._circle(), (self.point, self.profile)
+        circle, of = self._circle(start), (self.point, self.profile)
         distance = radial(start, circle, *of, self.radius, planar=True)
-        return distance, point(start, self._circle(), *of, (2,))
+        return distance, point(start, self._circle(start), *of, (2,))
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The circle, and the point that goes there."""
-        circle = self._circle()
-        circle.update(t)
+        circle = self._circle(at)
+        circle.update(at)
         return (
             CircleMark(center=circle.c, normal=circle.RT[2], radius=self.radius),
             TrackedMark(point=self.point),
         )
 
-    def _circle(self) -> Reference:
-        return Reference(self.center, self.normal, self.velocity, self.turn)
+    def _circle(self, start: Instant) -> Reference:
+        return Reference(self.center, self.normal, self.velocity, self.turn, start=start)

@@ -11,12 +11,13 @@ One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Vector3, spec
+from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -25,9 +26,9 @@ from coopqp.task import Evaluate, Task, TaskRows
 class PointOnLine(Task):
     """A point of the object goes to a line (2 rows); it may slide along and turn."""
 
-    direction: Direction
+    direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the line at the start, in the world [m]."""
     point: Vector3 = (0.0, 0.0, 0.0)
     """The point that goes there, in the object frame [m]."""
@@ -45,18 +46,18 @@ class PointOnLine(Task):
     @property
     def end(self) -> float:
         """When the point shall be on the line and the line has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.direction)
 
     def bind(self, start: State) -> Evaluate:
         """The offset shrinks from what it is now."""
-        line = self._line()
+        line = self._line(start)
         seen = PointInReference(self.point, line, start.chain.n)
-        line.update(start.t)
+        line.update(start)
         seen.update(start)
         approach = Approach(self.profile, seen.x[:2])
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            line.update(state.t)
+            line.update(state)
             seen.update(state)
             rows.e[:], rows.J[:], rows.rate[:] = seen.x[:2], seen.J[:2], seen.rate[:2]
             approach.shift(state.t, rows.e, rows.rate)
@@ -65,13 +66,16 @@ class PointOnLine(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        return (point(start, self._line(), self.point, self.profile, (0, 1)),)
+        return (point(start, self._line(start), self.point, self.profile, (0, 1)),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, and the point that goes there."""
-        line = self._line()
-        line.update(t)
+        line = self._line(at)
+        line.update(at)
         return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
 
-    def _line(self) -> Reference:
-        return Reference(self.through, self.direction, self.velocity, self.turn)
+    def _line(self, start: Instant) -> Reference:
+        held = {"point": self.point}
+        return Reference(
+            self.through, self.direction, self.velocity, self.turn, start=start, **held
+        )

@@ -9,12 +9,13 @@ from where the point starts to 0:
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Vector3, spec
+from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -23,9 +24,9 @@ from coopqp.task import Evaluate, Task, TaskRows
 class PointOnPlane(Task):
     """A point of the object goes to a plane (1 row); five directions stay free."""
 
-    normal: Direction
+    normal: MovingDirection
     """Of the plane at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the plane at the start, in the world [m]."""
     point: Vector3 = (0.0, 0.0, 0.0)
     """The point that goes there, in the object frame [m]."""
@@ -43,18 +44,18 @@ class PointOnPlane(Task):
     @property
     def end(self) -> float:
         """When the point shall be on the plane and the plane has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.normal)
 
     def bind(self, start: State) -> Evaluate:
         """The height shrinks from what it is now."""
-        plane = self._plane()
+        plane = self._plane(start)
         seen = PointInReference(self.point, plane, start.chain.n)
-        plane.update(start.t)
+        plane.update(start)
         seen.update(start)
         approach = Approach(self.profile, seen.x[2:])
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            plane.update(state.t)
+            plane.update(state)
             seen.update(state)
             rows.e[0], rows.rate[0] = seen.x[2], seen.rate[2]
             rows.J[0] = seen.J[2]
@@ -64,13 +65,14 @@ class PointOnPlane(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        return (point(start, self._plane(), self.point, self.profile, (2,)),)
+        return (point(start, self._plane(start), self.point, self.profile, (2,)),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point that goes there."""
-        plane = self._plane()
-        plane.update(t)
+        plane = self._plane(at)
+        plane.update(at)
         return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
 
-    def _plane(self) -> Reference:
-        return Reference(self.through, self.normal, self.velocity, self.turn)
+    def _plane(self, start: Instant) -> Reference:
+        held = {"point": self.point}
+        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)

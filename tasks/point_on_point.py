@@ -1,6 +1,7 @@
 """A point of the object goes to a point in space: three rows, paper eq. (38)-(39).
 
-With p = p_WO + R_WO p_O and the reference r(t) = p_start + s(t) (goal - p_start):
+With p = p_WO + R_WO p_O and the reference r(t) = g(t) + (1 - s(t)) (p_start - g_start), which
+goes from where the point is at the start to the goal g, be it at rest or a signal:
 
     e = p - r,   J = J_v - [R_WO p_O]x J_omega,   rate = r_dot
 """
@@ -11,10 +12,11 @@ import numpy as np
 
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference
+from coopqp.geometry import Approach, Reference, last_end
 from coopqp.mark import Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
+from coopqp.signal import POINT, Instant, MovingPoint, course
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -23,7 +25,7 @@ from coopqp.task import Evaluate, Task, TaskRows
 class PointOnPoint(Task):
     """A point of the object goes to a point in space (3 rows); its orientation stays free."""
 
-    goal: Vector3
+    goal: MovingPoint
     """Where the point shall go, in the world [m]."""
     point: Vector3 = (0.0, 0.0, 0.0)
     """The point, in the object frame [m]."""
@@ -37,31 +39,33 @@ class PointOnPoint(Task):
     @property
     def end(self) -> float:
         """When the reference arrives [s]."""
-        return self.profile.end
+        return last_end(self.profile, self.goal)
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from where the point is now."""
-        tracked, profile = PointOfObject(self.point, start.chain.n), self.profile
+        tracked = PointOfObject(self.point, start.chain.n)
         tracked.update(start)
-        p_start = tracked.p.copy()
-        way = np.array(self.goal) - p_start
+        goal = course(self.goal, POINT, start, here=tracked.p)
+        goal.update(start)
+        approach = Approach(self.profile, tracked.p - goal.value)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            share, speed = profile.at(state.t)
+            goal.update(state)
             tracked.update(state)
-            np.subtract(tracked.p, p_start, rows.e)
-            np.multiply(way, share, rows.rate)
-            np.subtract(rows.e, rows.rate, rows.e)
-            np.multiply(way, speed, rows.rate)
+            np.subtract(tracked.p, goal.value, rows.e)
+            rows.rate[:] = goal.rate
+            approach.shift(state.t, rows.e, rows.rate)
             rows.J[:] = tracked.J
 
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        goal = Reference(self.goal)
+        goal = Reference(self.goal, start=start, point=self.point)
         return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, and the point that goes there."""
-        return PointMark(at=np.array(self.goal)), TrackedMark(point=self.point)
+        goal = course(self.goal, POINT, at)
+        goal.update(at)
+        return PointMark(at=goal.value), TrackedMark(point=self.point)

@@ -20,6 +20,7 @@ from coopqp.geometry import Alignment, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean
+from coopqp.signal import Instant, MovingDirection
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -30,7 +31,7 @@ class Pointing(Task):
 
     unit: ClassVar[str] = "rad"
 
-    direction: Direction
+    direction: MovingDirection
     """At the start, in the world; any length."""
     axis: Direction
     """The axis that points there, in the object frame; any length."""
@@ -48,29 +49,29 @@ class Pointing(Task):
     @property
     def end(self) -> float:
         """When the axis shall point there and the direction has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.direction)
 
     def bind(self, start: State) -> Evaluate:
         """The wished direction sets out from where the axis points now."""
-        reference = self._reference()
-        reference.update(start.t)
+        reference = self._reference(start)
+        reference.update(start)
         alignment = Alignment(self.axis, reference, self.profile, start)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            reference.update(state.t)
+            reference.update(state)
             alignment.fill(state, rows.e, rows.J, rows.rate)
 
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        return (lean(start, self._reference(), self.axis, self.profile),)
+        return (lean(start, self._reference(start), self.axis, self.profile),)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The direction, wherever the object is."""
-        reference = self._reference()
-        reference.update(t)
+        reference = self._reference(at)
+        reference.update(at)
         return (LineMark(direction=reference.RT[2]),)
 
-    def _reference(self) -> Reference:
-        return Reference(direction=self.direction, turn=self.turn)
+    def _reference(self, start: Instant) -> Reference:
+        return Reference(direction=self.direction, turn=self.turn, start=start, axis=self.axis)

@@ -1,6 +1,6 @@
 """Joints go to given values: one row a joint.
 
-With the reference r(t) = q_start + s(t) (goal - q_start),
+With the reference r(t) = g(t) + (1 - s(t)) (q_start - g_start) and g the goal, be it a signal,
 
     e = q - r,   J = I,   rate = r_dot
 
@@ -9,19 +9,25 @@ Joints that are not named ask for nothing: they pull neither way, e = 0 and rate
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar
+from collections.abc import Iterator, Mapping
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.geometry import Approach, last_end
 from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
 from coopqp.program import Kind, Primitive
+from coopqp.signal import Course, Instant, Reads, Signal, of_joints
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
+
+JointValues = Annotated[float | list[float] | Signal, Reads(float | list[float])]
+_Constants = dict[str, JointValues] | list[float]
+Goal = Annotated[_Constants | Signal, Reads(_Constants, mapping=True)]
 
 
 @spec
@@ -31,10 +37,10 @@ class Posture(Task):
     unit: ClassVar[str] = "rad"
     joint_space: ClassVar[bool] = True
 
-    goal: dict[str, float | list[float]] | list[float]
+    goal: Goal
     """Values by arm (base first) or joint, or all of them in the order of the joints [rad, m].
 
-    Joints that are not named stay free: their rows are zero."""
+    Each a constant or a signal. Joints that are not named stay free: their rows are zero."""
     profile: Profile = Profile()
     """How the reference moves from the start to the goal."""
 
@@ -45,7 +51,8 @@ class Posture(Task):
     @property
     def end(self) -> float:
         """When the reference arrives [s]."""
-        return self.profile.end
+        goal = self.goal.values() if isinstance(self.goal, dict) else (self.goal,)
+        return last_end(self.profile, *goal)
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from the joints' values now.
@@ -54,63 +61,102 @@ class Posture(Task):
             UnknownNameError: the goal names neither an arm nor a joint.
             InvalidValueError: it has a wrong number of values.
         """
-        goal, profile = posture(self.goal, start.chain), self.profile
-        given = np.isfinite(goal).astype(float)
-        q_start = start.q.copy()
-        way = np.where(given > 0.0, goal - q_start, 0.0)
+        goal = _Goal(self.goal, start)
+        goal.update(start)
+        given = np.isfinite(goal.value).astype(float)
+        approach = Approach(self.profile, np.where(given > 0.0, start.q - goal.value, 0.0))
         diagonal = np.arange(start.chain.n)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            share, speed = profile.at(state.t)
+            goal.update(state)
             rows.J[diagonal, diagonal] = given  # joints without a goal are not asked to stand still
-            np.multiply(way, share, rows.rate)
-            np.subtract(state.q, q_start, rows.e)
-            np.subtract(rows.e, rows.rate, rows.e)
-            np.multiply(rows.e, given, rows.e)
-            np.multiply(way, speed, rows.rate)
+            np.subtract(state.q, goal.value, rows.e)
+            rows.e[given == 0.0] = 0.0
+            rows.rate[:] = goal.rate
+            approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
-        goal, q_start = posture(self.goal, start.chain), start.q.copy()
-        given = np.flatnonzero(np.isfinite(goal))
-        way = np.where(np.isfinite(goal), goal - q_start, 0.0)
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal is a goal."""
+        goal, q_start = _Goal(self.goal, start), start.q.copy()
+        if goal.moves:
+            return None
+        given = np.isfinite(goal.value)
+        way = np.where(given, goal.value - q_start, 0.0)
         return (
             Primitive(
-                kind=Kind.POSTURE, rows=tuple(given.tolist()), profile=self.profile,
+                kind=Kind.POSTURE, rows=tuple(np.flatnonzero(given).tolist()), profile=self.profile,
                 numbers=(q_start, way),
             ),
         )  # fmt: skip
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
-        """The arms as they shall stand."""
-        return (PostureMark(goal=self.goal),)
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
+        """The arms as they shall stand, where that is constant."""
+        if isinstance(self.goal, list):
+            return (PostureMark(goal=self.goal),)
+        given = self.goal.items() if isinstance(self.goal, dict) else ()
+        goal = {key: value for key, value in given if not isinstance(value, Signal)}
+        return (PostureMark(goal=goal),) if goal else ()
 
 
-def posture(goal: Mapping[str, float | list[float]] | list[float], chain: ClosedChain) -> Array:
+class _Goal:
+    """Where all joints shall be.
+
+    Attributes:
+        value, rate: shape (n,) [rad, m; rad/s, m/s]; NaN and zero where nothing is given.
+        moves: whether anything changes with time.
+    """
+
+    def __init__(
+        self, goal: Mapping[str, JointValues] | list[float] | Signal, start: State
+    ) -> None:
+        chain = start.chain
+        self.value, self.rate = np.full(chain.n, np.nan), np.zeros(chain.n)
+        self._courses: list[tuple[list[int], Course]] = []
+        for joints, given in _given(goal, chain):
+            at, kind = [chain.joint_names.index(joint) for joint in joints], of_joints(joints)
+            if isinstance(given, Signal):
+                self._courses.append((at, given.bind(kind, start, start.q[at])))
+            else:
+                self.value[at] = given
+        self.moves = any(moving.moves for _, moving in self._courses)
+
+    def update(self, at: Instant) -> None:
+        """Go to where it is then."""
+        for joints, moving in self._courses:
+            moving.update(at)
+            self.value[joints], self.rate[joints] = moving.value, moving.rate
+
+
+def posture(goal: Mapping[str, JointValues] | list[float], chain: ClosedChain) -> Array:
     """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given.
 
     Raises:
         UnknownNameError: a key is neither an arm nor a joint.
         InvalidValueError: a wrong number of values.
     """
+    return _Goal(goal, State(chain)).value
+
+
+def _given(
+    goal: Mapping[str, JointValues] | list[float] | Signal, chain: ClosedChain
+) -> Iterator[tuple[tuple[str, ...], float | list[float] | Signal]]:
+    """Joints, and what is given for them."""
     names, robot = chain.joint_names, chain.robot
-    if isinstance(goal, list):
+    if not isinstance(goal, Mapping):
         goal = {"goal": goal}
         joints_of: dict[str, tuple[str, ...]] = {"goal": names}
     else:
         joints_of = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
         joints_of |= {name: (name,) for name in names}
-    q = np.full(chain.n, np.nan)
     for key, value in goal.items():
         if key not in joints_of:
             raise UnknownNameError("arm or joint", key, joints_of, "posture.goal: ")
-        joints, numbers = joints_of[key], np.atleast_1d(value)
-        if len(numbers) != len(joints):
+        joints = joints_of[key]
+        if not isinstance(value, Signal) and np.size(value) != len(joints):
             raise InvalidValueError(
-                f"posture.{key}: found {len(numbers)} numbers, needs {len(joints)}: "
+                f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "
                 f"{', '.join(joints)}"
             )
-        q[[names.index(joint) for joint in joints]] = numbers
-    return q
+        yield joints, value

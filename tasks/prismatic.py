@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Pose, Positive, Vector3, one_angle, spec
+from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, RotationError, Turn, last_end
 from coopqp.grasp import pose_matrix
 from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, rotation
+from coopqp.signal import ROTATION, Course, Instant, MovingDirection, MovingPoint, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -32,9 +33,9 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class Prismatic(Task):
     """A point of the object goes to a line and it keeps its orientation (5 rows); it may slide."""
 
-    direction: Direction
+    direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """A point of the line at the start, in the world [m]."""
     point: Vector3 = (0.0, 0.0, 0.0)
     """The point that goes there, in the object frame [m]."""
@@ -68,23 +69,24 @@ class Prismatic(Task):
     @property
     def end(self) -> float:
         """When the object shall be on the slide and the line has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.direction)
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        line = self._line()
+        line = self._line(start)
         seen = PointInReference(self.point, line, start.chain.n)
         R_goal = self._goal()
         Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
-        line.update(start.t)
+        line.update(start)
         seen.update(start)
-        rotation = RotationError(Q_goal, self.profile, line.RT @ start.R_WO)
+        goal = Course(ROTATION, quaternion_of(Q_goal))
+        rotation = RotationError(goal, self.profile, line.RT @ start.R_WO)
         approach = Approach(self.profile, seen.x[:2])
         Q = np.zeros((3, 3))
 
         def evaluate(state: State, rows: TaskRows) -> None:
             e, J, rate = rows.e, rows.J, rows.rate
-            line.update(state.t)
+            line.update(state)
             seen.update(state)
             e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
             approach.shift(state.t, e[:2], rate[:2])
@@ -97,23 +99,26 @@ class Prismatic(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        offset, line = point(start, self._line(), self.point, self.profile, (0, 1)), self._line()
-        R_goal, RT = self._goal(), line.RT.copy()
-        Q_goal = RT @ (start.R_WO if R_goal is None else R_goal)
-        return offset, rotation(Q_goal, self.profile, RT @ start.R_WO, line)
+        line, R_goal = self._line(start), self._goal()
+        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
+        offset = point(start, line, self.point, self.profile, (0, 1))
+        return offset, rotation(Q_goal, self.profile, line.RT @ start.R_WO, line)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""
-        line, R_goal = self._line(), self._goal()
+        line, R_goal = self._line(at), self._goal()
         RT_0 = line.RT.copy()
-        line.update(t)
+        line.update(at)
         slide = LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
         if R_goal is None:
             return slide
         return (*slide, PoseMark(rotation=line.RT.T @ RT_0 @ R_goal))
 
-    def _line(self) -> Reference:
-        return Reference(self.through, self.direction, self.velocity, self.turn)
+    def _line(self, start: Instant) -> Reference:
+        held = {"point": self.point}
+        return Reference(
+            self.through, self.direction, self.velocity, self.turn, start=start, **held
+        )
 
     def _goal(self) -> Array | None:
         """How the object shall be turned before the line turns, shape (3, 3), if that is given."""

@@ -24,10 +24,10 @@ import pinocchio as pin
 from coopqp.checked import Pose, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
-from coopqp.geometry import Approach, RotationError
-from coopqp.grasp import pose_matrix
+from coopqp.geometry import Approach, RotationError, last_end, pose_course
 from coopqp.mark import Mark, RelativeMark
 from coopqp.profile import Profile
+from coopqp.signal import Instant, MovingPose, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -36,7 +36,7 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class RelativeMotion(Task):
     """An arm's object frame goes to a pose relative to the first arm's (6 rows); loop open."""
 
-    goal: Pose = Pose()
+    goal: MovingPose = Pose()
     """Of the arm's object frame in the first arm's; together as grasped if omitted."""
     arm: str | None = None
     """Which arm; the second if omitted."""
@@ -59,7 +59,7 @@ class RelativeMotion(Task):
     @property
     def end(self) -> float:
         """When the reference arrives [s]."""
-        return self.profile.end
+        return last_end(self.profile, self.goal)
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from the relative pose now.
@@ -70,8 +70,6 @@ class RelativeMotion(Task):
         chain, at = start.chain, 6 * self._loop(start.chain)
         # Rows of J_0 = J_task - sum alpha_i J_rel,i; R_0 follows from R_WO in the same way.
         alpha, first = chain.alpha[1:], np.linalg.inv(chain.mixing)[3:6]
-        goal = pose_matrix(self.goal)
-        p_goal = goal.translation.copy()
         R_0, Q, gap = np.eye(3), np.eye(3), np.zeros(3)
         J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
 
@@ -83,11 +81,15 @@ class RelativeMotion(Task):
             R_0.T.dot(turned.dot(R_0), Q)
 
         look(start)
-        rotation = RotationError(goal.rotation, self.profile, Q)
+        goal = pose_course(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
+        goal.update(start)
+        p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
+        rotation = RotationError(goal, self.profile, Q)
         approach = Approach(self.profile, R_0.T @ gap - p_goal)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             look(state)
+            goal.update(state)
             e, J, rate, J_rel = rows.e, rows.J, rows.rate, state.J_rel[at : at + 6]
             R_0.T.dot(gap, e[:3])
             e[:3] -= p_goal
@@ -95,16 +97,17 @@ class RelativeMotion(Task):
             pin.skew(gap).dot(J_omega_0, J_gap)
             np.add(J_gap, J_rel[:3], J_gap)
             R_0.T.dot(J_gap, J[:3])
-            rate[:3] = 0.0
+            rate[:3] = p_goal_dot
             approach.shift(state.t, e[:3], rate[:3])
             rotation.fill(state.t, Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
 
         return evaluate
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, which moves with the first arm."""
-        goal = pose_matrix(self.goal)
-        return (RelativeMark(rotation=goal.rotation, position=goal.translation),)
+        goal = pose_course(self.goal, at)
+        goal.update(at)
+        return (RelativeMark(rotation=goal.R, position=goal.value[:3]),)
 
     def _loop(self, chain: ClosedChain) -> int:
         """Number of the loop that the arm closes with the first."""

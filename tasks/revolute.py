@@ -20,6 +20,7 @@ from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Tu
 from coopqp.mark import LineMark, Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
@@ -28,9 +29,9 @@ from coopqp.task import Evaluate, Part, Task, TaskRows
 class Revolute(Task):
     """A point and an axis of the object go onto a hinge in space (5 rows); it may spin there."""
 
-    direction: Direction
+    direction: MovingDirection
     """Of the hinge at the start, in the world; any length."""
-    through: Vector3
+    through: MovingPoint
     """Where the point goes, a point of the hinge at the start, in the world [m]."""
     axis: Direction
     """The axis that goes onto the hinge, in the object frame; any length."""
@@ -59,20 +60,20 @@ class Revolute(Task):
     @property
     def end(self) -> float:
         """When the object shall be on the hinge and the hinge has turned [s]."""
-        return last_end(self.profile, self.turn)
+        return last_end(self.profile, self.turn, self.through, self.direction)
 
     def bind(self, start: State) -> Evaluate:
         """Offset and angle shrink from what they are now."""
-        hinge = self._hinge()
+        hinge = self._hinge(start)
         seen = PointInReference(self.point, hinge, start.chain.n)
-        hinge.update(start.t)
+        hinge.update(start)
         seen.update(start)
         alignment = Alignment(self.axis, hinge, self.profile, start)
         approach = Approach(self.profile, seen.x)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             e, J, rate = rows.e, rows.J, rows.rate
-            hinge.update(state.t)
+            hinge.update(state)
             seen.update(state)
             e[:3], J[:3], rate[:3] = seen.x, seen.J, seen.rate
             approach.shift(state.t, e[:3], rate[:3])
@@ -82,18 +83,21 @@ class Revolute(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        offset = point(start, self._hinge(), self.point, self.profile, (0, 1, 2))
-        return offset, lean(start, self._hinge(), self.axis, self.profile)
+        offset = point(start, self._hinge(start), self.point, self.profile, (0, 1, 2))
+        return offset, lean(start, self._hinge(start), self.axis, self.profile)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The hinge, and the point that goes there."""
-        hinge = self._hinge()
-        hinge.update(t)
+        hinge = self._hinge(at)
+        hinge.update(at)
         return (
             LineMark(direction=hinge.RT[2], through=hinge.c),
             PointMark(at=hinge.c),
             TrackedMark(point=self.point),
         )
 
-    def _hinge(self) -> Reference:
-        return Reference(self.through, self.direction, self.velocity, self.turn)
+    def _hinge(self, start: Instant) -> Reference:
+        held = {"point": self.point, "axis": self.axis}
+        return Reference(
+            self.through, self.direction, self.velocity, self.turn, start=start, **held
+        )

@@ -235,6 +235,13 @@ class Engine {
         rows_.append(nb::make_tuple(e, J, rate));
     }
 
+    void bind_reference(std::size_t primitive, const Numbers& c, const Numbers& RT,
+                        const Numbers& c_dot, const Numbers& omega) {
+        program_.primitives.at(primitive).reference.followed = {c.data(), RT.data(), c_dot.data(),
+                                                                omega.data()};
+        rows_.append(nb::make_tuple(c, RT, c_dot, omega));
+    }
+
     // A whole tick of a problem of which Python fills nothing.
     int tick(double t) {
         const Use use(*this);
@@ -246,7 +253,7 @@ class Engine {
         return int(kernel_->solve());
     }
 
-    // The same where Python has filled limits and the rows of some tasks.
+    // The same where Python has filled limits, rows of some tasks, or what some of them follow.
     int tick_with_rows(double t) {
         const Use use(*this);
         if (!use.alone) return BUSY;
@@ -373,6 +380,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_command", &Engine::bind_command)
         .def("bind_limits", &Engine::bind_limits)
         .def("bind_rows", &Engine::bind_rows)
+        .def("bind_reference", &Engine::bind_reference)
         .def("tick", &Engine::tick)
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("run", &Engine::run)

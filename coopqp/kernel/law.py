@@ -55,7 +55,7 @@ class KernelLaw(Law):
         limits = [limit.bounds(chain, problem.dt) for limit in problem.limits]
         of_joints = [flat_bounds(limit) for limit in limits if limit is not None]
         self._fills_limits = len(of_joints) < len(limits)
-        self._all_compiled = not self._fills_limits and not levels.filled
+        self._all_compiled = not (self._fills_limits or levels.filled or levels.followed)
         found = native.module()
         assert found is not None  # whoever builds this has asked why_not
         self._engine = found.Engine({
@@ -71,11 +71,13 @@ class KernelLaw(Law):
             self._engine.bind_limits(bounds.lb, bounds.ub, bounds.G, bounds.h)
         for task in levels.filled:
             self._engine.bind_rows(*task.bound)
+        for primitive, at in levels.followed:
+            self._engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
         self._bound: tuple[Any, ...] = ()
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
-        if self._all_compiled and state.q_measured is None and self._ready(state):
+        if self._alone(state) and self._ready(state):
             if self._engine.tick(state.t) == OPTIMAL:
                 state.mark_stale()
                 state.corrected = 1.0
@@ -115,7 +117,7 @@ class KernelLaw(Law):
         q, v = np.zeros((ticks + 1, n)), np.zeros((ticks, n))
         done = 0
         while done < ticks:
-            if self._all_compiled and state.q_measured is None and self._ready(state):
+            if self._alone(state) and self._ready(state):
                 rest = ticks - done
                 made = self._engine.run(state.t, q[done:], v[done:], state.q, state.v, rest)
                 for _ in range(max(made, 0)):
@@ -136,6 +138,12 @@ class KernelLaw(Law):
         command.scale = command.drift = 1.0
         command.causes, command.note = ALL_WELL, ""
         return command
+
+    def _alone(self, state: State) -> bool:
+        """Whether nothing of a tick is Python's: no rows, no sensors, no inputs to complain of."""
+        inputs = state.inputs
+        measured = state.q_measured is not None
+        return self._all_compiled and not (measured or inputs.stale or inputs.refused)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""

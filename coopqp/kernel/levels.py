@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
 from coopqp.program import Primitive
 from coopqp.qp_law.law import QPLaw
@@ -70,12 +71,14 @@ class Levels:
         flat: each level's numbers.
         primitives: the tasks that the kernel evaluates itself, as numbers.
         filled: the others.
+        followed: references that signals move, and whose primitive each is.
     """
 
     def __init__(self, law: QPLaw, start: State) -> None:
         self.flat: list[Flat] = []
         self.primitives: list[Flat] = []
         self.filled: list[Filled] = []
+        self.followed: list[tuple[int, Reference]] = []
         self._start = start
         for level, soft in enumerate(law.stacks):
             hard = law.exact.hard.tasks if level == 0 else ()
@@ -83,6 +86,8 @@ class Levels:
 
     def update(self, state: State) -> None:
         """Fill what Python fills, at a state."""
+        for _, reference in self.followed:
+            reference.update(state)
         for task in self.filled:
             task.stack.update(state)
 
@@ -108,6 +113,8 @@ class Levels:
                 rows.take(task, stack.levers, twist=False)
             return
         for primitive in program:
+            if primitive.reference.follows:
+                self.followed.append((len(self.primitives), primitive.reference))
             self.primitives.append(
                 {
                     **primitive.flat(),

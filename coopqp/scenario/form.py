@@ -28,9 +28,11 @@ from coopqp.controller import OnInfeasible
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.held_object import HeldObject
+from coopqp.input import InputSettings
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import YamlFile
+from coopqp.signal import Signal
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
@@ -203,6 +205,14 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
             one_of(catalog, "plants"),
             Field(default="kinematic", validate_default=True, description="What is controlled."),
         ),
+        "inputs": (
+            dict[str, InputSettings],
+            Field(
+                default={},
+                description="Values that arrive from outside while it runs, by name; tasks follow "
+                "them by input: NAME.",
+            ),
+        ),
         "disturbance": (
             Disturbance,
             Field(default=Disturbance(), description="What the controllers are not told."),
@@ -278,12 +288,13 @@ def _phases_or_not(file: YamlFile) -> list[Fault]:
     ]
 
 
-def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
-    """Check a file against the model.
+def check(file: YamlFile, catalog: Catalog) -> BaseModel:
+    """Check a file against the form that a catalogue gives it.
 
     Raises:
         ScenarioError: with every fault and its line.
     """
+    model = file_model(catalog)
     robot: TypeAdapter[Any] = TypeAdapter(_slot(model, "robot"))
 
     def read_robot(value: Any) -> Any:
@@ -292,13 +303,27 @@ def check(file: YamlFile, model: type[BaseModel]) -> BaseModel:
 
     own = file.data.get("folder")
     folder = file.path.parent / own if isinstance(own, str) else file.path.parent
-    context = {"folder": folder, "robot": read_robot}
+    signal_slot: TypeAdapter[Any] = TypeAdapter(one_of(catalog, "signals"))
+
+    def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
+        """A signal where a task may have one."""
+        if not needed and not (len(value) == 1 and set(value) <= set(catalog.entries("signals"))):
+            return None
+        signal: Signal = chosen(signal_slot.validate_json(json.dumps(value), context=context))[1]
+        return signal
+
+    context = {"folder": folder, "robot": read_robot, "signal": read_signal}
     faults = _phases_or_not(file)
     try:
         # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        found = wording.faults(error, file.data, model, {Robot: _slot(model, "robot")})
+        found = wording.faults(
+            error,
+            file.data,
+            model,
+            {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")},
+        )
         faults += [Fault(file.place(location), message) for location, message in found]
     except CoopqpError:
         raise

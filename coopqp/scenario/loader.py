@@ -19,19 +19,19 @@ from coopqp.grasps import Rigid
 from coopqp.plant import Plant
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
-from coopqp.scenario.form import SOLVE, check, chosen, file_model
+from coopqp.scenario.form import SOLVE, check, chosen
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
 from coopqp.scenario.trial import blamed
-from coopqp.scenario.yaml import YamlFile, read_yaml
+from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
 from coopqp.task import Task
 from coopqp.wording import Location
 
-#: Keys whose values are paths, of robots and of obstacles.
-FILE_KEYS = {"path", "mesh"}
+#: Keys whose values are paths, of robots, obstacles, way-points and what was sent.
+FILE_KEYS = {"path", "mesh", "file", "feed_file"}
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -44,8 +44,25 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    file = read_yaml(find(path))
-    scenario = _Reader(file, catalog or Catalog()).scenario()
+    return _loaded(read_yaml(find(path)), catalog or Catalog())
+
+
+def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
+    """The same from the text of a scenario that stands in another file.
+
+    Args:
+        path: of that file, for faults.
+        text: of the scenario.
+        catalog: what it can name.
+
+    Raises:
+        ScenarioError: as :func:`load`.
+    """
+    return _loaded(parsed(path, text), catalog)
+
+
+def _loaded(file: YamlFile, catalog: Catalog) -> Scenario:
+    scenario = _Reader(file, catalog).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
     elif file.data.get("start_deg") is not None:
@@ -165,7 +182,7 @@ class _Reader:
 
     def __init__(self, file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> None:
         self._file, self._catalog, self._needs_start = file, catalog, needs_start
-        self._read: BaseModel = check(file, file_model(catalog))
+        self._read: BaseModel = check(file, catalog)
         self._faults: list[Fault] = []
 
     def scenario(self) -> Scenario:
@@ -187,6 +204,7 @@ class _Reader:
             limits=_plugins(read.limits),
             controllers=self._controllers(),
             plant=chosen(read.plant)[1],
+            inputs=read.inputs,
             disturbance=read.disturbance,
             solver=solver,
             solver_name=getattr(solver, "backend", solver_name),

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping
 
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
+from coopqp.input import wanted
 from coopqp.kernel import native
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
@@ -30,13 +32,27 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
-    return [*deaf_to, *_without_kernel(chosen), *of_limits]
+    return [*deaf_to, *_without_kernel(chosen), *of_limits, *_of_inputs(scenario)]
 
 
 def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
     """One line where ticks could be compiled, but are not."""
     asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
     return [native.MISSING] if asked and native.module() is None else []
+
+
+def _of_inputs(scenario: Scenario) -> Iterator[str]:
+    """Inputs to which nobody sends, or which nobody follows."""
+    tasks = [task for phase in scenario.schedule for task in phase.tasks]
+    followed = wanted((*tasks, *scenario.secondary), State(scenario.chain))
+    for name, settings in scenario.inputs.items():
+        if name not in followed:
+            yield f"no task follows the input '{name}'"
+        elif settings.feed is None and settings.feed_file is None:
+            yield (
+                f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
+                "give it feed or feed_file"
+            )
 
 
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -22,6 +22,7 @@ from coopqp.limit import Limit
 from coopqp.metric import Metric
 from coopqp.plant import Plant, PlantModel
 from coopqp.robot import Robot
+from coopqp.signal import Signal
 from coopqp.solver import Solver
 from coopqp.task import Task
 
@@ -30,6 +31,7 @@ COLLECTIONS: dict[str, type] = {
     "robots": Robot,
     "grasps": Grasp,
     "tasks": Task,
+    "signals": Signal,
     "limits": Limit,
     "controllers": Controller,
     "solvers": Solver,

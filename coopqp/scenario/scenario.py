@@ -23,6 +23,7 @@ from coopqp.errors import InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
+from coopqp.input import Feed, Inputs, InputSettings
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
@@ -33,6 +34,7 @@ from coopqp.scenario.phase import Phase
 from coopqp.scenario.yaml import parsed
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
+from coopqp.state import State
 from coopqp.task import Task
 
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
@@ -54,6 +56,7 @@ class Scenario:
         tasks, secondary, limits: what shall happen and what must not.
         phases: instead of tasks and duration, when arms let go or take hold on the way.
         controllers: by name; what is compared.
+        inputs: values that arrive from outside, by name: how they are followed.
         plant, disturbance: what is controlled, and what the controllers are not told of it.
         solver, solver_name, budget: how QPs are solved.
         dt, duration: [s]; the latter is 0 where there are phases. kappa: drift correction [1/s],
@@ -83,6 +86,7 @@ class Scenario:
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
     controllers: Mapping[str, Controller] = field(default_factory=dict)
     plant: Plant = field(default_factory=Kinematic)
+    inputs: Mapping[str, InputSettings] = field(default_factory=dict)
     disturbance: Disturbance = field(default_factory=Disturbance)
     solver: Solver = field(default_factory=Daqp)
     solver_name: str = "daqp"
@@ -211,6 +215,20 @@ class Scenario:
             on_infeasible=self.on_infeasible,
         )
 
+    def feed(self, problem: ControlProblem, start: State, first: int = 0) -> Feed | None:
+        """Who sends to the inputs during a phase; nobody where nothing follows any.
+
+        Args:
+            problem: of the phase.
+            start: the state in which it begins; what is followed is put into it.
+            first: tick in which it begins.
+
+        Raises:
+            CoopqpError: a task wants an input that is not there, or as what it cannot be.
+        """
+        inputs = Inputs(self.inputs, (*problem.tasks, *problem.secondary), start, self.dt)
+        return Feed(self.inputs, inputs, first * self.dt) if inputs.channels else None
+
     def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:
         """The problem of each phase in turn.
 
@@ -235,7 +253,7 @@ KINDS: dict[str, tuple[Any, Any]] = {
     "held": (HeldObject, None), "disturbance": (Disturbance, None), "solver": (Solver, None),
     "budget": (Budget, None), "seed": (Integral, None), "dt": (Real, None),
     "duration": (Real, None), "kappa": (Real, None), "on_infeasible": (str, None),
-    "catalog": (Catalog, None), "folder": (Path | None, None),
+    "inputs": (Mapping, InputSettings), "catalog": (Catalog, None), "folder": (Path | None, None),
 }  # fmt: skip
 
 

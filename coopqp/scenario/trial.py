@@ -26,6 +26,7 @@ from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limit import Limit, LimitRows
 from coopqp.rank import null_space
 from coopqp.row import names_of
+from coopqp.signal import Moment
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.wording import raised
@@ -121,7 +122,7 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         look = _Look(task, names, task.bind(start), start.chain.n)
         look.at(start, start.t)
         for t in (0.0, duration):
-            task.marks(t)
+            task.marks(Moment(t))
         end = min(task.end, duration) or duration
         seen = [
             _Seen(look, place, start.t + share * end)

@@ -56,12 +56,18 @@ struct Profile {
     }
 };
 
+// Where a reference is that follows a signal: arrays that Python fills before each tick.
+struct Followed {
+    const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
+};
+
 // As coopqp.geometry.Reference.
 struct Reference {
     double c_0[3], RT_0[9], c_dot[3], turn[3];
     Profile turning;
     bool turns = false, moves = false;
     double c[3], RT[9], omega[3];
+    Followed followed;
 
     void begin() {
         std::copy(c_0, c_0 + 3, c);
@@ -70,6 +76,7 @@ struct Reference {
     }
 
     void update(double t) {
+        if (followed.c) return follow();
         if (!moves) return;
         for (int i = 0; i < 3; i++) c[i] = c_0[i] + c_dot[i] * t;
         if (!turns) return;
@@ -79,6 +86,14 @@ struct Reference {
         exp3(w, R);
         product_transposed(RT_0, R, RT);
         for (int i = 0; i < 3; i++) omega[i] = turn[i] * speed;
+    }
+
+    void follow() {
+        moves = true;
+        std::copy(followed.c, followed.c + 3, c);
+        std::copy(followed.RT, followed.RT + 9, RT);
+        std::copy(followed.c_dot, followed.c_dot + 3, c_dot);
+        std::copy(followed.omega, followed.omega + 3, omega);
     }
 };
 

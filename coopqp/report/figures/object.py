@@ -24,6 +24,7 @@ from coopqp.mark import CircleMark, LineMark, Mark, PlaneMark, PointMark, PoseMa
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json
 from coopqp.report.figures.chart import Chart
+from coopqp.signal import Moment
 from coopqp.task import Task
 
 MOST_INSTANTS = 200  # of a goal
@@ -183,14 +184,15 @@ def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
 
 def targets(chart: Chart, quantity: Quantity) -> list[Target]:
     """What each task of each phase wants of a quantity."""
-    scenario, t, found = chart.comparison.scenario, chart.any.t, []
+    scenario, trace, found = chart.comparison.scenario, chart.any, []
+    t = trace.t
     ends = [*scenario.first_ticks[1:], chart.any.ticks]
     for number, (phase, last) in enumerate(zip(scenario.schedule, ends, strict=True)):
         first = scenario.first_ticks[number]
         count = min(last - first + 1, MOST_INSTANTS)
         rows = np.unique(np.linspace(first, last, count).round().astype(int))
         for task in phase.tasks:
-            marks = [task.marks(float(t[k] - t[first])) for k in rows]
+            marks = [task.marks(trace.moment(k, float(t[k] - t[first]))) for k in rows.tolist()]
             goal = np.array([quantity.goal(then) for then in marks])
             if np.isnan(goal).all():
                 continue
@@ -220,7 +222,7 @@ def _starts(chart: Chart, phase: int, first: int) -> dict[str, pin.SE3]:
 def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
-    marks = [mark for task in tasks for mark in task.marks(0.0)]
+    marks = [mark for task in tasks for mark in task.marks(Moment())]
     points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMark))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 

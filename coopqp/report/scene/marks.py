@@ -29,6 +29,7 @@ from coopqp.mark import (
 )
 from coopqp.report.cells import plugin_name
 from coopqp.scenario.scenario import Scenario
+from coopqp.trace import Trace
 
 Json = dict[str, Any]
 
@@ -83,13 +84,13 @@ class Shown:
         return {"name": self.name, "limit": self.limit, **self.frames, **values}
 
 
-def shown_marks(scenario: Scenario, frames: NDArray[np.int64], t: Array) -> list[Shown]:
+def shown_marks(scenario: Scenario, frames: NDArray[np.int64], trace: Trace) -> list[Shown]:
     """The marks of the tasks of all phases, and those of the limits.
 
     Args:
         scenario: whose they are.
         frames: the tick of each frame.
-        t: its time, shape (f,) [s].
+        trace: of a run.
 
     Raises:
         InvalidValueError: a task or a limit shows what is no mark.
@@ -98,9 +99,9 @@ def shown_marks(scenario: Scenario, frames: NDArray[np.int64], t: Array) -> list
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
-        times = {k: float(t[k]) - tick * scenario.dt for k in own}
+        times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         for task in phase.tasks:
-            marks = {k: task.marks(t) for k, t in times.items()}
+            marks = {k: task.marks(trace.moment(int(frames[k]), t)) for k, t in times.items()}
             found += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
             marks = {k: limit.marks(t) for k, t in times.items()}

@@ -41,7 +41,7 @@ def scene(comparison: Comparison) -> Json:
     looks = styles(traces)
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
-    marks = shown_marks(scenario, frames, first.t[frames])
+    marks = shown_marks(scenario, frames, first)
     solids = [mark.values[0]["solid"] for mark in marks if mark.kind == SOLID]
     bodies = (*bodies, *map(solid_body, solids))
     moving = [body for body in bodies if body.joint > 0]

@@ -1,0 +1,379 @@
+"""What a signal is: a value that changes with time, and its rate; what tasks follow.
+
+A signal is a pure function of an instant: the time and the inputs that have arrived by then. It
+gives its rate too, so that what follows it does not lag behind. What it is asked for is a kind:
+
+    numbers      x,              x_dot
+    rotation     quaternion of R, omega with R_dot = omega x R, in the axes in which R is given
+    direction    the same; the third axis of R is the direction
+    pose         both, numbers first
+
+A constant value with a profile, as most tasks have, is the signal that stays where it is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import core_schema
+
+from coopqp.checked import Array, Direction, Pose, Vector3, spec, unit
+from coopqp.errors import CoopqpError, InvalidValueError
+
+#: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
+SLOPPY = 1e-3
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a signal is asked for.
+
+    Attributes:
+        name: for messages.
+        numbers: how many beside the rotation.
+        turns: whether there is a rotation.
+        columns: names of the values, as files have them.
+        velocity: whether the numbers are velocities, which are not to go on where nobody steers.
+        axis: whether only the third axis of the rotation counts.
+        each: whether bounds hold for each number, and not for the length of all.
+    """
+
+    name: str
+    numbers: int
+    turns: bool = False
+    columns: tuple[str, ...] = ()
+    velocity: bool = False
+    axis: bool = False
+    each: bool = False
+
+    @property
+    def values(self) -> int:
+        """How many numbers a value has."""
+        return self.numbers + 4 * self.turns
+
+    @property
+    def rates(self) -> int:
+        """How many numbers a rate has."""
+        return self.numbers + 3 * self.turns
+
+    @property
+    def zero(self) -> Array:
+        """A value that stands for none: zeros, not turned, shape (values,)."""
+        return np.array([0.0] * self.numbers + [0.0, 0.0, 0.0, 1.0] * self.turns)
+
+    def read(self, given: Any) -> Array:
+        """A value as it is kept.
+
+        Args:
+            given: as many numbers as there are values; a direction as three numbers; a rotation
+                also as a matrix, a pose also as a matrix or a :class:`pinocchio.SE3`.
+
+        Raises:
+            InvalidValueError: it is none; says why.
+        """
+        found = self._array(given.homogeneous if isinstance(given, pin.SE3) else given)
+        if self.axis and found.shape == (3,):
+            return _along(found)
+        if self.turns and found.ndim == 2:
+            found = self._from_matrix(found)
+        if found.shape != (self.values,):
+            raise InvalidValueError(f"found shape {found.shape}, needs {self._needs()}")
+        if self.turns:
+            length = float(np.linalg.norm(found[self.numbers :]))
+            if abs(length - 1.0) > SLOPPY:
+                raise InvalidValueError(
+                    f"found a quaternion of length {length:.4g}, needs one of length 1 (x, y, z, w)"
+                )
+            found[self.numbers :] /= length
+        return found
+
+    def _array(self, given: Any) -> Array:
+        try:
+            found = np.array(given, float)
+        except (TypeError, ValueError):
+            raise InvalidValueError(f"found {given!r:.60}, needs {self._needs()}") from None
+        if not np.isfinite(found).all():
+            raise InvalidValueError("has NaN or infinite values")
+        return found
+
+    def _from_matrix(self, found: Array) -> Array:
+        """The numbers behind a matrix of a pose or of a rotation; others are left as they are."""
+        if found.shape == (4, 4) and self.numbers:
+            return np.concatenate([found[:3, 3], _quaternion(found[:3, :3])])
+        return _quaternion(found) if found.shape == (3, 3) and not self.numbers else found
+
+    def _needs(self) -> str:
+        if self.axis:
+            return "3 numbers"
+        what = f"{self.values} numbers"
+        return f"{what}: {', '.join(self.columns)}" if self.columns else what
+
+
+TURN_COLUMNS = ("qx", "qy", "qz", "qw")
+TURN_RATES = ("rot_x", "rot_y", "rot_z")
+POINT = Kind("point", 3, columns=("x", "y", "z"))
+ROTATION = Kind("rotation", 0, turns=True, columns=TURN_COLUMNS)
+DIRECTION = Kind("direction", 0, turns=True, columns=POINT.columns, axis=True)
+POSE = Kind("pose", 3, turns=True, columns=(*POINT.columns, *TURN_COLUMNS))
+
+
+def of_joints(names: tuple[str, ...]) -> Kind:
+    """Values of joints [rad, m]."""
+    return Kind("joint values", len(names), columns=names, each=True)
+
+
+def of_twist(axes: tuple[str, ...]) -> Kind:
+    """Components of a velocity [m/s, rad/s]."""
+    return Kind("velocity", len(axes), columns=axes, velocity=True)
+
+
+class Course:
+    """Where something is and how it moves, in arrays that it reuses; at rest by itself.
+
+    Args:
+        kind: what it is.
+        value: where it is at first, shape (values,).
+
+    Attributes:
+        value: shape (values,); a rotation as the quaternion x, y, z, w.
+        rate: shape (rates,) [1/s]; of a rotation the angular velocity.
+        moves: whether anything changes with time.
+    """
+
+    moves = False
+
+    def __init__(self, kind: Kind, value: Array) -> None:
+        self.kind = kind
+        self.value, self.rate = np.array(value, float), np.zeros(kind.rates)
+
+    def update(self, at: Instant) -> None:
+        """Go to where it is then."""
+        return
+
+    @property
+    def R(self) -> Array:
+        """The rotation, shape (3, 3)."""
+        return matrix(self.value[self.kind.numbers :])
+
+
+class Followed(dict[str, Course]):
+    """What is made of the inputs at an instant, by name.
+
+    Attributes:
+        wanted: what signals have asked for: kind, and value with which nothing would have to move.
+        stale: of which nothing new has arrived in time.
+        refused: of which what arrived could not be used, and why.
+        arrived: what has arrived for this tick and is used, by name: when it was sent [s], and the
+            value, shape (values,).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wanted: dict[str, tuple[Kind, Array | None]] = {}
+        self.stale: tuple[str, ...] = ()
+        self.refused: tuple[str, ...] = ()
+        self.arrived: dict[str, tuple[float, Array]] = {}
+
+    def want(self, name: str, kind: Kind, here: Array | None) -> Course | None:
+        """The input of a name, if there is one yet.
+
+        Raises:
+            InvalidValueError: it is wanted as something else already.
+        """
+        other, place = self.wanted.setdefault(name, (kind, here))
+        if (other.values, other.axis) != (kind.values, kind.axis):
+            words = f"is wanted as a {other.name} and as a {kind.name}; use two inputs"
+            raise InvalidValueError(f"input '{name}' {words}")
+        if place is None:
+            self.wanted[name] = kind, here
+        return self.get(name)
+
+    def now(self) -> Followed:
+        """The same, no more to be moved by whoever moves this."""
+        kept = Followed()
+        kept.stale, kept.refused = self.stale, self.refused
+        for name, followed in self.items():
+            kept[name] = Course(followed.kind, followed.value)
+            kept[name].rate[:] = followed.rate
+        return kept
+
+
+class Instant(Protocol):
+    """When a signal is asked: the time and what has arrived by then. A ``State`` is one."""
+
+    t: float
+    inputs: Followed
+
+
+@dataclass
+class Moment:
+    """An instant that is no state, for pictures.
+
+    Attributes:
+        t: since the references set out [s].
+        inputs: as followed then.
+    """
+
+    t: float = 0.0
+    inputs: Followed = field(default_factory=Followed)
+
+
+@spec
+class Signal(ABC):
+    """A plug-in in ``signals/``: where a reference is at each time."""
+
+    @abstractmethod
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+        """Prepare what does not change.
+
+        Args:
+            kind: what is asked for.
+            start: the instant from which the reference sets out.
+            here: the value with which nothing would have to move at the start, if there is one.
+
+        Raises:
+            InvalidValueError: it cannot be of this kind; a finding that names the key.
+        """
+
+    @property
+    def rest(self) -> float:
+        """From when on it stays where it is [s]; infinite where that is not known."""
+        return np.inf
+
+
+def course(
+    given: Signal | Array | tuple[float, ...] | list[float],
+    kind: Kind,
+    start: Instant,
+    here: Array | None = None,
+) -> Course:
+    """A field of a task as something to follow: a signal, or a constant.
+
+    Args:
+        given: the field's value; a constant as :meth:`Kind.read` takes it.
+        kind: what it is.
+        start: the instant from which the reference sets out.
+        here: the value with which nothing would have to move, shape (values,).
+
+    Raises:
+        InvalidValueError: the signal cannot be of this kind.
+    """
+    if isinstance(given, Signal):
+        return given.bind(kind, start, here)
+    return Course(kind, kind.read(given))
+
+
+def matrix(quaternion: Array) -> Array:
+    """The rotation of a quaternion x, y, z, w, shape (3, 3)."""
+    x, y, z, w = quaternion.tolist()
+    R: Array = pin.Quaternion(w, x, y, z).toRotationMatrix()
+    return R
+
+
+def quaternion_of(R: Array) -> Array:
+    """The quaternion x, y, z, w of a rotation, shape (4,)."""
+    found: Array = np.array(pin.Quaternion(R).coeffs())
+    return found
+
+
+def axes_along(direction: Vector3 | Array) -> Array:
+    """Right-handed unit axes as rows, the third along the direction, shape (3, 3).
+
+    The first is the world axis that is farthest from the direction, made normal to it.
+    """
+    x, y, z = direction
+    d = unit((x, y, z))
+    farthest = int(np.argmin(np.abs(d)))
+    first = np.eye(3)[farthest] - d[farthest] * d
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(d, first), d])
+
+
+def _along(direction: Array) -> Array:
+    if np.linalg.norm(direction) < 1e-9:
+        raise InvalidValueError("needs a direction, but all three numbers are zero")
+    return quaternion_of(axes_along(direction).T)
+
+
+def _quaternion(R: Array) -> Array:
+    if np.abs(R.T @ R - np.eye(3)).max() > SLOPPY or np.linalg.det(R) < 0.0:
+        raise InvalidValueError("is no rotation: its matrix is not orthonormal and right-handed")
+    u, _, vt = np.linalg.svd(R)
+    return quaternion_of(u @ vt)
+
+
+class Reads:
+    """Lets a field of a task be a constant, or a signal spelled as in a scenario file.
+
+    Args:
+        constant: type of the constant; None where only a signal will do.
+        kind: what it is; None where that depends on the robot.
+        mapping: whether a constant may be a mapping, so that one is not taken for a signal.
+    """
+
+    def __init__(self, constant: Any, kind: Kind | None = None, *, mapping: bool = False) -> None:
+        self.constant = _Nothing if constant is None else constant
+        self.kind, self.mapping = kind, mapping
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """A constant checked as ever, unless it is a signal."""
+
+        def read(value: Any, constant: Callable[[Any], Any], info: ValidationInfo) -> Any:
+            found = self._signal(value, info)
+            return constant(value) if found is None else found
+
+        inner = handler.generate_schema(self.constant)
+        return core_schema.with_info_wrap_validator_function(read, inner)
+
+    def __get_pydantic_json_schema__(
+        self, core: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """The constant, or one signal by name."""
+        return {"anyOf": [handler(core), SPELLING]}
+
+    def _signal(self, value: Any, info: ValidationInfo) -> Signal | None:
+        if not isinstance(value, Signal):
+            read: ReadSignal | None = (info.context or {}).get("signal")
+            if read is None or not isinstance(value, dict):
+                return None
+            value = read(value, not self.mapping)
+        if value is not None and self.kind is not None:
+            try:
+                value.bind(self.kind, Moment(0.0), None)
+            except CoopqpError as error:
+                raise ValueError(str(error)) from None
+        found: Signal | None = value
+        return found
+
+
+ReadSignal = Callable[[dict[str, Any], bool], Signal | None]
+"""A mapping from a scenario file as a signal; None, or refused, where it names none."""
+
+SPELLING = {
+    "type": "object",
+    "minProperties": 1,
+    "maxProperties": 1,
+    "description": "A signal by name, with its fields, such as {input: target}.",
+}
+
+
+def _no_constant(value: Any) -> None:
+    if value is not None:
+        raise ValueError("needs a signal, such as {input: target}")
+
+
+_Nothing = Annotated[None, BeforeValidator(_no_constant)]
+
+#: Fields of tasks: a constant, or a signal.
+MovingPoint = Annotated[Vector3 | Signal, Reads(Vector3, POINT)]
+MovingDirection = Annotated[Direction | Signal, Reads(Direction, DIRECTION)]
+MovingPose = Annotated[Pose | Signal, Reads(Pose, POSE, mapping=True)]
+MovingRotation = Annotated[Signal | None, Reads(None, ROTATION)]

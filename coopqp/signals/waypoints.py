@@ -1,0 +1,199 @@
+"""A way through given values at given times, from the scenario or from a file.
+
+Before the first time it is at the first value. Directions go from one to the next on the shortest
+way.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field
+
+from coopqp.checked import Array, Pose, spec
+from coopqp.errors import InvalidValueError
+from coopqp.grasp import pose_matrix
+from coopqp.robot_files.keys import FilePath
+from coopqp.signal import Course, Instant, Kind, Signal, axes_along, matrix, quaternion_of
+from coopqp.signals._between import Between, Turns, pieces, same_side
+from coopqp.table import read_table
+
+#: How far apart first and last value may be where they have to be the same [unit].
+SAME = 1e-6
+
+
+@spec
+class Waypoints(Signal):
+    """A way through given values at given times, once, there and back, or round and round."""
+
+    times: Annotated[list[float], Field(min_length=2)] | None = None
+    """When it is at each value, rising [s]."""
+    values: Annotated[list[list[float] | Pose], Field(min_length=2)] | None = None
+    """One for each time: as many numbers as are needed, a rotation as the quaternion x, y, z, w,
+    a pose as position and quaternion or as {position, rpy_deg}."""
+    file: FilePath | None = None
+    """Instead of both: a CSV or Parquet file with columns t and x, y, z, or x, y, z, qx, qy, qz,
+    qw, or names of joints."""
+    between: Between = "cubic"
+    """linear; minimum_jerk, at rest at each; or cubic, smoothly through them."""
+    repeat: Literal["once", "back_and_forth", "round"] = "once"
+    """What comes after the last: nothing, the same way back, or the first again."""
+
+    def __post_init__(self) -> None:
+        inside = self.times is not None and self.values is not None
+        if inside == (self.file is not None) or (self.times is None) != (self.values is None):
+            raise ValueError("give times and values, or file, and not both")
+        if self.times is None or self.values is None:
+            return
+        if len(self.times) != len(self.values):
+            raise ValueError(f"found {len(self.times)} times and {len(self.values)} values")
+        for before, t in zip(self.times, self.times[1:], strict=False):
+            if t <= before:
+                raise ValueError(f"times: found {t:g} s after {before:g} s; they need to rise")
+
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+        """Read the values as what is needed."""
+        t, values = self._table(kind)
+        round_trip = self.repeat == "round"
+        if round_trip and not _same(kind, values):
+            raise InvalidValueError("waypoints: repeat: round needs the last value to be the first")
+        return _Way(kind, t, values, self)
+
+    @property
+    def rest(self) -> float:
+        """The last time; never where it repeats."""
+        if self.repeat != "once":
+            return float(np.inf)
+        return float(self._times[-1])
+
+    @property
+    def _times(self) -> Array:
+        if self.file is not None:
+            return read_table(self.file).times()
+        return np.array(self.times, float)
+
+    def _table(self, kind: Kind) -> tuple[Array, Array]:
+        """Times and values as they are kept, shapes (m,) and (m, values)."""
+        if self.file is not None:
+            table = read_table(self.file)
+            rows, places = list(table.take(kind.columns)), table.place
+        else:
+            rows, places = list(self.values or ()), "waypoints.values[{}]".format
+        t = self._times
+        if len(t) < 2:
+            raise InvalidValueError(f"{self.file}: needs at least 2 rows, found {len(t)}")
+        values = []
+        for i, row in enumerate(rows):
+            try:
+                values.append(_value(kind, row))
+            except InvalidValueError as error:
+                raise InvalidValueError(f"{places(i)}: {error}") from None
+        found = np.array(values)
+        if kind.axis:
+            _carry_over(found, round_trip=self.repeat == "round")
+        return t, found
+
+
+def _value(kind: Kind, row: object) -> Array:
+    if not isinstance(row, Pose):
+        return kind.read(row)
+    if not kind.turns or kind.axis:
+        raise InvalidValueError(f"found a pose, needs {kind.values} numbers")
+    X = pose_matrix(row)
+    return kind.read(X if kind.numbers else X.rotation)
+
+
+def _same(kind: Kind, values: Array) -> bool:
+    """Whether the last value is the first."""
+    first, last = values[0], values[-1]
+    k = kind.numbers
+    near = np.abs(last[:k] - first[:k]).max(initial=0.0) < SAME
+    return bool(near and (not kind.turns or abs(first[k:] @ last[k:]) > 1.0 - SAME))
+
+
+def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
+    """Let each direction's axes be those of the one before, turned on the shortest way.
+
+    On a round trip these come back turned about the direction; each then takes its share of that.
+
+    Raises:
+        InvalidValueError: a direction is the opposite of the one before.
+    """
+    axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
+    for i, q in enumerate(quaternions[1:], start=1):
+        before = axes[-1]
+        turn = shortest_turn(before[:, 2], matrix(q)[:, 2], f"waypoints.values[{i}]: ")
+        axes.append(turn @ before)
+    spin = 0.0
+    if round_trip and np.linalg.norm(axes[0][:, 2] - axes[-1][:, 2]) < SAME:
+        back = axes[0].T @ axes[-1]
+        spin = float(np.arctan2(back[1, 0], back[0, 0])) / (len(axes) - 1)
+    for i, (q, R) in enumerate(zip(quaternions, axes, strict=True)):
+        q[:] = quaternion_of(R @ pin.exp3(np.array([0.0, 0.0, -i * spin])))
+
+
+def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
+    """The rotation on the shortest way from one unit vector to another, shape (3, 3).
+
+    Raises:
+        InvalidValueError: they are opposite, so that no way is shortest.
+    """
+    across, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-9:
+        if cosine < 0.0:
+            words = "is the opposite of the direction before; put one between them"
+            raise InvalidValueError(f"{place}{words}")
+        return np.eye(3)
+    R: Array = pin.exp3(across / sine * np.arctan2(sine, cosine))
+    return R
+
+
+class _Way(Course):
+    """Along the way-points."""
+
+    moves = True
+
+    def __init__(self, kind: Kind, t: Array, values: Array, waypoints: Waypoints) -> None:
+        super().__init__(kind, values[0])
+        k, between = kind.numbers, waypoints.between
+        self._repeat, self._begin, self._length = waypoints.repeat, t[0], float(t[-1] - t[0])
+        round_trip = self._repeat == "round"
+        if kind.turns:
+            values[:, k:] = same_side(values[:, k:])
+        if kind.turns and round_trip and values[0, k:] @ values[-1, k:] < 0.0:
+            # Once round is half of the quaternion's own way.
+            t = np.concatenate([t, t[1:] + self._length])
+            values = np.concatenate([values, values[1:] * ([1.0] * k + [-1.0] * 4)])
+            self._length *= 2.0
+        if round_trip:
+            values[-1] = values[0]  # but for rounding
+        self._pieces = pieces(t, values[:, :k], between, round_trip=round_trip) if k else None
+        self._turns = (
+            Turns(t, values[:, k:], between, round_trip=round_trip) if kind.turns else None
+        )
+        self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
+
+    def update(self, at: Instant) -> None:
+        """Go to where it is then."""
+        gone, direction = self._gone(at.t - self._begin)
+        numbers, quaternion, rate, omega = self._parts
+        if self._pieces is not None:
+            self._pieces.at(self._begin + gone, numbers, rate)
+        if self._turns is not None:
+            self._turns.at(self._begin + gone, quaternion, omega)
+        np.multiply(self.rate, direction, self.rate)
+
+    def _gone(self, t: float) -> tuple[float, float]:
+        """Time along the way, and its rate: 1, 0 at rest, -1 on the way back."""
+        length = self._length
+        if t <= 0.0:
+            return 0.0, 0.0
+        if self._repeat == "once":
+            return (t, 1.0) if t < length else (length, 0.0)
+        if self._repeat == "round":
+            return t % length, 1.0
+        back, gone = divmod(t, length)
+        return (length - gone, -1.0) if back % 2.0 else (gone, 1.0)
