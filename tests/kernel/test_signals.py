@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import ring
 from following import NAMES, following, one_of_each, way
 from laws import LIMITS, problem
 from side_by_side import drive
@@ -19,6 +20,7 @@ from coopqp.input import InputSettings
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.scenario.loader import load
+from coopqp.signal import Kind, Signal
 from coopqp.signals import Input, Line
 from coopqp.solver import Status
 from coopqp.state import State
@@ -37,8 +39,14 @@ READ = (
 
 
 def slow(task: Task, chain: ClosedChain) -> Task:
-    """It follows way-points, softly enough that no tick opens the loops."""
-    return replace(following(task, chain, way(chain, "cubic", "round")), gain=1.0)
+    """It follows way-points, so slowly that no tick opens the loops."""
+    make = way(chain, "cubic", "round")
+
+    def slowly(key: str, kind: Kind) -> Signal:
+        signal = make(key, kind)
+        return replace(signal, times=[4.0 * t for t in signal.times])
+
+    return replace(following(task, chain, slowly), gain=1.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -62,13 +70,14 @@ def test_rows_of_what_follows_way_points_are_those_of_python(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_follows_way_points_moves_alike(name: str, chain: ClosedChain) -> None:
+def test_what_follows_way_points_moves_alike(name: str) -> None:
+    """Arms with room to move; where NAO's get stuck the optimum itself has fewer digits."""
+    chain = ring(2, 7)
     if name == "relative_motion":  # a closed loop contradicts it
         chain = chain.handed_over(chain.q_start, [chain.arms[1].name])
     task = slow(one_of_each(chain)[name], chain)
     seen = drive(problem(chain, task, secondary=[JointCentering(gain=0.5)], limits=LIMITS), 150)
-    assert set(seen.left) <= {"STEP_SHORTENED"}
-    assert seen.decided > 140
+    assert seen.decided == 150, dict(seen.left)
     assert seen.v < SAME
 
 
