@@ -65,6 +65,7 @@ class Several(Robot):
             shapes=tuple(shape for part in parts for shape in part.shapes),
             capsules=tuple(capsule for part in parts for capsule in part.capsules),
             collision_shapes=tuple(shape for part in parts for shape in part.collision_shapes),
+            unseen=tuple(line for part in parts for line in part.unseen),
             warnings=tuple(line for part in parts for line in part.warnings),
         )
 
@@ -91,6 +92,7 @@ def _renamed(prefix: str, robot: RobotModel, X_WB: pin.SE3) -> RobotModel:
         shapes=_renamed_shapes(prefix, robot.shapes),
         collision_shapes=_renamed_shapes(prefix, robot.collision_shapes),
         capsules=tuple(_renamed_capsule(prefix, capsule, X_WB) for capsule in robot.capsules),
+        unseen=tuple(prefix + line for line in robot.unseen),
         warnings=tuple(prefix.removesuffix("/") + ": " + line for line in robot.warnings),
     )
 
