@@ -48,6 +48,8 @@ class Several(Robot):
 
     robots: Annotated[dict[str, Placed], Field(min_length=1)]
     """By name: {robot: ..., position: [m], rpy or rpy_deg}."""
+    name: str = ""
+    """Of all together, as pages show it; the robots' own names if omitted."""
 
     def build(self) -> RobotModel:
         """All joints, robot by robot; joints, frames and arms have the robot's name in front."""
@@ -59,7 +61,7 @@ class Several(Robot):
             copy_per_velocity(part.model, model)
         model.name = "several"
         return RobotModel(
-            name=" + ".join(part.name for part in parts),
+            name=self.name or " + ".join(part.name for part in parts),
             model=model,
             arms=tuple(arm for part in parts for arm in part.arms),
             shapes=tuple(shape for part in parts for shape in part.shapes),
