@@ -61,8 +61,7 @@ class TaskMobility:
         name: of the task.
         rows: its dimension.
         rank: how many of its rows can be chosen freely at the start.
-        weakest: least singular value of these; how far a unit of joint motion moves what is
-            moved least [m or rad].
+        weakest: least singular value of these [m or rad for a unit of joint motion].
     """
 
     name: str
@@ -232,24 +231,21 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
 
 def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
     """Of its Jacobian, shape (k, n)."""
-    values = _singular_values(J @ start.N)
+    values = np.linalg.svd(J @ start.N, compute_uv=False)
     possible = values[values > MOTION_TOLERANCE]
     return TaskMobility(name, len(J), len(possible), float(possible.min(initial=np.inf)))
 
 
-def _singular_values(motions: Array) -> Array:
-    return np.asarray(np.linalg.svd(motions, compute_uv=False)) if motions.size else np.zeros(0)
-
-
 def _scaled(twists: Array) -> Array:
     """Rotations weighed as lengths, so that one tolerance serves all six rows."""
-    scaled = np.array(twists, float)
-    scaled[3:] *= LENGTH
+    scaled: Array = twists * np.array([[1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH]]).T
     return scaled
 
 
 def _motion_rank(motions: Array) -> int:
-    return int(np.sum(_singular_values(_scaled(motions)) > MOTION_TOLERANCE))
+    if not motions.size:
+        return 0
+    return int(np.linalg.matrix_rank(_scaled(motions), tol=MOTION_TOLERANCE))
 
 
 def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
@@ -377,18 +373,16 @@ def _sentences(m: Mobility) -> list[str]:
 
 def _about_tasks(m: Mobility) -> str:
     names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
+    said = f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
     if m.tasks_rank == m.tasks_rows:
-        said = (
-            f"The tasks {names} can all be met: {m.tasks_rows} rows, "
-            f"{m.freedom_start - m.tasks_rows} degrees of freedom left."
+        left = f"{m.freedom_start - m.tasks_rows} degrees of freedom left"
+        said = f"The tasks {names} can all be met: {m.tasks_rows} rows, {left}."
+    if m.tasks_weakest < WEAK:
+        said += (
+            f" One direction is weak: a unit of joint motion brings about {m.tasks_weakest:.2g} "
+            "(m or rad) of it, so a goal far that way is hardly reached."
         )
-        if m.tasks_weakest >= WEAK:
-            return said
-        return (
-            f"{said} One direction is weak: a unit of joint motion brings about "
-            f"{m.tasks_weakest:.2g} (m or rad) of it, so a goal far that way is hardly reached."
-        )
-    return f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
+    return said
 
 
 def _about_scheme(s: Scheme) -> str:

@@ -21,7 +21,13 @@ from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit, RoomLeft, Tighten
-from coopqp.limits._bodies import bodies_of, by_construction, named_bodies, pairs_that_can_meet, unseen
+from coopqp.limits._bodies import (
+    bodies_of,
+    by_construction,
+    named_bodies,
+    pairs_that_can_meet,
+    unseen,
+)
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
 from coopqp.row import Row

@@ -95,27 +95,29 @@ def check(xml: ET.Element) -> None:
     """
     check_known(xml, "mujoco", KNOWN, OTHERWISE)
     for element in xml.iter():
-        check_numbers(element, NUMBERS.get(element.tag, {}))
-        for (tag, key), known in WORDS.items():
-            if element.tag == tag:
-                check_word(element, key, known, OTHERWISE)
-        full = element.get("fullinertia")
-        if full and element.tag == "inertial":
-            xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
-            if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
-                raise InvalidValueError(wrong)
+        _check_one(element)
     world = xml.find("worldbody")
     if world is not None:
         for tag in NAMED:
             check_names(world.iter(tag), tag)
         _check_classes(xml, world)
         _check_ties(xml, world)
-        for element in world.iter():
-            if element.tag in NOT_READ:
-                fix = NOT_READ[element.tag]
-                raise InvalidValueError(f"{place_of(element)}: is not read; {fix}")
     check_geoms(xml)
     check_ranges(xml)
+
+
+def _check_one(element: ET.Element) -> None:
+    check_numbers(element, NUMBERS.get(element.tag, {}))
+    for (tag, key), known in WORDS.items():
+        if element.tag == tag:
+            check_word(element, key, known, OTHERWISE)
+    if element.tag in NOT_READ:
+        raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
+    full = element.get("fullinertia")
+    if full and element.tag == "inertial":
+        xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
+        if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
+            raise InvalidValueError(wrong)
 
 
 def _check_classes(xml: ET.Element, world: ET.Element) -> None:

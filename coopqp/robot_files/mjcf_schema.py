@@ -99,7 +99,8 @@ KNOWN: dict[str, Known] = {
         _not_read("plugin"),
     ),
     "site": Known(f"{_PLACE} class fromto group material mesh name rgba size type user"),
-    "equality": Known("", {"joint": "tie", **_not_read("connect weld tendon flex flexvert "
-                                                       "flexstrain distance")}),
+    "equality": Known(
+        "", {"joint": "tie", **_not_read("connect weld tendon flex flexvert flexstrain distance")}
+    ),
     "tie": Known("active class joint1 joint2 name polycoef solimp solref"),
 }

@@ -7,13 +7,14 @@ unless they are a known name misspelt.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.robot_files.attributes import check_word
-from coopqp.robot_files.schema import Known, check_known
+from coopqp.robot_files.schema import Known, Unknown, check_known
 from coopqp.robot_files.xml import place_of
 
-_LIKE = "refused if alike"
+_LIKE: Unknown = "refused if alike"
 _PART = Known(
     "name",
     {"origin": "origin", "geometry": "geometry", "material": ""},
@@ -138,18 +139,12 @@ def _check_tree(xml: ET.Element) -> None:
     links = {link.get("name", ""): link for link in xml.findall("link")}
     carried: dict[str, str] = {}
     for joint in xml.findall("joint"):
-        name = joint.get("name", "")
-        for tag in ("parent", "child"):
-            end = joint.find(tag)
-            if end is None:
-                raise InvalidValueError(f"{place_of(joint)}: needs <{tag} link=>")
-            if (link := end.get("link", "")) not in links:
-                raise InvalidValueError(
-                    f"{place_of(end)} of joint {name}: {unknown_name('link', link, links)}"
-                )
+        _end(joint, "parent", links)
+        child = _end(joint, "child", links)
+        name, link = joint.get("name", ""), child.get("link", "")
         if link in carried:
             raise InvalidValueError(
-                f"{place_of(end)} of joint {name}: link {link} is the child of joint "
+                f"{place_of(child)} of joint {name}: link {link} is the child of joint "
                 f"{carried[link]} already"
             )
         carried[link] = name
@@ -164,3 +159,14 @@ def _check_tree(xml: ET.Element) -> None:
             f"{place_of(links[name])}: is the child of no joint, as is link {roots[0]}; only the "
             "base may be"
         )
+
+
+def _end(joint: ET.Element, tag: str, links: Collection[str]) -> ET.Element:
+    """Where a joint says which link is before it, or after it."""
+    end = joint.find(tag)
+    if end is None:
+        raise InvalidValueError(f"{place_of(joint)}: needs <{tag} link=>")
+    if (link := end.get("link", "")) not in links:
+        words = unknown_name("link", link, links)
+        raise InvalidValueError(f"{place_of(end)} of joint {joint.get('name')}: {words}")
+    return end

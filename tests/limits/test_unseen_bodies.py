@@ -68,7 +68,9 @@ def test_what_no_body_is_made_of_is_told(tmp_path: Path) -> None:
     more = '<geom type="mesh" mesh="{}"/>'
     notes = SelfCollision().notes(chain_of(write(tmp_path, more.format("palm"))))
     assert "self_collision does not see ground: a geom of type hfield is not read" in notes
-    assert sum("_hand: mesh palm: is given by vertices, which are not read" in n for n in notes) == 2
+    assert (
+        sum("_hand: mesh palm: is given by vertices, which are not read" in n for n in notes) == 2
+    )
     notes = SelfCollision().notes(chain_of(write(tmp_path, more.format("lost"))))
     path = tmp_path.resolve() / "lost.stl"
     assert f"self_collision does not see left_hand: mesh {path}: there is no such file" in notes

@@ -58,12 +58,14 @@ URDF = [
     ('type="revolute"', 'type="hinge"', "type: unknown type 'hinge'; it is called 'revolute' here"),
     ('parent link="rl1"', 'parent link="rll"', "of joint r2: unknown link 'rll'; did you mean 'r"),
     ('child link="rl2"', 'child link="rl1"', "link rl1 is the child of joint r1 already"),
-    ('"r2" type="revolute">\n<parent link="rl1"/>', '"r2" type="revolute">', "needs <parent link=>"),
+    (
+        '"r2" type="revolute">\n<parent link="rl1"/>',
+        '"r2" type="revolute">',
+        "needs <parent link=>",
+    ),
     ('<joint name="l1"', '<link name="shelf"/><joint name="l1"', "is the child of no joint, as is"),
     ('velocity="', 'current="', "<limit>: needs velocity"),
 ]
-
-
 
 
 @pytest.mark.parametrize(
@@ -155,7 +157,7 @@ def test_what_makers_add_is_passed_over(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tag", ["frame", "replicate", "attach", "composite", "flexcomp"])
 def test_what_makes_bodies_and_is_not_read_is_refused(tag: str, tmp_path: Path) -> None:
-    """pinocchio passes over them, with all the bodies in them."""
+    """For pinocchio they are not there, with all the bodies in them."""
     good, path = (SEEDS / "dual.xml").read_text(encoding="utf-8"), tmp_path / "made.xml"
     path.write_text(good.replace('<body name="r0"', f'<{tag}/><body name="r0"'), encoding="utf-8")
     with pytest.raises(InvalidValueError, match=rf"made.xml:12: <{tag}>: is not read; "):
