@@ -73,11 +73,13 @@ class OnlineLoop:
         record: makes a recording when a phase begins, such as an ``online.recording``'s.
 
     Attributes:
-        command: of the last tick, with its status and note.
+        command, status, note: of the last tick; the gravest, and what else is to be said of it.
         setpoint: where the joints shall be at the end of the period, shape (n,) [rad, m].
         history: the last ticks.
         watch: late ticks counted, the longest named.
         ticks: how many there have been.
+        begun: whether the object is held.
+        patience, simulated: as given; simulated without a clock.
 
     Raises:
         CoopqpError: the controller cannot be built for this scenario, or commands torques; the
@@ -108,6 +110,7 @@ class OnlineLoop:
         self._given = self.scenario = replace(own, limits=limits)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
         self._clock, self._by_time = clock, phases == "by_time"
+        self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)))
         self._readings, self._stops = Readings(chain), Stops(patience)
@@ -126,7 +129,7 @@ class OnlineLoop:
         self._readings.forget()
         self._stops.forget()
         self.watch = Watch(self.scenario.dt)
-        self.ticks, self._begun, self._built = 0, False, False
+        self.ticks, self.begun, self._built = 0, False, False
         self._asked_for_next, self._moved = False, False
         self.setpoint[:] = self._leg.problem.chain.q_start
         self._refuse(Status.OPTIMAL, "")
@@ -231,7 +234,7 @@ class OnlineLoop:
             command = self._tick(q, inputs, now)
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
             command = self._refuse(Status.RAISED, raised(error))
-        self.command = command
+        self.command, self.status, self.note = command, command.status, command.note
         state = self._leg.state
         np.multiply(command.v, self._leg.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
@@ -289,17 +292,17 @@ class OnlineLoop:
         self._leg = self._begun_leg(0, 0, q.copy())
         self.legs = (self._leg,)
         self._keeper.begin(self._given)
-        self._begun = self._built = True
+        self.begun = self._built = True
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
-        if not self._begun:
+        self._stops.heard(self._wrong, now, self.watch.elapsed)
+        if not self.begun:
             refused = self._try_to_begin()
             if refused:
                 return refused
-        self._stops.heard(self._wrong, now, self.watch.elapsed)
         self._go_by_measurement()
         command = self._decide(inputs, now)
         if is_late:
@@ -319,7 +322,7 @@ class OnlineLoop:
 
     def _advance(self) -> None:
         """Make of the last command what it has led to; while it only brakes, time stands still."""
-        if self._begun:
+        if self.begun:
             state, t = self.state, self.state.t
             state.advance(self.command.v, self.problem.dt)
             if not self._moved:
@@ -387,6 +390,7 @@ class OnlineLoop:
         command.v[:] = 0.0
         command.say(why)
         command.note = note
+        self.status, self.note = why, note
         return command
 
 
