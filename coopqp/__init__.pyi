@@ -22,6 +22,7 @@ from coopqp.errors import UnknownNameError as UnknownNameError
 from coopqp.grasp import Grasp as Grasp
 from coopqp.grasp import PassiveJoint as PassiveJoint
 from coopqp.held_object import HeldObject as HeldObject
+from coopqp.input import InputSettings as InputSettings
 from coopqp.limit import Limit as Limit
 from coopqp.limit import LimitRows as LimitRows
 from coopqp.limit import Tighten as Tighten
@@ -51,6 +52,10 @@ from coopqp.scenario.catalog import Catalog as Catalog
 from coopqp.scenario.loader import load as load
 from coopqp.scenario.phase import Phase as Phase
 from coopqp.scenario.scenario import Scenario as Scenario
+from coopqp.signal import Course as Course
+from coopqp.signal import Instant as Instant
+from coopqp.signal import Kind as Kind
+from coopqp.signal import Signal as Signal
 from coopqp.solver import Budget as Budget
 from coopqp.solver import Solution as Solution
 from coopqp.solver import Solve as Solve

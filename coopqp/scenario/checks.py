@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.hold import arm_weights
+from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
@@ -17,6 +19,7 @@ from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, try_limit, try_task
 from coopqp.scenario.yaml import YamlFile
+from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location
 
@@ -68,6 +71,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     places = _places(scenario)
     first = places[scenario.schedule[0].name]
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
+    faults = faults or list(_broken_inputs(file, scenario, places))
     if not allowed and not faults:
         faults = [
             Fault(file.place(["limits", i]), words)
@@ -117,6 +121,29 @@ def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Place
         except CoopqpError as error:
             faults.append(Fault(file.place(place), str(error)))
     return faults
+
+
+def _broken_inputs(
+    file: YamlFile, scenario: Scenario, places: Mapping[str, Places]
+) -> Iterator[Fault]:
+    """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
+    for place, task, phase in placed_tasks(scenario):
+        start = State(places[phase.name].start.chain)
+        for name, (_, here) in wanted([task], start).items():
+            if name not in scenario.inputs:
+                yield Fault(file.place(place), unknown_name("input", name, scenario.inputs))
+                continue
+            try:
+                scenario.feed(replace(scenario.problem(phase, start.chain), tasks=[task]), start)
+            except CoopqpError as error:
+                where = place if here is None else ["inputs", name]
+                yield Fault(file.place(where), str(error))
+    try:
+        for phase in scenario.schedule:
+            chain = places[phase.name].start.chain
+            wanted((*phase.tasks, *scenario.secondary), State(chain))
+    except CoopqpError as error:
+        yield Fault(file.place(["inputs"]), str(error))
 
 
 def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:
