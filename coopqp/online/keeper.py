@@ -21,9 +21,12 @@ AT_MOST = 1.0
 class Kept(Protocol):
     """A loop, as it is seen from here."""
 
-    scenario: Scenario
     controller: str
-    legs: tuple[Leg, ...]
+
+    @property
+    def scenario(self) -> Scenario: ...
+    @property
+    def legs(self) -> tuple[Leg, ...]: ...
 
 
 class Keeper:

@@ -31,10 +31,10 @@ from coopqp.online.acceleration import SPEED_UP, with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
-from coopqp.online.leg import Leg, begin_leg
+from coopqp.online.leg import Leg
+from coopqp.online.legs import Legs
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
-from coopqp.online.start import as_held
 from coopqp.online.stops import Stops
 from coopqp.online.watch import Watch
 from coopqp.scenario.phase import Phase
@@ -107,7 +107,7 @@ class OnlineLoop:
             raise InvalidValueError(f"controller '{controller}' {words}")
         own, self.controller = scenario.held_by(controller), controller
         limits = with_acceleration(own.limits, own.chain, speed_up)
-        self._given = self.scenario = replace(own, limits=limits)
+        self._given = replace(own, limits=limits)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
         self._clock, self._by_time = clock, phases == "by_time"
         self.patience, self.simulated = patience, clock is None
@@ -123,41 +123,49 @@ class OnlineLoop:
     def reset(self) -> None:
         """Forget all but the history; the next tick begins anew, where the robot is then."""
         self._keeper.close()
-        self.scenario = self._given
-        self._leg = self._begun_leg(0, 0, None)
-        self.legs: tuple[Leg, ...] = ()
+        self._legs = Legs(self._given, self._chosen, observed=self._observed, by_time=self._by_time)
         self._readings.forget()
         self._stops.forget()
-        self.watch = Watch(self.scenario.dt)
+        self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
-        self._asked_for_next, self._moved = False, False
-        self.setpoint[:] = self._leg.problem.chain.q_start
+        self._moved = False
+        self.setpoint[:] = self._legs.now.problem.chain.q_start
         self._refuse(Status.OPTIMAL, "")
+
+    @property
+    def scenario(self) -> Scenario:
+        """As begun: its start is where the robot was."""
+        return self._legs.scenario
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """The phases so far, the last one that which runs; none before the beginning."""
+        return self._legs.done
 
     @property
     def state(self) -> State:
         """What the last tick decided from: commanded joints, kinematics, inputs."""
-        return self._leg.state
+        return self._legs.now.state
 
     @property
     def law(self) -> Law:
         """The controller, built for this phase."""
-        return self._leg.law
+        return self._legs.now.law
 
     @property
     def problem(self) -> ControlProblem:
         """What it was built for."""
-        return self._leg.problem
+        return self._legs.now.problem
 
     @property
     def phase(self) -> Phase:
         """The phase that runs."""
-        return self._leg.phase
+        return self._legs.now.phase
 
     @property
     def now(self) -> float:
         """By the loop's clock [s]."""
-        return self._clock() if self._clock else self.ticks * self.scenario.dt
+        return self._clock() if self._clock else self.ticks * self._given.dt
 
     @property
     def measured(self) -> Array:
@@ -190,6 +198,7 @@ class OnlineLoop:
     def resume(self) -> None:
         """Go on: from where the robot is then, if it has come to rest."""
         self._stops.resume()
+        self._readings.forget()
 
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
@@ -197,9 +206,7 @@ class OnlineLoop:
         Raises:
             InvalidValueError: there is none.
         """
-        if self._leg.index + 1 == len(self.scenario.schedule):
-            raise InvalidValueError(f"phase '{self.phase.name}' is the last")
-        self._asked_for_next = True
+        self._legs.ask()
 
     def begin(self, q: ArrayLike) -> None:
         """Take hold where the robot is; the first tick does it, if nobody has done it before.
@@ -235,8 +242,8 @@ class OnlineLoop:
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
             command = self._refuse(Status.RAISED, raised(error))
         self.command, self.status, self.note = command, command.status, command.note
-        state = self._leg.state
-        np.multiply(command.v, self._leg.problem.dt, out=self.setpoint)
+        state = self._legs.now.state
+        np.multiply(command.v, self._legs.now.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
         us = 1e-3 * (time.perf_counter_ns() - before)
         heard = self._nothing if self._wrong else self._readings.q
@@ -251,6 +258,17 @@ class OnlineLoop:
     def flush(self) -> None:
         """Write out what is new of the session; in the time that a period leaves."""
         self._keeper.flush()
+
+    def replay(self) -> Scenario:
+        """The scenario that plays again what is on disk of the session so far; flushes it.
+
+        Raises:
+            InvalidValueError: there is no session.
+        """
+        if self._keeper.session is None:
+            raise InvalidValueError("nothing is written: give the loop a folder, out")
+        self.flush()
+        return self._keeper.session.replay(self.legs)
 
     def close(self) -> None:
         """Write the record.
@@ -276,21 +294,8 @@ class OnlineLoop:
         self._interrupts.give_back()
         self.close()
 
-    def _begun_leg(self, index: int, first: int, q: Array | None) -> Leg:
-        chain = self.scenario.chain
-        if index and q is not None:
-            released = self.scenario.schedule[index].released
-            chain = self._leg.problem.chain.handed_over(q, released)
-        return begin_leg(
-            self.scenario, self._chosen, index, first, chain, q, observed=self._observed
-        )
-
     def _begin(self) -> None:
-        q = self._readings.q
-        if self._as_held and not np.array_equal(q, self._given.chain.q_start):
-            self.scenario = as_held(self._given, q)
-        self._leg = self._begun_leg(0, 0, q.copy())
-        self.legs = (self._leg,)
+        self._legs.begin(self._readings.q.copy(), held=self._as_held)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
@@ -318,6 +323,7 @@ class OnlineLoop:
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
                 self.stop(str(error))
+                self._readings.forget()
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
 
     def _advance(self) -> None:
@@ -334,51 +340,40 @@ class OnlineLoop:
         if self._stops.goes_on_again and heard is not None and not self._stops.why:
             self._stops.goes_on_again = False
             if self.at_rest:
-                self._leg.take_up(heard.copy(), observed=self._observed)
+                self._legs.now.take_up(heard.copy(), observed=self._observed)
                 self._keeper.begin_again(self.state)
         if self._observed:
             self.state.q_measured = self._nothing if heard is None else heard
         elif heard is not None:
             self.state.q[:] = heard
-        due = heard is not None and self._phase_is_over and not self._stops.why
-        if due and self._leg.braking.can_stop(self.state):
-            self._hand_over(self._readings.q.copy())
-
-    @property
-    def _phase_is_over(self) -> bool:
-        last = self._leg.index + 1 == len(self.scenario.schedule)
-        return not last and (self._asked_for_next or (self._by_time and self._leg.over))
-
-    def _hand_over(self, q: Array) -> None:
-        before, self._asked_for_next, self._built = self._leg, False, True
-        try:
-            leg = self._begun_leg(before.index + 1, before.first + before.ticks, q)
-        except CoopqpError as error:
-            self.stop(f"phase '{before.phase.name}' does not end: {error}")
+        if heard is None or self._stops.why or not self._legs.over:
             return
-        leg.state.v[:] = before.state.v
-        self._leg, self.legs = leg, (*self.legs, leg)
-        self._keeper.next_phase()
+        self._built = self._legs.hand_over(heard.copy())
+        if self._built and not self._legs.fault:
+            self._keeper.next_phase()
+        elif self._legs.fault:
+            self.stop(self._legs.fault)
 
     def _decide(self, inputs: Any, now: float) -> Command:
-        leg = self._leg
+        leg = self._legs.now
         arrivals = leg.arrivals.read(inputs, leg.state.t, now)
         leg.inputs.step(leg.state, arrivals)
         followed = leg.state.inputs
         followed.refused = (*leg.arrivals.refused, *followed.refused)
         self._keeper.arrived(arrivals)
         halts = [cause for cause in (self._wrong, self._stops.cause) if cause]
-        if self._phase_is_over:
+        if self._legs.over:
             halts.append(Status.STOPPED)
         self._moved = not halts
         if not halts:
             leg.ticks += 1
             return leg.law.tick(leg.state)
-        leg.rest_inputs()
         command = leg.braking.tick(leg.state)
+        if not command.v.any():
+            leg.rest_inputs()
         own = (c for c in command.causes if c not in (Status.OPTIMAL, Status.NOT_MEASURED, *halts))
         command.say(*dict.fromkeys(halts), *own)
-        waits = f"before phase {leg.index + 2}" if self._phase_is_over else ""
+        waits = f"before phase {leg.index + 2}" if self._legs.over else ""
         notes = (self._readings.note, self._stops.why, waits, *followed.refused)
         command.note = "; ".join(note for note in notes if note)
         return command

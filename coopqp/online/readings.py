@@ -64,6 +64,7 @@ class Readings:
         np.subtract(self._step, NOISE + self._most * max(0.0, now - self._since), self._step)
         if (self._step > 0.0).any():  # not so where nothing was believed before
             self._say_jump(now)
+            self._since = now  # so that what stays elsewhere does not come to be possible
             return Status.MEASURED_JUMPED
         self.q[:], self._since = self._found, now
         return None
