@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -128,15 +129,16 @@ def _broken_inputs(
 ) -> Iterator[Fault]:
     """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
     for place, task, phase in placed_tasks(scenario):
-        start = State(places[phase.name].start.chain)
+        start, used = State(places[phase.name].start.chain), partial(_used, file.data, place)
         for name, (_, here) in wanted([task], start).items():
             if name not in scenario.inputs:
-                yield Fault(file.place(place), unknown_name("input", name, scenario.inputs))
+                words = unknown_name("input", name, scenario.inputs)
+                yield Fault(file.place(used(name)), words)
                 continue
             try:
                 scenario.feed(replace(scenario.problem(phase, start.chain), tasks=[task]), start)
             except CoopqpError as error:
-                where = place if here is None else ["inputs", name]
+                where = used(name) if here is None else ["inputs", name]
                 yield Fault(file.place(where), str(error))
     try:
         for phase in scenario.schedule:
@@ -144,6 +146,21 @@ def _broken_inputs(
             wanted((*phase.tasks, *scenario.secondary), State(chain))
     except CoopqpError as error:
         yield Fault(file.place(["inputs"]), str(error))
+
+
+def _used(data: Any, place: Location, name: str) -> Location:
+    """Where in a task an input is used."""
+    for key in place:
+        data = data[key]
+    waiting: list[tuple[list[str | int], Any]] = [([*place], data)]
+    while waiting:
+        where, found = waiting.pop()
+        if isinstance(found, dict):
+            given = found.get("input")
+            if given == name or (isinstance(given, dict) and given.get("name") == name):
+                return where
+            waiting += [([*where, key], inside) for key, inside in found.items()]
+    return place
 
 
 def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:
