@@ -35,6 +35,7 @@ class Arrivals:
     def __init__(self, inputs: Inputs, since: float) -> None:
         self._inputs, self._since = inputs, since
         self._stamped: dict[str, float] = {}
+        self._sent: dict[str, float] = {}
         self._strange: set[str] = set()
         self.refused: list[str] = []
 
@@ -62,7 +63,7 @@ class Arrivals:
                 self._say_unknown(str(name))
                 continue
             if not _is_stamped(value):
-                yield name, in_columns(channel.kind, value), self._shared(t)
+                yield name, in_columns(channel.kind, value), self._shared(name, t)
                 continue
             value, stamp = value
             why = self._wrong_stamp(name, stamp, now)
@@ -70,13 +71,19 @@ class Arrivals:
                 self.refused.append(f"{name}: {why}")
                 continue
             # A tick that was late must not make a later value the older one.
-            sent = max(t - (now - float(stamp)), channel.sent)
+            sent = max(t - (now - float(stamp)), self._sent.get(name, -math.inf))
             self._stamped[name] = float(stamp)
-            yield name, in_columns(channel.kind, value), self._shared(min(sent, t))
+            yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
 
-    def _shared(self, t: float) -> float:
+    def age(self, time: float) -> None:
+        """Let what has arrived be older by a time that the loop's own time does not know of [s]."""
+        for channel in self._inputs.channels.values():
+            channel.sent -= time
+
+    def _shared(self, name: str, t: float) -> float:
         """The time as who plays the session again comes to know it, to the last digit."""
-        return (self._since + t) - self._since
+        self._sent[name] = (self._since + t) - self._since
+        return self._sent[name]
 
     def _wrong_stamp(self, name: str, stamp: Any, now: float) -> str:
         if not isinstance(stamp, Real) or not math.isfinite(float(stamp)):

@@ -309,6 +309,8 @@ class OnlineLoop:
             if refused:
                 return refused
         self._go_by_measurement()
+        if is_late:
+            self._legs.now.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
         if is_late:
             _add(command, Status.LATE)
