@@ -2,11 +2,11 @@
 
 python benchmarks/real_time.py --minutes 10
 
-The plant is ten joints that follow the positions they are sent with a lag of 10 ms, a thousand times
-a second, and say where they are; the two processes share a piece of memory. NAO carries a box after
-a target that goes round and arrives 60 times a second. The loop records its session on disk. It
-prints how many periods were missed, how long a tick took from reading to writing, how far off its
-time it began, and how memory grew.
+The plant is ten joints that follow the positions they are sent with a lag of 10 ms, a thousand
+times a second, and say where they are; the two processes share a piece of memory. NAO carries a box
+after a target that goes round and arrives 60 times a second. The loop records its session on disk.
+It prints how many periods were missed, how long a tick took from reading to writing, how far off
+its time it began, and how memory grew.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from coopqp.controller import Command
 from coopqp.input import Arrival
@@ -61,18 +61,13 @@ class Keeper:
         if self._out is not None:
             self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
             self._out, self._flushed = None, 0.0
-        self.next_phase()
-
-    def next_phase(self) -> None:
-        """A phase begins, and with it another law."""
-        if self._record is not None:
-            self._safely(self._record.close)
         self._record = self._make(self._loop) if self._make else None
 
-    def begin_again(self, state: State) -> None:
-        """The loop goes on from another state."""
+    def go_on(self) -> None:
+        """The loop goes on from another state, as after a stop or in another phase."""
         if self._record is not None:
-            self._record.begin(state)
+            leg, record = self._loop.legs[-1], self._record
+            self._safely("_record", lambda: record.begin(leg.state, leg.first * leg.problem.dt))
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Keep what arrived and was taken; write it when it is much."""
@@ -90,8 +85,9 @@ class Keeper:
 
     def tick(self, state: State, command: Command, us: float) -> None:
         """Hand a tick to the recording."""
-        if self._record is not None:
-            self._record.tick(state, command, us)
+        record = self._record
+        if record is not None:
+            self._safely("_record", lambda: record.tick(state, command, us))
 
     def flush(self) -> None:
         """Write what is new of the session."""
@@ -99,20 +95,20 @@ class Keeper:
             return
         leg, session = self._loop.legs[-1], self.session
         now = self._flushed = leg.first * leg.problem.dt + leg.state.t
-        self._safely(lambda: session.flush(now, self._loop.legs))
+        self._safely("session", lambda: session.flush(now, self._loop.legs))
 
     def close(self) -> None:
         """Write the rest of all."""
         if self._record is not None:
-            self._safely(self._record.close)
+            self._safely("_record", self._record.close)
             self._record = None
         if self.session is not None:
             session, self.session = self.session, None
-            self._safely(lambda: session.close(self._loop.legs))
+            self._safely("session", lambda: session.close(self._loop.legs))
 
-    def _safely(self, write: Callable[[], None]) -> None:
+    def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
         try:
             write()
         except Exception as error:  # noqa: BLE001 - the robot comes before its record
             self.fault = f"the record is not whole: {error}"
-            self.session = self._record = None
+            setattr(self, whose, None)

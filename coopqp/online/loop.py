@@ -33,6 +33,7 @@ from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
 from coopqp.online.leg import Leg
 from coopqp.online.legs import Legs
+from coopqp.online.played_again import text_of_begun
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
 from coopqp.online.stops import Stops
@@ -67,10 +68,9 @@ class OnlineLoop:
         patience: time without a usable measurement, or without a tick, after which the loop stops
             until :meth:`resume` [s].
         keep: how much of the past is kept in memory [s].
-        phases: "by_time": one follows the other as the scenario says; "asked": when
-            :meth:`next_phase` says.
+        phases: "by_time": as the scenario says; "asked": when :meth:`next_phase` says.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
-        record: makes a recording when a phase begins, such as an ``online.recording``'s.
+        record: makes a recording when the loop has begun.
 
     Attributes:
         command, status, note: of the last tick; the gravest, and what else is to be said of it.
@@ -136,6 +136,11 @@ class OnlineLoop:
     def scenario(self) -> Scenario:
         """As begun: its start is where the robot was."""
         return self._legs.scenario
+
+    @property
+    def source(self) -> str:
+        """Its text, with what the loop has changed; empty where it was made in Python."""
+        return text_of_begun(self.scenario, self._given, self.controller)
 
     @property
     def legs(self) -> tuple[Leg, ...]:
@@ -343,7 +348,7 @@ class OnlineLoop:
             self._stops.goes_on_again = False
             if self.at_rest:
                 self._legs.now.take_up(heard.copy(), observed=self._observed)
-                self._keeper.begin_again(self.state)
+                self._keeper.go_on()
         if self._observed:
             self.state.q_measured = self._nothing if heard is None else heard
         elif heard is not None:
@@ -352,7 +357,7 @@ class OnlineLoop:
             return
         self._built = self._legs.hand_over(heard.copy())
         if self._built and not self._legs.fault:
-            self._keeper.next_phase()
+            self._keeper.go_on()
         elif self._legs.fault:
             self.stop(self._legs.fault)
 

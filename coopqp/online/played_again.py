@@ -82,6 +82,19 @@ def scenario_text(
     return json.dumps(data, indent=2) + "\n"
 
 
+def text_of_begun(scenario: Scenario, given: Scenario, controller: str) -> str:
+    """The text of a scenario as begun, not fed; empty where it has none.
+
+    Args:
+        scenario: as begun.
+        given: as it was before.
+        controller: the law's name.
+    """
+    if not scenario.source:
+        return ""
+    return scenario_text(scenario, given, controller, (), {}, Path())
+
+
 def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
     """Where the object is, instead of where it is in the hands that hold it."""
     pose = scenario.held.pose

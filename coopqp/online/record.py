@@ -25,8 +25,13 @@ class Record(Protocol):
             also: further numbers.
         """
 
-    def begin(self, state: State) -> None:
-        """Say that the loop goes on from another state than the last tick's, as after a stop."""
+    def begin(self, state: State, since: float = 0.0) -> None:
+        """Say that the loop goes on from another state than the last tick's, as after a stop.
+
+        Args:
+            state: before its first tick.
+            since: when its own time began, as in a later phase [s].
+        """
 
     def close(self) -> None:
         """Write the rest and the end."""
