@@ -115,7 +115,7 @@ class _Run:
     ) -> None:
         self._loop, self._robot, self._inputs = loop, robot, inputs
         self._dt = loop.problem.dt
-        self._most = duration / self._dt
+        self._duration = duration
         self.fault: Exception | None = None
         self._flushed = self._collected = 0.0
 
@@ -137,13 +137,14 @@ class _Run:
     def until_the_end(self) -> None:
         """Tick after tick."""
         loop, due = self._loop, self._loop.now
+        until = due + self._duration
         while loop.running:
             q, given = self._ask(self._robot.read), self._ask(self._inputs)
             command = loop.tick(q, given)
             self._robot.write(loop.setpoint, command.v)
             if loop.stopped and loop.at_rest:
                 loop.end(loop.stopped)
-            elif loop.ticks >= self._most:
+            elif loop.now >= until:
                 loop.end("the time is up")
             due = max(due + self._dt, loop.now)
             self._use_what_is_left(due)
