@@ -7,7 +7,7 @@ a clock that does neither, so their age is what counts: sent = t - age.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from numbers import Real
 from typing import Any
 
@@ -26,14 +26,15 @@ class Arrivals:
 
     Args:
         inputs: of the phase.
+        names: of all inputs of the scenario; what no task of this phase follows is let pass.
         since: when the phase began, in the time of the whole session [s].
 
     Attributes:
         refused: what was wrong with the mapping of the last tick, a sentence each.
     """
 
-    def __init__(self, inputs: Inputs, since: float) -> None:
-        self._inputs, self._since = inputs, since
+    def __init__(self, inputs: Inputs, names: Collection[str], since: float) -> None:
+        self._inputs, self._names, self._since = inputs, names, since
         self._stamped: dict[str, float] = {}
         self._sent: dict[str, float] = {}
         self._strange: set[str] = set()
@@ -97,9 +98,10 @@ class Arrivals:
         return ""
 
     def _say_unknown(self, name: str) -> None:
-        if name not in self._strange and len(self._strange) < MOST_NAMES:
+        new = name not in self._strange and len(self._strange) < MOST_NAMES
+        if new and name not in self._names:
             self._strange.add(name)
-            self.refused.append(unknown_name("input", name, self._inputs.channels))
+            self.refused.append(unknown_name("input", name, self._names))
 
 
 def in_columns(kind: Kind, value: Any) -> Any:

@@ -113,7 +113,7 @@ def begin_leg(
         problem=problem,
         law=law,
         inputs=inputs,
-        arrivals=Arrivals(inputs, first * problem.dt),
+        arrivals=Arrivals(inputs, scenario.inputs, first * problem.dt),
         braking=Braking(problem),
         state=state,
     )

@@ -82,8 +82,7 @@ class OnlineLoop:
         patience, simulated: as given; simulated without a clock.
 
     Raises:
-        CoopqpError: the controller cannot be built for this scenario, or commands torques; the
-            folder holds a session already.
+        CoopqpError: the controller cannot be built for this scenario, or commands torques.
     """
 
     def __init__(
@@ -220,9 +219,10 @@ class OnlineLoop:
             q: measured, shape (n,), or that of the robot's own joints.
 
         Raises:
-            CoopqpError: q is no configuration, the object cannot be held so, or the session cannot
-                be written.
+            CoopqpError: q is none, the object cannot be held so, or nothing can be written.
         """
+        if self.begun:
+            raise InvalidValueError("the loop has begun; reset it first")
         wrong = self._readings.take(q, self._given.chain.q_start, self.now)
         if wrong:
             raise InvalidValueError(f"q: {self._readings.note or wrong.value}")

@@ -177,7 +177,11 @@ def test_what_is_no_rotation_is_refused_and_all_spellings_of_a_pose_are_one(tmp_
 
 
 def test_an_unknown_input_is_named_once(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path))
+    scenario = follows(tmp_path)
+    more = {**scenario.inputs, "of_another_phase": scenario.inputs["target"]}
+    loop, robot = simulated(replace(scenario, inputs=more))
+    go(loop, robot, 1, {"of_another_phase": NEAR, "target": NEAR})
+    assert loop.status is Status.OPTIMAL
     go(loop, robot, 1, {"taget": NEAR})
     assert Status.INPUT_REFUSED in loop.command.causes
     assert loop.note == "unknown input 'taget'; did you mean 'target'?"
