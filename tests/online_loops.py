@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ start:
   right: [0.7, -0.2, 1.2, 0.9, 0.1]
   left: [0.7, 0.2, -1.2, -0.9, -0.1]
 tasks:
-  - point_on_point: {name: follow, goal: {input: target}, gain: 10.0}
+  - point_on_point: {name: follow, goal: {input: target}, gain: 10.0, profile: {kind: step}}
 secondary:
   - joint_centering: {gain: 0.5}
 inputs:
@@ -33,11 +35,13 @@ duration: 3.0
 """
 
 
-def follows(folder: Path, plant: str = "kinematic", more: str = "") -> Scenario:
+@cache
+def follows(plant: str = "kinematic", more: str = "") -> Scenario:
     """NAO follows a point."""
-    path = folder / "follows.yaml"
-    path.write_text(FOLLOWS.replace("PLANT", plant) + more, encoding="utf-8")
-    return coopqp.load(path)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "follows.yaml"
+        path.write_text(FOLLOWS.replace("PLANT", plant) + more, encoding="utf-8")
+        return coopqp.load(path)
 
 
 class Told:

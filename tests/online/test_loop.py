@@ -46,8 +46,8 @@ def test_so_it_does_on_a_plant_with_masses_and_errors_that_is_measured() -> None
     np.testing.assert_array_equal(loop.history.last().measured, trace.measured)
 
 
-def test_kinematics_are_those_of_the_tick(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_kinematics_are_those_of_the_tick() -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 40, {"target": NEAR})
     here = loop.problem.chain.object_pose(loop.state.q)
     np.testing.assert_allclose(loop.state.p_WO, here.translation, atol=1e-14)
@@ -65,10 +65,8 @@ BAD = {
 
 @pytest.mark.parametrize("reference", ["commanded", "measured"])
 @pytest.mark.parametrize("case", BAD)
-def test_a_bad_measurement_brings_the_arms_to_rest(
-    tmp_path: Path, case: str, reference: Any
-) -> None:
-    loop, robot = simulated(follows(tmp_path), reference=reference)
+def test_a_bad_measurement_brings_the_arms_to_rest(case: str, reference: Any) -> None:
+    loop, robot = simulated(follows(), reference=reference)
     _, v = go(loop, robot, 60, {"target": NEAR})
     assert np.abs(v[-1]).max() > 0.1
     said, status, words = BAD[case]
@@ -88,13 +86,13 @@ def test_a_bad_measurement_brings_the_arms_to_rest(
     go(loop, robot, 1)
     assert loop.status is Status.STOPPED
     loop.resume()
-    _, v = go(loop, robot, 200, {"target": NEAR})
+    _, v = go(loop, robot, 150, {"target": NEAR})
     assert loop.status is Status.OPTIMAL
     np.testing.assert_allclose(loop.state.p_WO, NEAR, atol=2e-3)
 
 
-def test_one_missing_reading_is_no_stop(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_one_missing_reading_is_no_stop() -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 50, {"target": NEAR})
     robot.write(loop.setpoint, loop.tick(None).v)
     assert loop.status is Status.ROBOT_SILENT
@@ -145,8 +143,8 @@ INPUTS: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", INPUTS)
-def test_bad_inputs_are_refused_and_said(tmp_path: Path, case: str) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_bad_inputs_are_refused_and_said(case: str) -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 5, {"target": (NEAR, 0.0)})
     given, words = INPUTS[case]
     go(loop, robot, 1, {"target": given})
@@ -176,8 +174,8 @@ def test_what_is_no_rotation_is_refused_and_all_spellings_of_a_pose_are_one(tmp_
         np.testing.assert_allclose(value, numbers, atol=1e-15)
 
 
-def test_an_unknown_input_is_named_once(tmp_path: Path) -> None:
-    scenario = follows(tmp_path)
+def test_an_unknown_input_is_named_once() -> None:
+    scenario = follows()
     more = {**scenario.inputs, "of_another_phase": scenario.inputs["target"]}
     loop, robot = simulated(replace(scenario, inputs=more))
     go(loop, robot, 1, {"of_another_phase": NEAR, "target": NEAR})
@@ -191,8 +189,8 @@ def test_an_unknown_input_is_named_once(tmp_path: Path) -> None:
     assert "inputs: found a list" in loop.note
 
 
-def test_an_input_that_goes_stale_brings_the_arms_to_rest_and_says_so(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_an_input_that_goes_stale_brings_the_arms_to_rest_and_says_so() -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 40, {"target": NEAR})
     _, v = go(loop, robot, 150)
     assert loop.status is Status.INPUT_STALE
@@ -202,9 +200,9 @@ def test_an_input_that_goes_stale_brings_the_arms_to_rest_and_says_so(tmp_path: 
     assert np.linalg.norm(loop.state.p_WO - NEAR) > 5e-4  # it was not there yet
 
 
-def test_the_age_of_a_value_counts_and_not_the_loops_own_time(tmp_path: Path) -> None:
+def test_the_age_of_a_value_counts_and_not_the_loops_own_time() -> None:
     clock = Told()
-    loop, robot = simulated(follows(tmp_path), clock=clock)
+    loop, robot = simulated(follows(), clock=clock)
     for k in range(30):  # each tick comes a period late: the loop's time falls behind
         go(loop, robot, 1, {"target": (NEAR, clock.t - 0.001)})
         assert Status.INPUT_REFUSED not in loop.command.causes, k
@@ -214,9 +212,9 @@ def test_the_age_of_a_value_counts_and_not_the_loops_own_time(tmp_path: Path) ->
     assert Status.INPUT_REFUSED in loop.command.causes
 
 
-def test_a_loop_that_is_late_does_not_take_old_values_for_new(tmp_path: Path) -> None:
+def test_a_loop_that_is_late_does_not_take_old_values_for_new() -> None:
     clock = Told()
-    loop, robot = simulated(follows(tmp_path), clock=clock)
+    loop, robot = simulated(follows(), clock=clock)
     go(loop, robot, 1, {"target": NEAR})
     for _ in range(5):  # 0.05 s of the loop's time, 0.375 s by the clock
         clock.t += 0.075
@@ -225,9 +223,9 @@ def test_a_loop_that_is_late_does_not_take_old_values_for_new(tmp_path: Path) ->
     assert Status.LATE in loop.command.causes
 
 
-def test_late_ticks_are_counted_and_the_longest_named(tmp_path: Path) -> None:
+def test_late_ticks_are_counted_and_the_longest_named() -> None:
     clock = Told()
-    loop, robot = simulated(follows(tmp_path), clock=clock)
+    loop, robot = simulated(follows(), clock=clock)
     for k in range(40):
         go(loop, robot, 1, {"target": NEAR})
         assert (Status.LATE in loop.command.causes) == (k in (11, 31))
@@ -241,8 +239,8 @@ def test_late_ticks_are_counted_and_the_longest_named(tmp_path: Path) -> None:
     assert "no tick came for 1.01 s" in loop.stopped
 
 
-def test_it_stops_and_goes_on_from_where_the_robot_is_then(tmp_path: Path) -> None:
-    scenario = follows(tmp_path)
+def test_it_stops_and_goes_on_from_where_the_robot_is_then() -> None:
+    scenario = follows()
     loop = OnlineLoop(scenario, clock=None)
     robot = Scripted(scenario.chain.q_start)
     target = {"target": NEAR}
@@ -263,8 +261,8 @@ def test_it_stops_and_goes_on_from_where_the_robot_is_then(tmp_path: Path) -> No
     assert np.abs(loop.command.v).max() <= 0.01 * _accelerations(loop).max()
 
 
-def test_ending_is_for_good(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_ending_is_for_good() -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 50, {"target": NEAR})
     loop.end("done")
     assert loop.running
@@ -351,8 +349,8 @@ def test_controllers_that_command_torques_are_refused() -> None:
         OnlineLoop(coopqp.load("passive_grasp_pose"), "torque_qp")
 
 
-def test_the_history_is_bounded_and_in_order(tmp_path: Path) -> None:
-    loop, robot = simulated(follows(tmp_path), keep=0.2)
+def test_the_history_is_bounded_and_in_order() -> None:
+    loop, robot = simulated(follows(), keep=0.2)
     _, v = go(loop, robot, 50, {"target": NEAR})
     kept = loop.history.last()
     np.testing.assert_array_equal(kept.number, np.arange(30, 50))
@@ -368,8 +366,8 @@ RUBBISH: list[Any] = [
 
 
 @pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
-def test_nothing_is_raised_or_printed(tmp_path: Path, capfd: Any, rng: Any) -> None:
-    loop, robot = simulated(follows(tmp_path))
+def test_nothing_is_raised_or_printed(capfd: Any, rng: Any) -> None:
+    loop, robot = simulated(follows())
     go(loop, robot, 3)
     for _ in range(200):
         q = RUBBISH[rng.integers(len(RUBBISH))] if rng.random() < 0.3 else robot.read()

@@ -24,8 +24,8 @@ TARGET = {"target": [0.15, 0.01, 0.05]}
 
 
 @pytest.fixture
-def scenario(tmp_path: Path) -> Scenario:
-    return follows(tmp_path)
+def scenario() -> Scenario:
+    return follows()
 
 
 def _raise(error: Exception) -> Callable[[], Any]:

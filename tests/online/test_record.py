@@ -39,9 +39,9 @@ class Listens:
         self.closed += 1
 
 
-def test_every_tick_from_the_first_on_until_it_is_closed(tmp_path: Path) -> None:
+def test_every_tick_from_the_first_on_until_it_is_closed() -> None:
     heard = Listens()
-    loop, robot = simulated(follows(tmp_path), record=lambda loop: heard)
+    loop, robot = simulated(follows(), record=lambda loop: heard)
     loop.tick(None)  # not begun
     q, _ = go(loop, robot, 20, TARGET)
     loop.stop()
@@ -54,9 +54,9 @@ def test_every_tick_from_the_first_on_until_it_is_closed(tmp_path: Path) -> None
     assert heard.closed == 1
 
 
-def test_one_that_fails_is_let_go_and_said_at_the_end(tmp_path: Path) -> None:
+def test_one_that_fails_is_let_go_and_said_at_the_end() -> None:
     heard = Listens(fails=5)
-    loop, robot = simulated(follows(tmp_path), record=lambda loop: heard)
+    loop, robot = simulated(follows(), record=lambda loop: heard)
     _, v = go(loop, robot, 40, TARGET)
     assert v[-1].any()
     assert len(heard.q) == 5
@@ -79,7 +79,7 @@ def test_the_recording_of_arrow_pieces_takes_it(tmp_path: Path) -> None:
             source=loop.source,
         )
 
-    loop, robot = simulated(follows(tmp_path), record=record)
+    loop, robot = simulated(follows(), record=record)
     go(loop, robot, 30, TARGET)
     loop.close()
     assert path.stat().st_size > 1000
