@@ -18,12 +18,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
@@ -33,6 +32,7 @@ from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
 from coopqp.online.leg import Leg
 from coopqp.online.legs import Legs
+from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.played_again import text_of_begun
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
@@ -82,7 +82,7 @@ class OnlineLoop:
         patience, simulated: as given; simulated without a clock.
 
     Raises:
-        CoopqpError: the controller cannot be built for this scenario, or commands torques.
+        CoopqpError: an option is none; the controller cannot be built, or commands torques.
     """
 
     def __init__(
@@ -90,16 +90,20 @@ class OnlineLoop:
         scenario: Scenario,
         controller: str = "qp",
         *,
-        reference: Literal["commanded", "measured"] = "commanded",
-        grasp: Literal["as_held", "as_written"] = "as_held",
+        reference: Reference = "commanded",
+        grasp: HowHeld = "as_held",
         speed_up: float | None = SPEED_UP,
         clock: Clock | None = time.monotonic,
         patience: float = 0.25,
         keep: float = 30.0,
-        phases: Literal["by_time", "asked"] = "by_time",
+        phases: PhasesEnd = "by_time",
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
     ) -> None:
+        check_options(
+            {"reference": reference, "grasp": grasp, "phases": phases},
+            {"speed_up": speed_up, "patience": patience, "keep": keep},
+        )
         self._chosen = controller_of(scenario, controller)
         if self._chosen.commands_torques:
             words = "commands torques; the loop for robots commands velocities and positions"
@@ -170,11 +174,6 @@ class OnlineLoop:
     def now(self) -> float:
         """By the loop's clock [s]."""
         return self._clock() if self._clock else self.ticks * self._given.dt
-
-    @property
-    def measured(self) -> Array:
-        """The last configuration that was believed, shape (n,); NaN before the first."""
-        return self._readings.q
 
     @property
     def at_rest(self) -> bool:

@@ -323,7 +323,7 @@ def test_passive_joints_need_not_be_measured() -> None:
     own = np.setdiff1d(np.arange(chain.n), chain.passive)
     loop.tick(chain.q_start[own])
     assert loop.status is Status.OPTIMAL
-    np.testing.assert_array_equal(loop.measured, chain.q_start)
+    np.testing.assert_array_equal(loop.history.last().measured[0], chain.q_start)
 
 
 @needs_robots
@@ -342,6 +342,17 @@ def test_phases_wait_to_be_asked() -> None:
     loop.resume()
     go(loop, robot, 2)
     assert loop.phase is scenario.schedule[2]
+
+
+def test_what_cannot_be_asked_for_is_refused_at_once() -> None:
+    bad: dict[str, Any] = {"reference": "mesured", "patience": 0.0, "keep": np.inf}
+    with pytest.raises(InvalidValueError) as refused:
+        OnlineLoop(follows(), **bad)
+    assert str(refused.value).splitlines() == [
+        "reference: unknown choice 'mesured'; did you mean 'measured'?",
+        "patience: found 0.0 s; needs a finite time, more than 0",
+        "keep: found inf s; needs a finite time, more than 0",
+    ]
 
 
 def test_controllers_that_command_torques_are_refused() -> None:
