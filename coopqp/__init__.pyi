@@ -38,6 +38,8 @@ from coopqp.mark import SolidMark as SolidMark
 from coopqp.mark import SphereMark as SphereMark
 from coopqp.mark import TrackedMark as TrackedMark
 from coopqp.metric import Metric as Metric
+from coopqp.online.loop import OnlineLoop as OnlineLoop
+from coopqp.online.real_time import real_time as real_time
 from coopqp.plant import Plant as Plant
 from coopqp.plant import PlantModel as PlantModel
 from coopqp.profile import Profile as Profile

@@ -27,6 +27,7 @@ class Comparison:
         verdicts: one sentence each, by controller.
         refused: why a controller could not be run, by controller.
         faults: what metrics raised, one sentence each.
+        notes: what of the robot the limits do not bound, one sentence each.
     """
 
     scenario: Scenario
@@ -35,6 +36,7 @@ class Comparison:
     verdicts: Mapping[str, str]
     refused: Mapping[str, str] = field(default_factory=dict)
     faults: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
     def __str__(self) -> str:
         said = {**self.verdicts, **{name: f"left out: {why}" for name, why in self.refused.items()}}
@@ -48,6 +50,7 @@ class Comparison:
             "dt": self.scenario.dt,
             "controllers": {name: dict(values) for name, values in self.metrics.items()},
             **({"refused": dict(self.refused)} if self.refused else {}),
+            **({"notes": list(self.notes)} if self.notes else {}),
         }
 
 
@@ -97,8 +100,17 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
         name: {key: _measured(key, entry.cls(), trace, faults) for key, entry in entries.items()}
         for name, trace in traces.items()
     }
-    verdicts = {name: verdict(trace, metrics[name]) for name, trace in traces.items()}
-    return Comparison(scenario, traces, metrics, verdicts, faults=tuple(dict.fromkeys(faults)))
+    chain, limits = scenario.chain, scenario.limits
+    unseen = [line for limit in limits for line in limit.unseen(chain)]
+    verdicts = {name: verdict(trace, metrics[name], unseen) for name, trace in traces.items()}
+    return Comparison(
+        scenario,
+        traces,
+        metrics,
+        verdicts,
+        faults=tuple(dict.fromkeys(faults)),
+        notes=tuple(line for limit in limits for line in limit.notes(chain)),
+    )
 
 
 def _measured(name: str, metric: Metric, trace: Trace, faults: list[str]) -> Any:

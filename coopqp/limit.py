@@ -150,9 +150,16 @@ class Limit(ABC):
         """
         return ()
 
-    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
-        """What of the chain it cannot or does not bound, one sentence each; nothing by default."""
+    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What of the chain it ought to bound and cannot, one sentence each; nothing by default.
+
+        No verdict says of a run that it keeps every limit without saying this.
+        """
         return ()
+
+    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+        """What of the chain it cannot or does not bound, one sentence each."""
+        return self.unseen(chain)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """What pictures show of it: where it is; nothing by default.

@@ -93,6 +93,8 @@ class RobotModel:
             :class:`coopqp.limits.SelfCollision`.
         collision_shapes: the same from a robot's file, where it gives no capsules; a mesh counts
             as its convex hull.
+        unseen: what of a file's collision geometry could not be had, one sentence each, which
+            begins with the link's name.
         warnings: what was left out when the robot was read, one sentence each.
     """
 
@@ -102,6 +104,7 @@ class RobotModel:
     shapes: tuple[Shape, ...] = ()
     capsules: tuple[Capsule, ...] = ()
     collision_shapes: tuple[Shape, ...] = ()
+    unseen: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,10 +32,16 @@ SINGULAR = 0.02
 MOST_NAMES = 3
 
 
-def verdict(trace: Trace, metrics: Mapping[str, Any]) -> str:
-    """Say in one sentence whether it gets there, keeps the limits and the loop closed."""
+def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
+    """Say in one sentence whether it gets there, keeps the limits and the loop closed.
+
+    Args:
+        trace: of the run.
+        metrics: of the trace, by name.
+        unseen: what the limits ought to bound and cannot, one sentence each.
+    """
     parts = [
-        *_broken(trace), _arrival(trace), _limits(trace), _speed(trace), _loop(metrics),
+        *_broken(trace), _arrival(trace), _limits(trace, unseen), _speed(trace), _loop(metrics),
         _gap(metrics), _motors(trace), _ticks(trace, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
@@ -73,7 +79,7 @@ def _where(trace: Trace, k: int) -> str:
     return f", with {_listed(names[:MOST_NAMES])}{more} at the limit"
 
 
-def _limits(trace: Trace) -> str:
+def _limits(trace: Trace, unseen: Sequence[str]) -> str:
     if trace.broke_down:
         return ""
     others = "; ".join(_beyond(overrun) for overrun in broken(trace))
@@ -81,7 +87,7 @@ def _limits(trace: Trace) -> str:
     worst = int(beyond.max(axis=0).argmax())
     farthest, at_start = float(beyond[:, worst].max()), float(beyond[0, worst])
     if not matters(farthest, trace.units[worst]):
-        return others or f"keeps {_kept(trace)}"
+        return others or f"keeps {_kept(trace, unseen)}"
     if farthest <= at_start + ROUNDING:
         joints = _way_back(trace, beyond.max(axis=1), worst)
     else:
@@ -90,9 +96,13 @@ def _limits(trace: Trace) -> str:
     return f"{joints}; {others}" if others else joints
 
 
-def _kept(trace: Trace) -> str:
+def _kept(trace: Trace, unseen: Sequence[str]) -> str:
     """What is kept, where nothing was broken."""
     others = any(not row.joint for row in trace.margins)
+    if others and unseen:
+        told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
+        others_too = f" and {len(more)} more, see the notes" if more else ""
+        return f"every limit as far as it is watched: {told}{others_too}"
     return "every limit" if others else "every joint inside its limits"
 
 

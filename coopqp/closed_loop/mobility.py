@@ -27,8 +27,11 @@ from coopqp.rank import matrix_rank, null_space
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000
 
-#: Singular values of an object motion below this share of the largest count as none.
-MOTION_TOLERANCE = 1e-7
+#: Motions of the object, and of tasks, below this count as none [m or rad for a unit of joint
+#: motion]: starts are typed with four digits, and files round pi.
+MOTION_TOLERANCE = 1e-5
+#: Motions below this are weak: the joints turn fast, and the object hardly moves.
+WEAK = 0.02
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,13 @@ class TaskMobility:
         name: of the task.
         rows: its dimension.
         rank: how many of its rows can be chosen freely at the start.
+        weakest: least singular value of these [m or rad for a unit of joint motion].
     """
 
     name: str
     rows: int
     rank: int
+    weakest: float
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ class Mobility:
         impossible: object motions that the grasp forbids at the start.
         uncontrolled: object motions that no motor decides, at the start.
         tasks: each task by itself.
-        tasks_rows, tasks_rank: rows of all tasks together, and how many can be met together.
+        tasks_rows, tasks_rank, tasks_weakest: of all tasks together.
         schemes_total: number of choices of f among the actuated joints.
         schemes: those that were tried, best first; all when ``schemes_complete``.
         schemes_complete: whether all were tried.
@@ -105,6 +110,7 @@ class Mobility:
     tasks: tuple[TaskMobility, ...]
     tasks_rows: int
     tasks_rank: int
+    tasks_weakest: float
     schemes_total: int
     schemes: tuple[Scheme, ...]
     schemes_complete: bool
@@ -176,7 +182,8 @@ def mobility(
     regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
     schemes, complete, total = _schemes(chain, active, regular, start, chain.n - rank)
     asked_index = scheme(chain, asked) if asked is not None else None
-    J_tasks = [J for _, J in task_rows]
+    tasks = [_of_task(name, J, start) for name, J in task_rows]
+    together = _of_task("", np.vstack([np.zeros((0, chain.n)), *(J for _, J in task_rows)]), start)
     return Mobility(
         joints=chain.joint_names,
         passive=tuple(chain.joint_names[i] for i in chain.passive),
@@ -192,9 +199,10 @@ def mobility(
         motor_freedom_start=_motor_rank(start, active),
         impossible=_screws(_impossible(start.J_o @ start.N), chain),
         uncontrolled=_screws(_uncontrolled(start, active), chain),
-        tasks=tuple(TaskMobility(name, len(J), _motion_rank(J @ start.N)) for name, J in task_rows),
-        tasks_rows=sum(len(J) for J in J_tasks),
-        tasks_rank=_motion_rank(np.vstack(J_tasks) @ start.N) if J_tasks else 0,
+        tasks=tuple(tasks),
+        tasks_rows=together.rows,
+        tasks_rank=together.rank,
+        tasks_weakest=together.weakest,
         schemes_total=total,
         schemes=schemes,
         schemes_complete=complete,
@@ -221,11 +229,16 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
     return _Pose(J_c, J_o, null_space(J_c))
 
 
+def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
+    """Of its Jacobian, shape (k, n)."""
+    values = np.linalg.svd(J @ start.N, compute_uv=False)
+    possible = values[values > MOTION_TOLERANCE]
+    return TaskMobility(name, len(J), len(possible), float(possible.min(initial=np.inf)))
+
+
 def _scaled(twists: Array) -> Array:
     """Rotations weighed as lengths, so that one tolerance serves all six rows."""
-    scaled = np.array(twists, float)
-    if len(scaled) == 6:
-        scaled[3:] *= LENGTH
+    scaled: Array = twists * np.array([[1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH]]).T
     return scaled
 
 
@@ -360,12 +373,16 @@ def _sentences(m: Mobility) -> list[str]:
 
 def _about_tasks(m: Mobility) -> str:
     names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
+    said = f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
     if m.tasks_rank == m.tasks_rows:
-        return (
-            f"The tasks {names} can all be met: {m.tasks_rows} rows, "
-            f"{m.freedom_start - m.tasks_rows} degrees of freedom left."
+        left = f"{m.freedom_start - m.tasks_rows} degrees of freedom left"
+        said = f"The tasks {names} can all be met: {m.tasks_rows} rows, {left}."
+    if m.tasks_weakest < WEAK:
+        said += (
+            f" One direction is weak: a unit of joint motion brings about {m.tasks_weakest:.2g} "
+            "(m or rad) of it, so a goal far that way is hardly reached."
         )
-    return f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
+    return said
 
 
 def _about_scheme(s: Scheme) -> str:

@@ -11,6 +11,11 @@ from coopqp.checked import Array
 
 #: A rotation of 1 rad counts as much as a translation of this many metres.
 LENGTH = 0.1
+#: A screw that turns the object by less than this, for a translation of as much, is nearly a
+#: translation; its axis is more than half a metre away.
+LITTLE = 0.2
+#: What people who stand behind the robot call its axes, and how near to one a direction must be.
+PEOPLE, NEARLY = {"x": "forward (x)", "y": "sideways (y)", "z": "up (z)"}, 0.99
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,21 @@ class Screw:
     pitch: float
 
     def words(self) -> str:
-        """Such as "rotation about the left axis (y)"."""
-        direction = _direction_in_words(np.array(self.axis))
+        """Such as "rotation about y through (0.300, 0.000, 0.200) m"."""
+        direction = _in_words(np.array(self.axis))
         if math.isinf(self.pitch):
             return f"translation along {direction}"
-        at = "({:.3f}, {:.3f}, {:.3f}) m".format(*self.point)
+        v, turn = np.array(self.twist[:3]), float(np.linalg.norm(self.twist[3:]))
+        far = float(np.linalg.norm(v))
+        if turn * LENGTH < LITTLE * far:
+            way = _in_words(v / far, NEARLY)
+            angle = np.degrees(turn / far * LENGTH)
+            return (
+                f"{PEOPLE.get(way, f'translation along {way}')}, with a little turning about "
+                f"{_in_words(np.array(self.axis), NEARLY)} ({angle:.2g} degrees per "
+                f"{1e3 * LENGTH:.0f} mm)"
+            )
+        at = f"{_numbers(np.array(self.point))} m"
         if abs(self.pitch) < 1e-3 * LENGTH:
             return f"rotation about {direction} through {at}"
         return f"screw about {direction} through {at}, {1e3 * self.pitch:.1f} mm per radian"
@@ -52,11 +67,16 @@ def screw_of(twist: Array, origin: Array) -> Screw:
     return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
 
 
-def _direction_in_words(axis: Array) -> str:
+def _in_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
+    """The axis that it goes along, if its part along it is at least so large, or its numbers."""
     for i, name in enumerate(("x", "y", "z")):
-        if abs(abs(axis[i]) - 1.0) < 1e-6:
+        if abs(direction[i]) >= least:
             return name
-    return "({:.3f}, {:.3f}, {:.3f})".format(*axis)
+    return _numbers(direction)
+
+
+def _numbers(values: Array) -> str:
+    return "({:.3f}, {:.3f}, {:.3f})".format(*(np.round(values, 3) + 0.0))
 
 
 def _tuple(values: Array) -> tuple[float, ...]:

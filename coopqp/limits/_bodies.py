@@ -49,7 +49,7 @@ def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[
         Body(c.name, model.getJointId(c.joint) if c.joint else 0, of_capsule(c))
         for c in robot.capsules
     ]
-    faults: list[str] = []
+    faults = [*robot.unseen]
     for link in dict.fromkeys(shape.frame for shape in robot.collision_shapes):
         frame = model.frames[model.getFrameId(link)]
         shapes = [
@@ -104,6 +104,16 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
             "use a file with it, or add capsules to RobotModel.capsules"
         )
     return [*bodies, held_body(chain)], faults
+
+
+def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
+    """What of the robot a limit does not watch, one sentence each.
+
+    Args:
+        kind: of limit.
+        chain: what is limited.
+    """
+    return tuple(f"{kind} does not see {fault}" for fault in bodies_of(chain)[1])
 
 
 def named_bodies(where: str, name: str, bodies: Sequence[Body]) -> list[Body]:

@@ -23,7 +23,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit, RoomLeft, Tighten
-from coopqp.limits._bodies import bodies_of, named_bodies
+from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
@@ -133,9 +133,9 @@ class Obstacles(Limit):
             for body, thing, depth in inside(chain, self._pairs(chain))
         )
 
-    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies."""
-        return tuple(f"obstacles does not see {fault}" for fault in bodies_of(chain)[1])
+        return unseen("obstacles", chain)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The things."""

@@ -21,7 +21,13 @@ from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit, RoomLeft, Tighten
-from coopqp.limits._bodies import bodies_of, by_construction, named_bodies, pairs_that_can_meet
+from coopqp.limits._bodies import (
+    bodies_of,
+    by_construction,
+    named_bodies,
+    pairs_that_can_meet,
+    unseen,
+)
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
 from coopqp.row import Row
@@ -92,10 +98,13 @@ class SelfCollision(Limit):
             f"always are, add 'ignore: [{pairs}]'",
         )
 
+    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Parts of the robot that are no bodies."""
+        return unseen("self_collision", chain)
+
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
-        _, faults = bodies_of(chain)
-        found = [f"self_collision does not see {fault}" for fault in faults]
+        found = [*self.unseen(chain)]
         joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")

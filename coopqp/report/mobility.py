@@ -19,7 +19,7 @@ from rich.text import Text
 
 from coopqp import __version__
 from coopqp.checked import Array
-from coopqp.closed_loop.mobility import Mobility, Scheme, manipulability, mobility
+from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
 from coopqp.controller_run import run
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.report.strict_json import finite
@@ -150,16 +150,22 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     ]
     lines += [("redundant loop row", name, "") for name in m.dropped]
     lines += [
-        (f"task '{task.name}', {task.rows} rows", "", f"{task.rank} free") for task in m.tasks
+        (f"task '{task.name}', {task.rows} rows", "", _free(task.rank, task.weakest))
+        for task in m.tasks
     ]
     if len(m.tasks) > 1:
-        lines.append((f"all tasks, {m.tasks_rows} rows", "", f"{m.tasks_rank} free"))
+        free = _free(m.tasks_rank, m.tasks_weakest)
+        lines.append((f"all tasks, {m.tasks_rows} rows", "", free))
     lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
     if len(result.manipulability):
         low, high = result.manipulability.min(), result.manipulability.max()
         lines.append(("manipulability on the way", "", f"{low:.3g} to {high:.3g}"))
     return lines
+
+
+def _free(rank: int, weakest: float) -> str:
+    return f"{rank} free" + (f", one weakly ({weakest:.2g})" if weakest < WEAK else "")
 
 
 def schemes(result: Study) -> list[tuple[str, str, str]]:

@@ -43,6 +43,7 @@ def render(comparison: Comparison) -> str:
         version=text(__version__),
         facts=_facts(comparison),
         summary=_summary(comparison, looks),
+        notes=_notes(comparison),
         how=_how(comparison),
         legend=_legend(looks),
         columns=PANES_A_ROW.get(len(looks), 3),
@@ -96,6 +97,11 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
         f'<th scope="col" class="verdict">Verdict</th>{heads}</tr></thead>'
         f"<tbody>{rows}</tbody></table>"
     )
+
+
+def _notes(comparison: Comparison) -> str:
+    """What of the robot the limits do not bound."""
+    return "".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes)
 
 
 def _row(comparison: Comparison, name: str, style: Style) -> str:

@@ -7,15 +7,16 @@ one, that there are as many as needed, and that a body can have it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.errors import InvalidValueError
 from coopqp.inertia import inertia_matrix
+from coopqp.robot_files.schema import nearest
 from coopqp.robot_files.xml import place_of
 
 #: Largest size of a number of each kind; what is beyond it nobody has built.
@@ -93,15 +94,24 @@ def negative_moment(element: Element, moments: Iterable[str | None]) -> str:
     return f"{place_of(element)}: a principal moment is {least:.3g} kg m2; no body has that"
 
 
-def check_word(element: Element, key: str, known: Iterable[str], kind: str) -> None:
+def check_word(
+    element: Element, key: str, known: Collection[str], otherwise: Mapping[str, str]
+) -> None:
     """Refuse a word that is none of those an attribute may have.
+
+    Args:
+        element: whose attribute.
+        key: its name.
+        known: the words.
+        otherwise: words of other formats, and what this one has for them.
 
     Raises:
         InvalidValueError: names the nearest.
     """
     word = element.get(key)
-    if word is not None and word not in set(known):
-        raise InvalidValueError(f"{place_of(element)} {key}: {unknown_name(kind, word, known)}")
+    if word is not None and word not in known:
+        words = nearest(key, word, known, otherwise)
+        raise InvalidValueError(f"{place_of(element)} {key}: {words}")
 
 
 def check_names(elements: Iterable[Element], kind: str) -> None:

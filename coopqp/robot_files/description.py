@@ -32,7 +32,7 @@ class Description:
         followers: joints that follow others (mimic), by name.
         floating: joints that the model leaves out because they are free in space, each with the
             frames that they would move.
-        shapes, collision_shapes, warnings: as in :class:`coopqp.robot.RobotModel`.
+        shapes, collision_shapes, unseen, warnings: as in :class:`coopqp.robot.RobotModel`.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Description:
     floating: Mapping[str, frozenset[str]] = field(default_factory=dict)
     shapes: tuple[Shape, ...] = ()
     collision_shapes: tuple[Shape, ...] = ()
+    unseen: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property

@@ -3,8 +3,8 @@
 pinocchio reads MJCF, but of several bodies in the world only the first, of several joints in a
 body one composite, of bodies without a name nothing, and a slide's range as degrees. So it is
 handed a plain copy of the file: includes filled in, every body and joint named, one body round the
-whole world, one joint to a body, keyframes left out, bodies that are free in space fixed. A body
-with several joints keeps its name for the last of them.
+whole world and one round each of its geoms, one joint to a body, keyframes left out, bodies that
+are free in space fixed. A body with several joints keeps its name for the last of them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +21,9 @@ import pinocchio as pin
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
-from coopqp.robot_files.shapes import read_collision_shapes, read_shapes
+from coopqp.robot_files.mjcf_defaults import all_given
+from coopqp.robot_files.mjcf_geoms import without_unread
+from coopqp.robot_files.shapes import hidden, read_collision_shapes, read_shapes
 from coopqp.robot_files.xml import (
     DEEPEST,
     MOST_ELEMENTS,
@@ -52,6 +53,7 @@ def read_mjcf(path: Path) -> Description:
         raise InvalidValueError(f"{path}: is not a robot: has no <body>")
     folder = _absolute_folders(xml, path.resolve().parent)
     floating = _prepare(xml)
+    unseen = without_unread(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
@@ -59,14 +61,16 @@ def read_mjcf(path: Path) -> Description:
             f"{path}: is not a robot that can be read: {pinocchio_says(error)}"
         ) from None
     shapes, warnings = read_shapes(xml, model, folder, path.name)
+    collide, lost = read_collision_shapes(xml, model, folder)
     return Description(
         name=xml.get("model") or path.stem,
         model=model,
         followers=followers,
         floating=floating,
         shapes=shapes,
-        collision_shapes=read_collision_shapes(xml, model, folder),
-        warnings=warnings,
+        collision_shapes=collide,
+        unseen=(*unseen, *lost),
+        warnings=(*warnings, *hidden(collide, shapes, path.name)),
     )
 
 
@@ -90,28 +94,11 @@ def _parsed(xml: ET.Element) -> pin.Model:
 
 def _unlimited(xml: ET.Element) -> list[str]:
     """Joints whose range does not count: ``limited="false"``, their own or their class's."""
-    by_class: dict[str | None, str] = {}
-
-    def read(default: ET.Element, name: str | None, inherited: str) -> None:
-        joint = default.find("joint")
-        by_class[name] = inherited if joint is None else joint.get("limited", inherited)
-        for child in default.findall("default"):
-            read(child, child.get("class"), by_class[name])
-
-    for default in xml.findall("default"):
-        read(default, None, "auto")  # the class of all that name none
-        by_class[default.get("class", "main")] = by_class[None]
-
-    def search(body: ET.Element, childclass: str | None) -> Iterator[str]:
-        childclass = body.get("childclass", childclass)
-        for joint in body.findall("joint"):
-            otherwise = by_class.get(joint.get("class", childclass), "auto")
-            if joint.get("limited", otherwise) == "false":
-                yield joint.get("name", "")
-        for inner in body.findall("body"):
-            yield from search(inner, childclass)
-
-    return [name for body in xml.findall("worldbody/body") for name in search(body, None)]
+    return [
+        joint.element.get("name", "")
+        for joint in all_given(xml, "joint")
+        if joint.attributes.get("limited") == "false"
+    ]
 
 
 @cache
@@ -204,6 +191,7 @@ def _prepare(xml: ET.Element) -> dict[str, frozenset[str]]:
     world = xml.find("worldbody")
     assert world is not None  # it has bodies
     _name_all(world)
+    _bodies_of_geoms(world)
     floating = _without_floating(world)
     for parent in reversed(list(world.iter())):  # inside before outside
         for i, body in enumerate(list(parent)):
@@ -221,6 +209,18 @@ def _name_all(world: ET.Element) -> None:
         body.set("name", body.get("name") or f"body_{i + 1}")
         for k, joint in enumerate(_joints(body)):
             joint.set("name", joint.get("name") or f"{body.get('name')}_joint_{k + 1}")
+
+
+def _bodies_of_geoms(world: ET.Element) -> None:
+    """Put each geom of the world into a body with its name, so that limits can name it."""
+    taken = {element.get("name") for element in world.iter() if element not in list(world)}
+    taken |= {child.get("name") for child in world if child.tag != "geom"}
+    for i, geom in enumerate(list(world)):
+        if geom.tag == "geom":
+            name = geom.get("name") or f"geom_{i + 1}"
+            body = ET.Element("body", {"name": f"{WORLD}{name}" if name in taken else name})
+            body.append(geom)
+            world[i] = body
 
 
 def _joints(body: ET.Element) -> list[ET.Element]:

@@ -1,4 +1,4 @@
-"""What the attributes of a MuJoCo file must hold."""
+"""What a MuJoCo file may have, and what its attributes must hold."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from coopqp.robot_files.attributes import (
     check_word,
     negative_moment,
 )
+from coopqp.robot_files.mjcf_geoms import KINDS, check_geoms, check_ranges
+from coopqp.robot_files.mjcf_schema import KNOWN, OTHERWISE
+from coopqp.robot_files.schema import check_known
 from coopqp.robot_files.xml import numbers_of, place_of
 
 _ONE, _NOT_NEGATIVE = Numbers(1, 1), Numbers(1, 1, positive=True)
@@ -63,6 +66,7 @@ NUMBERS: dict[str, dict[str, Numbers]] = {
 }
 WORDS = {
     ("joint", "type"): ("free", "ball", "slide", "hinge"),
+    ("geom", "type"): KINDS,
     ("joint", "limited"): ("true", "false", "auto"),
     ("compiler", "angle"): ("degree", "radian"),
     ("compiler", "coordinate"): ("local",),
@@ -70,6 +74,14 @@ WORDS = {
 }
 #: Elements whose names are theirs alone among their like.
 NAMED = ("body", "joint", "site", "geom")
+#: What MuJoCo makes bodies and geoms of, and we do not.
+NOT_READ = {
+    "frame": "make it a <body> at the same place, which moves alike",
+    "replicate": "write out what it repeats",
+    "attach": "write out what it attaches, or include it",
+    "composite": "take it out",
+    "flexcomp": "take it out",
+}
 
 
 def check(xml: ET.Element) -> None:
@@ -81,21 +93,31 @@ def check(xml: ET.Element) -> None:
     Raises:
         InvalidValueError: with file and line.
     """
+    check_known(xml, "mujoco", KNOWN, OTHERWISE)
     for element in xml.iter():
-        check_numbers(element, NUMBERS.get(element.tag, {}))
-        for (tag, key), known in WORDS.items():
-            if element.tag == tag:
-                check_word(element, key, known, key)
-        full = element.get("fullinertia")
-        if full and element.tag == "inertial":
-            xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
-            if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
-                raise InvalidValueError(wrong)
+        _check_one(element)
     world = xml.find("worldbody")
     if world is not None:
         for tag in NAMED:
             check_names(world.iter(tag), tag)
         _check_classes(xml, world)
+        _check_ties(xml, world)
+    check_geoms(xml)
+    check_ranges(xml)
+
+
+def _check_one(element: ET.Element) -> None:
+    check_numbers(element, NUMBERS.get(element.tag, {}))
+    for (tag, key), known in WORDS.items():
+        if element.tag == tag:
+            check_word(element, key, known, OTHERWISE)
+    if element.tag in NOT_READ:
+        raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
+    full = element.get("fullinertia")
+    if full and element.tag == "inertial":
+        xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
+        if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
+            raise InvalidValueError(wrong)
 
 
 def _check_classes(xml: ET.Element, world: ET.Element) -> None:
@@ -107,6 +129,17 @@ def _check_classes(xml: ET.Element, world: ET.Element) -> None:
             if name is not None and name not in known:
                 words = unknown_name("class", name, known)
                 raise InvalidValueError(f"{place_of(element)} {key}: {words}")
+
+
+def _check_ties(xml: ET.Element, world: ET.Element) -> None:
+    """Refuse equalities of joints that are not there."""
+    joints = [joint.get("name", "") for joint in world.iter("joint")]
+    for tie in xml.findall("equality/joint"):
+        for key in ("joint1", "joint2"):
+            name = tie.get(key)
+            if name is not None and name not in joints:
+                words = unknown_name("joint", name, joints)
+                raise InvalidValueError(f"{place_of(tie)} {key}: {words}")
 
 
 def _classes(xml: ET.Element) -> Iterator[str]:

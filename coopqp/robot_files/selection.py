@@ -64,6 +64,7 @@ def robot_model(
         arms=tuple(Arm(name=name, tip=arm.tip) for name, arm in arms.items()),
         shapes=description.shapes,
         collision_shapes=description.collision_shapes,
+        unseen=description.unseen,
         warnings=tuple(warnings),
     )
     _check_arms(robot)

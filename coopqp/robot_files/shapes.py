@@ -62,8 +62,12 @@ def read_shapes(
     return tuple(s for s in shapes if s and _is_there(s)), warnings
 
 
-def read_collision_shapes(xml: ET.Element, model: pin.Model, folder: Path) -> tuple[Shape, ...]:
-    """What must not hit others; a mesh whose file is not there stays in it, to be told of.
+def read_collision_shapes(
+    xml: ET.Element, model: pin.Model, folder: Path
+) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """What must not hit others, and what cannot be had of it, a sentence each.
+
+    A mesh whose file is not there stays a shape, to be told of.
 
     Args:
         xml: as pinocchio reads it.
@@ -73,10 +77,30 @@ def read_collision_shapes(xml: ET.Element, model: pin.Model, folder: Path) -> tu
     files = [folder / mesh.get("file", "") for mesh in xml.findall(MESH_FILES)]
     try:
         geoms = _placed(xml, model, pin.GeometryType.COLLISION)
-    except (ValueError, RuntimeError):
-        return ()  # what is wrong is told of the looks
+    except (ValueError, RuntimeError) as error:
+        return (), (f"all bodies: {pinocchio_says(error)}",)
     shapes = [_shape(geom, model.frames[geom.parentFrame], files) for geom in geoms]
-    return tuple(shape for shape in shapes if shape)
+    return tuple(shape for shape in shapes if shape), ()
+
+
+def hidden(collide: Sequence[Shape], drawn: Sequence[Shape], source: str) -> tuple[str, ...]:
+    """The warning about bodies all of whose geoms are of groups that are not drawn, if any are.
+
+    Args:
+        collide: what must not hit others.
+        drawn: what the bodies look like.
+        source: name of the file.
+    """
+    seen = {shape.frame for shape in drawn}
+    frames = dict.fromkeys(shape.frame for shape in collide if _is_there(shape))
+    names = [frame for frame in frames if frame not in seen]
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    return (
+        f"{source}: {len(names)} bodies are not drawn as they are, since all their geoms are of "
+        f"groups above 2 ({shown})",
+    )
 
 
 def _is_there(shape: Shape) -> bool:

@@ -17,6 +17,7 @@ from coopqp.errors import InvalidValueError
 from coopqp.robot import Shape
 from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
+from coopqp.robot_files.urdf_schema import check_schema
 from coopqp.robot_files.xml import missing_meshes, numbers_of, pinocchio_says, read_xml
 
 
@@ -45,13 +46,15 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         why = "; ".join(heard) or pinocchio_says(error)
         raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
     shapes, missing = _urdf_shapes(xml, path, package_dirs)
+    collide, unseen = _collision_shapes(xml, path, package_dirs)
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
         name=xml.get("name") or path.stem,
         model=model,
         followers=dict(_mimics(xml)),
         shapes=shapes,
-        collision_shapes=_collision_shapes(xml, path, package_dirs),
+        collision_shapes=collide,
+        unseen=unseen,
         warnings=(
             *impossible,
             *(f"{path.name}: {line}" for line in heard),
@@ -62,8 +65,8 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
 
 _ONE, _THREE = Numbers(1, 1), Numbers(3, 3)
 _LENGTH, _LIMIT = Numbers(1, 1, "length", positive=True), Numbers(1, 1, "limit")
-#: How many numbers the size of each geometry has.
-COUNTS = {"mesh": 3, "box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
+#: Geometries that are read.
+SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _ROUND = {"radius": _LENGTH, "length": _LENGTH}
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: The attributes of links and joints that hold numbers, by element.
@@ -99,7 +102,7 @@ def _check(xml: ET.Element) -> list[str]:
                 check_numbers(element, {"xyz": Numbers(3, 3, direction=True)})
             if element.tag == "inertia":
                 warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
-    return [line for line in warnings if line]
+    return [*(line for line in warnings if line), *check_schema(xml)]
 
 
 @contextmanager
@@ -151,25 +154,27 @@ def _urdf_shapes(
 
 def _collision_shapes(
     xml: ET.Element, path: Path, package_dirs: Sequence[Path]
-) -> tuple[Shape, ...]:
-    """What must not hit others; a mesh that cannot be found keeps its address, to be told of."""
-    shapes = []
+) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """What must not hit others, and what cannot be had of it, a sentence each."""
+    shapes, unseen = [], []
     for frame, place, part in _parts(xml, "collision"):
-        mesh = None
-        if part.tag == "mesh":
-            uri = part.get("filename", "")
-            mesh = find_mesh(uri, path, package_dirs) or Path(uri)
-        shapes += _shape(frame, place, part, mesh)
-    return tuple(shapes)
+        uri, mesh = part.get("filename", ""), None
+        if part.tag not in SHAPES:
+            unseen.append(f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}")
+        elif part.tag == "mesh" and (mesh := find_mesh(uri, path, package_dirs)) is None:
+            where = "; see package_dirs" if uri.startswith("package:") else ""
+            unseen.append(f"{frame}: mesh {uri}: there is no such file{where}")
+        else:
+            shapes += _shape(frame, place, part, mesh)
+    return tuple(shapes), tuple(unseen)
 
 
 def _shape(frame: str, place: pin.SE3, part: ET.Element, mesh: Path | None) -> list[Shape]:
-    """One, or none where the file does not say what it is or how large."""
-    size, kind = _urdf_size(part), part.tag
-    if len(size) != COUNTS.get(kind):
+    """One, or none where it is of a kind that is not read."""
+    if part.tag not in SHAPES:
         return []
-    named: Any = kind
-    return [Shape(frame=frame, placement=place, kind=named, size=size, mesh=mesh)]
+    named: Any = part.tag
+    return [Shape(frame=frame, placement=place, kind=named, size=_urdf_size(part), mesh=mesh)]
 
 
 def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:

@@ -48,6 +48,8 @@ class Several(Robot):
 
     robots: Annotated[dict[str, Placed], Field(min_length=1)]
     """By name: {robot: ..., position: [m], rpy or rpy_deg}."""
+    name: str = ""
+    """Of all together, as pages show it; the robots' own names if omitted."""
 
     def build(self) -> RobotModel:
         """All joints, robot by robot; joints, frames and arms have the robot's name in front."""
@@ -59,12 +61,13 @@ class Several(Robot):
             copy_per_velocity(part.model, model)
         model.name = "several"
         return RobotModel(
-            name=" + ".join(part.name for part in parts),
+            name=self.name or " + ".join(part.name for part in parts),
             model=model,
             arms=tuple(arm for part in parts for arm in part.arms),
             shapes=tuple(shape for part in parts for shape in part.shapes),
             capsules=tuple(capsule for part in parts for capsule in part.capsules),
             collision_shapes=tuple(shape for part in parts for shape in part.collision_shapes),
+            unseen=tuple(line for part in parts for line in part.unseen),
             warnings=tuple(line for part in parts for line in part.warnings),
         )
 
@@ -91,6 +94,7 @@ def _renamed(prefix: str, robot: RobotModel, X_WB: pin.SE3) -> RobotModel:
         shapes=_renamed_shapes(prefix, robot.shapes),
         collision_shapes=_renamed_shapes(prefix, robot.collision_shapes),
         capsules=tuple(_renamed_capsule(prefix, capsule, X_WB) for capsule in robot.capsules),
+        unseen=tuple(prefix + line for line in robot.unseen),
         warnings=tuple(prefix.removesuffix("/") + ": " + line for line in robot.warnings),
     )
 

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import scipy.linalg
 from chains import Hinge, closed_states, planar_pair, ring, stretched_pair
+from scenario_files import needs_robots
 
+import coopqp
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import LENGTH, Mobility, Screw, mobility
+from coopqp.closed_loop.screw import screw_of
 from coopqp.held_object import HeldObject
+from coopqp.report.mobility import study
 from coopqp.robot import RobotModel
 from coopqp.state import State
+from coopqp.tasks import Orientation, PointOnPoint
 
 SCALE = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])
 
@@ -184,6 +192,53 @@ def test_words_of_screws() -> None:
     assert screw(zero, (0.6, 0.8, 0.0), 0.02) == (
         "screw about (0.600, 0.800, 0.000) through (0.100, 0.000, 0.200) m, 20.0 mm per radian"
     )
+
+
+def test_a_screw_about_a_far_axis_reads_as_the_way_that_it_goes() -> None:
+    """The bar of two SO-101: an axis 1.27 m below, which no owner can picture."""
+    far = screw_of(np.array([0.0, 1.0, 0.0, 0.79, 0.0, 0.0]), np.array([0.36, 0.0, 0.147]))
+    assert far.words() == "sideways (y), with a little turning about x (4.5 degrees per 100 mm)"
+    oblique = screw_of(np.array([0.6, 0.8, 0.0, 0.0, 0.0, 0.5]), np.zeros(3)).words()
+    assert oblique.startswith("translation along (0.600, 0.800, 0.000), with a little turning ab")
+    near = screw_of(np.array([0.0, 1.0, 0.0, 3.0, 0.0, 0.0]), np.zeros(3)).words()
+    assert near == "rotation about x through (0.000, 0.000, 0.333) m"
+
+
+def test_a_motion_below_what_typed_digits_mean_is_none_and_a_small_one_is_weak() -> None:
+    """Rows of a task count by the same size as motions of the object."""
+    chain = planar_pair()
+    N = scipy.linalg.null_space(chain.loop_jacobian(chain.q_start), rcond=1e-8)
+    unit = N[:, 0] / np.linalg.norm(N[:, 0])  # a row whose only singular value is one
+    for size, rank in ((3.9e-7, 0), (0.0056, 1), (0.5, 1)):
+        found = mobility(chain, task_rows=[("yaw", size * unit[None])], samples=4)
+        (task,) = found.tasks
+        assert (task.rank, found.tasks_rank) == (rank, rank)
+        assert task.weakest == pytest.approx(size if rank else np.inf)
+        said = found.verdict()
+        assert ("can all be met" in said) is bool(rank)
+        assert ("One direction is weak: a unit of joint motion brings about 0.0056" in said) is (
+            size == 0.0056
+        )
+
+
+@needs_robots
+def test_two_so101_cannot_turn_the_bar_about_the_vertical_and_hardly_move_it_sideways(
+    tmp_path: Path,
+) -> None:
+    """Singular values 0.71, 0.21 and 3.9e-7 were said to be three rows that can all be met."""
+    shipped = (Path(__file__).parents[2] / "scenarios" / "two_so101.yaml").read_text("utf-8")
+    file = tmp_path / "without_meshes.yaml"  # which take seconds to read
+    file.write_text(re.sub("(?m)^ *- self_collision.*$", "", shipped), "utf-8")
+    like = replace(coopqp.load(file), duration=0.05)
+    turn = study(replace(like, tasks=(Orientation(name="turn", rpy_deg=(0, 0, 20)),))).mobility
+    assert turn.tasks_rank == 2
+    assert "ask 3 rows, of which only 2 can be met" in turn.verdict()
+    to = PointOnPoint(name="aside", goal=(0.36, 0.06, 0.2))
+    aside = study(replace(like, tasks=(to,))).mobility
+    assert aside.tasks_weakest == pytest.approx(0.0056, abs=1e-4)
+    words = {screw.words() for screw in aside.impossible}
+    assert any(line.startswith("sideways (y), with a little turning about x") for line in words)
+    assert any(line.startswith("rotation about z") for line in words)
 
 
 def test_three_rigid_arms_of_seven_joints() -> None:

@@ -46,6 +46,13 @@ def test_bodies_that_must_not_hit_others_come_along() -> None:
     assert one[1].start == alone[1].start
 
 
+def test_several_robots_may_have_one_name() -> None:
+    """Two of a kind were called "so101_new_calib + so101_new_calib"."""
+    pair = {"robot": PlanarPair()}
+    assert Several(robots={"a": pair, "b": pair}, name="two pairs").build().name == "two pairs"
+    assert Several(robots={"a": pair}).build().name == PlanarPair().build().name
+
+
 def test_a_robot_among_several_must_be_one() -> None:
     with pytest.raises(InvalidValueError, match="needs a robot"):
         Several(robots={"a": {"robot": "nao_t14"}})

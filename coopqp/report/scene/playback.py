@@ -59,7 +59,7 @@ def scene(comparison: Comparison) -> Json:
                 "color": looks[name].color,
                 **_motion(trace, scenario, frames),
                 "poses": [
-                    short(np.concatenate([pin.SE3ToXYZQUAT(X) for X in places]))
+                    short(np.concatenate([np.zeros(0), *map(pin.SE3ToXYZQUAT, places)]))
                     for places in body_places(robot, moving, trace, frames)
                 ],
                 **carried(marks, scenario.held_by(name), trace, frames),
