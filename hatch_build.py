@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -71,6 +72,7 @@ def compiled(into: Path) -> list[Path]:
     ]  # fmt: skip
     more = shlex.split(os.environ.get("CXXFLAGS", ""))
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    sources = runpy.run_path(str(HERE / KERNEL / "native.py"))["digest"]()
     built = []
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder, "nanobind.o")
@@ -78,7 +80,8 @@ def compiled(into: Path) -> list[Path]:
               str(of_nanobind / "src" / "nb_combined.cpp"), "-o", str(library)])  # fmt: skip
         for name, flags in VARIANTS.items():
             part, module = Path(folder, f"{name}.o"), into / f"{name}{suffix}"
-            _run([*compiler, *FLAGS, *WARNINGS, *flags, f"-DKERNEL_MODULE={name}", *include, *more,
+            named = f"-DKERNEL_MODULE={name}", f'-DKERNEL_SOURCES="{sources}"'
+            _run([*compiler, *FLAGS, *WARNINGS, *flags, *named, *include, *more,
                   "-c", str(HERE / KERNEL / "binding.cpp"), "-o", str(part)])  # fmt: skip
             fresh = Path(folder, module.name)
             _run([*compiler, *_link_flags(), str(part), str(library), "-o", str(fresh)])

@@ -386,6 +386,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("run", &Engine::run)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)
         return bool(__builtin_cpu_supports("avx2"));

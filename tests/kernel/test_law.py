@@ -43,6 +43,16 @@ def test_auto_takes_the_kernel_and_python_never_does(chain: ClosedChain) -> None
     assert isinstance(QPController(engine="python").build(given), QPLaw)
 
 
+def test_a_kernel_of_other_sources_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a checkout that has gone on, and was not compiled again."""
+    native.module.cache_clear()
+    monkeypatch.setattr(native, "digest", lambda: "of other sources")
+    assert native.module() is None
+    native.module.cache_clear()
+    monkeypatch.undo()
+    assert native.module() is not None
+
+
 def test_what_the_kernel_cannot_do_is_left_or_refused(chain: ClosedChain) -> None:
     scaled = problem(chain, replace(REACH, mode="scaled"))
     for given in (scaled, problem(chain, REACH, solver=Osqp()), problem(short_pair(), REACH)):
