@@ -154,7 +154,8 @@ def take_hold(
     """
     by_arm = grasp_of_each(robot, grasps)
     if len(robot.arms) < 2:
-        raise GraspError(f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two")
+        words = f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two"
+        raise GraspError(words).at("robot")
     start = finite("q_start", vector("q_start", q_start, robot.model.nq))
     check_released(robot, released)
     data = robot.model.createData()
@@ -206,7 +207,8 @@ def _with_passive_start(
     strangers = [name for name in model.names[1:] if name not in robot.joint_names]
     for name in passive_start:
         if name not in strangers:
-            raise UnknownNameError("passive joint", name, strangers)
+            unknown = UnknownNameError("passive joint", name, strangers)
+            raise unknown.at("passive_start", name)
     extended = np.zeros(model.nq)
     values = {**dict(zip(robot.joint_names, q, strict=True)), **passive_start}
     for name, value in values.items():
@@ -339,9 +341,10 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
         return np.full(len(names), 1.0 / len(names))
     for name, weight in alpha.items():
         if name not in names:
-            raise UnknownNameError("arm", name, names)
+            raise UnknownNameError("arm", name, names).at(name)
         if not 0.0 <= weight < np.inf:
-            raise InvalidValueError(f"weight of arm {name}: found {weight:g}, needs at least 0")
+            words = f"weight of arm {name}: found {weight:g}, needs at least 0"
+            raise InvalidValueError(words).at(name)
     total = sum(alpha.values())
     if abs(total - 1.0) > WEIGHT_SUM:
         raise InvalidValueError(f"the weights of the arms sum to {total:g}, need 1")
@@ -364,7 +367,7 @@ def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dic
         return dict.fromkeys(names, grasps)
     for name in grasps:
         if name not in names:
-            raise UnknownNameError("arm", name, names, "grasp: ")
+            raise UnknownNameError("arm", name, names, "grasp: ").at(name)
     missing = [name for name in names if name not in grasps]
     if missing:
         raise GraspError(f"grasp: no grasp for arm {', '.join(missing)}")

@@ -9,14 +9,14 @@ Joints that are not named ask for nothing: they pull neither way, e = 0 and rate
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import InvalidValueError, UnknownNameError, under
 from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
 from coopqp.state import State
@@ -84,20 +84,25 @@ def posture(goal: Mapping[str, float | list[float]] | list[float], chain: Closed
     """
     names, robot = chain.joint_names, chain.robot
     if isinstance(goal, list):
-        goal = {"goal": goal}
-        joints_of: dict[str, tuple[str, ...]] = {"goal": names}
-    else:
-        joints_of = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-        joints_of |= {name: (name,) for name in names}
+        with under("goal"):
+            return _counted("goal", goal, names)
+    joints_of = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    joints_of |= {name: (name,) for name in names}
     q = np.full(chain.n, np.nan)
     for key, value in goal.items():
-        if key not in joints_of:
-            raise UnknownNameError("arm or joint", key, joints_of, "posture.goal: ")
-        joints, numbers = joints_of[key], np.atleast_1d(value)
-        if len(numbers) != len(joints):
-            raise InvalidValueError(
-                f"posture.{key}: found {len(numbers)} numbers, needs {len(joints)}: "
-                f"{', '.join(joints)}"
-            )
-        q[[names.index(joint) for joint in joints]] = numbers
+        with under("goal", key):
+            if key not in joints_of:
+                raise UnknownNameError("arm or joint", key, joints_of, "posture.goal: ")
+            joints = joints_of[key]
+            q[[names.index(joint) for joint in joints]] = _counted(key, value, joints)
     return q
+
+
+def _counted(key: str, value: float | list[float], joints: Sequence[str]) -> Array:
+    """A number a joint."""
+    numbers = np.atleast_1d(np.asarray(value, float))
+    if len(numbers) != len(joints):
+        raise InvalidValueError(
+            f"posture.{key}: found {len(numbers)} numbers, needs {len(joints)}: {', '.join(joints)}"
+        )
+    return numbers

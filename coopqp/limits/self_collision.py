@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, under
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import bodies_of, by_construction, named_bodies, pairs_that_can_meet
 from coopqp.limits._distances import Body, Pair
@@ -120,7 +120,7 @@ class SelfCollision(Limit):
             if not found:
                 raise InvalidValueError(
                     "self_collision.pairs: these bodies are fixed to each other"
-                )
+                ).at("pairs")
         ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies)}
         return [pair for pair in found if _names(pair) not in ignored]
 
@@ -140,9 +140,10 @@ def _named(key: str, names: Collection[NamePair], bodies: Sequence[Body]) -> Ite
         UnknownNameError: no body has the name given.
     """
     seen = set[frozenset[Body]]()
-    for first, second in names:
+    for i, pair_of_names in enumerate(names):
         where = f"self_collision.{key}: "
-        ones, others = (named_bodies(where, name, bodies) for name in (first, second))
+        with under(key, i):
+            ones, others = (named_bodies(where, name, bodies) for name in pair_of_names)
         for pair in itertools.product(ones, others):
             if pair[0].joint != pair[1].joint and frozenset(pair) not in seen:
                 seen.add(frozenset(pair))

@@ -29,6 +29,7 @@ from coopqp.robot_files.xml import (
     numbers_of,
     pinocchio_says,
     place_of,
+    places,
     read_xml,
 )
 
@@ -49,14 +50,14 @@ def read_mjcf(path: Path) -> Description:
     _Includes(path.resolve()).fill_in(xml)
     check(xml)
     if not xml.findall("worldbody/body"):
-        raise InvalidValueError(f"{path}: is not a robot: has no <body>")
+        raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
     folder = _absolute_folders(xml, path.resolve().parent)
     floating = _prepare(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         raise InvalidValueError(
-            f"{path}: is not a robot that can be read: {pinocchio_says(error)}"
+            f"{place_of(xml)}: is not a robot that can be read: {pinocchio_says(error)}"
         ) from None
     shapes, warnings = read_shapes(xml, model, folder, path.name)
     return Description(
@@ -67,6 +68,7 @@ def read_mjcf(path: Path) -> Description:
         shapes=shapes,
         collision_shapes=read_collision_shapes(xml, model, folder),
         warnings=warnings,
+        places=places(xml.iter("joint")),
     )
 
 

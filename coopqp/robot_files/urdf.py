@@ -17,7 +17,15 @@ from coopqp.errors import InvalidValueError
 from coopqp.robot import Shape
 from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
-from coopqp.robot_files.xml import missing_meshes, numbers_of, pinocchio_says, read_xml
+from coopqp.robot_files.urdf_tree import check_tree, told_place
+from coopqp.robot_files.xml import (
+    missing_meshes,
+    numbers_of,
+    pinocchio_says,
+    place_of,
+    places,
+    read_xml,
+)
 
 
 def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
@@ -32,18 +40,22 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
-    if any("xacro" in element.tag for element in xml.iter()):
-        raise InvalidValueError(f"{path}: is a xacro file; make a URDF of it first: xacro FILE")
+    for element in xml.iter():
+        if "xacro" in element.tag:
+            words = "is a xacro file; make a URDF of it first: xacro FILE"
+            raise InvalidValueError(f"{place_of(element)}: {words}")
     if xml.find("link") is None:
-        raise InvalidValueError(f"{path}: is not a URDF file: has no <link>")
+        raise InvalidValueError(f"{place_of(xml)}: is not a URDF file: has no <link>")
     impossible = _check(xml)
     heard: list[str] = []
     try:
         with _stderr_lines(heard):
             model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
-        why = "; ".join(heard) or pinocchio_says(error)
-        raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
+        why = heard or [pinocchio_says(error)]
+        raise InvalidValueError(
+            f"{told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
+        ) from None
     shapes, missing = _urdf_shapes(xml, path, package_dirs)
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
@@ -52,6 +64,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         followers=dict(_mimics(xml)),
         shapes=shapes,
         collision_shapes=_collision_shapes(xml, path, package_dirs),
+        places=places(xml.findall("joint")),
         warnings=(
             *impossible,
             *(f"{path.name}: {line}" for line in heard),
@@ -92,6 +105,7 @@ def _check(xml: ET.Element) -> list[str]:
     warnings = []
     check_names(xml.findall("link"), "link")
     check_names(xml.findall("joint"), "joint")
+    check_tree(xml)
     for part in (*xml.findall("link"), *xml.findall("joint")):
         for element in part.iter():
             check_numbers(element, NUMBERS.get(element.tag, {}))

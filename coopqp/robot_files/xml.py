@@ -7,7 +7,7 @@ checked. So no parser behind it meets entities, odd encodings or words where num
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -32,6 +32,12 @@ def place_of(element: ET.Element) -> str:
     tag = f'<{element.tag} name="{name}">' if name else f"<{element.tag}>"
     place = getattr(element, "place", "")
     return f"{place}: {tag}" if place else tag
+
+
+def places(elements: Iterable[ET.Element]) -> dict[str, str]:
+    """``FILE:LINE`` of elements, by name; none of those made by us."""
+    found = ((element.get("name", ""), getattr(element, "place", "")) for element in elements)
+    return {name: place for name, place in found if place}
 
 
 def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from coopqp.checked import NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.errors import under
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.description import Description
@@ -160,7 +161,11 @@ class MdhTable(Robot):
         tips = {
             name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
         }
-        model = mdh.build_model("mdh_table", [row.read() for row in self.rows], tips)
+        rows = []
+        for i, row in enumerate(self.rows):
+            with under("rows", i):
+                rows.append(row.read())
+        model = mdh.build_model("mdh_table", rows, tips)
         return robot_model(
             Description(name=model.name, model=model),
             arms=self.arms,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,10 +34,12 @@ class _Row:
 
     Attributes:
         place: file and line.
+        header: file and line of the columns' names.
         cells: texts by column.
     """
 
     place: str
+    header: str
     cells: Mapping[str, str]
 
     def number(self, column: str, *, nan: bool = False) -> float:
@@ -52,7 +55,7 @@ class _Row:
         text = self.cells.get(column)
         if text is None:
             raise InvalidValueError(
-                f"{self.place}: has no column '{column}'; the trace is damaged, or it is of "
+                f"{self.header}: has no column '{column}'; the trace is damaged, or it is of "
                 "another scenario than the one beside it: run it again"
             )
         try:
@@ -108,10 +111,14 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     held = scenario.held_by(controller)
     joints, ticks = held.chain.joint_names, held.ticks
     rows = list(_rows(path, controller))
+    for k, row in enumerate(rows):
+        if row.tick != k:
+            words = f"tick: found {row.tick}, needs {k}; the trace is damaged"
+            raise CoopqpError(f"{row.place}: {words}")
     if len(rows) != ticks + 1:
         raise CoopqpError(
-            f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
-            "is damaged, or of another scenario"
+            f"{rows[min(ticks + 1, len(rows) - 1)].place}: '{controller}' has {len(rows) - 1} "
+            f"ticks, its scenario {ticks}; the file is damaged, or of another scenario"
         )
     tau = [_torques(row, joints) for row in rows[:-1]] if rows[0].tells("tau", joints) else [[]]
     return Recording(
@@ -244,7 +251,7 @@ def controllers_of(path: Path) -> list[str]:
     """
     found = list(dict.fromkeys(row.cells["controller"] for row in _rows(path)))
     if not found:
-        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
+        raise CoopqpError(f"{path}:1: has no rows; the trace is damaged")
     return found
 
 
@@ -260,12 +267,15 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
         if not set(NEEDED) <= set(header):
             words = "is not a trace.csv written by 'coopqp compare --out'"
             raise CoopqpError(f"{path}:1: {words}")
+        if twice := [name for name, count in Counter(header).items() if count > 1]:
+            words = f"two columns are called '{twice[0][:40]}'; the trace is damaged"
+            raise CoopqpError(f"{path}:1: {words}")
         for cells in reader:
             place = f"{path}:{reader.line_num}"
             if len(cells) != len(header):
-                words = f"found {len(cells)} cells, needs {len(header)}; the trace is damaged"
+                words = f"found {len(cells)} cells, but line 1 {len(header)}; the trace is damaged"
                 raise CoopqpError(f"{place}: {words}")
-            row = _Row(place, dict(zip(header, cells, strict=True)))
+            row = _Row(place, f"{path}:1", dict(zip(header, cells, strict=True)))
             if controller in (None, row.cells["controller"]):
                 yield row
     except csv.Error as error:
