@@ -24,6 +24,9 @@ from coopqp.robot import Arm, RobotModel, copy_per_velocity
 #: Largest gap of given grasps at the start that still counts as closed.
 CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
 
+#: No joint and no object is farther from the world's origin than this [m].
+FARTHEST = 1e4
+
 #: The weights alpha must sum to 1 within this.
 WEIGHT_SUM = 1e-6
 
@@ -230,11 +233,25 @@ def _object_at_start(hold: Hold) -> tuple[Array, dict[str, pin.SE3]]:
         if grasp.object_in_hand:
             end = model.getFrameId(ends[arm])
             given[arm] = data.oMf[end] * object_at_end(model, end, tips[arm], grasp)
+    _check_reach(hold, model, data)
     held_at = _agreed_pose(hold, {arm: X for arm, X in given.items() if arm in hold.holders})
     if held_at is None:
         middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
         held_at = pin.SE3(np.eye(3), middle)
+    if (away := float(np.linalg.norm(held_at.translation))) > FARTHEST:
+        words = f"the object is {away:g} m from the origin; needs at most {FARTHEST:g} m"
+        raise GraspError(words).at(*(("held",) if hold.held.pose else ()))
     return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
+
+
+def _check_reach(hold: Hold, model: pin.Model, data: pin.Data) -> None:
+    """Refuse joints that are where no robot is; rounding would be all that is left of a motion."""
+    for name, X_WJ in list(zip(model.names, data.oMi, strict=True))[1:]:
+        away = float(np.linalg.norm(X_WJ.translation))
+        if not away <= FARTHEST:
+            words = f"joint {name} is {away:g} m from the origin; needs at most {FARTHEST:g} m"
+            own = name in hold.robot.joint_names
+            raise GraspError(words).at(*(["robot"] if own else ["grasps", name.rpartition(".")[0]]))
 
 
 def _agreed_pose(hold: Hold, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import pinocchio as pin
+
 from coopqp.errors import InvalidValueError, UnknownNameError, under
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import ArmJoints
@@ -75,6 +77,7 @@ def _way_to_tip(
     """Joints between base and tip, base first."""
     model = description.model
     found = [frame for frame in model.frames if frame.name == tip]
+    found.sort(key=lambda frame: frame.type != pin.FrameType.BODY)  # of namesakes the link counts
     if not found:
         frames = [frame.name for frame in model.frames]
         raise UnknownNameError("frame", tip, frames, f"arm {name}: ")

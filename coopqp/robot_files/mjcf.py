@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +21,8 @@ import pinocchio as pin
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
+from coopqp.robot_files.mjcf_defaults import with_defaults
+from coopqp.robot_files.mjcf_geoms import check_geoms
 from coopqp.robot_files.shapes import read_collision_shapes, read_shapes
 from coopqp.robot_files.xml import (
     DEEPEST,
@@ -32,6 +33,9 @@ from coopqp.robot_files.xml import (
     places,
     read_xml,
 )
+
+#: Elements of the world that hold others and that pinocchio does not know.
+UNREAD = ("frame", "replicate", "composite", "flexcomp", "attach")
 
 #: Name of the body round the world; a slash keeps it apart from names in files.
 WORLD = "world/"
@@ -49,9 +53,11 @@ def read_mjcf(path: Path) -> Description:
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(path.resolve()).fill_in(xml)
     check(xml)
+    check_geoms(xml)
+    _without_looks(xml)
     if not xml.findall("worldbody/body"):
         raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
-    folder = _absolute_folders(xml, path.resolve().parent)
+    folder, left_out = _absolute_folders(xml, path.resolve().parent), _left_out(xml)
     floating = _prepare(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
@@ -67,7 +73,7 @@ def read_mjcf(path: Path) -> Description:
         floating=floating,
         shapes=shapes,
         collision_shapes=read_collision_shapes(xml, model, folder),
-        warnings=warnings,
+        warnings=(*left_out, *warnings),
         places=places(xml.iter("joint")),
     )
 
@@ -92,28 +98,11 @@ def _parsed(xml: ET.Element) -> pin.Model:
 
 def _unlimited(xml: ET.Element) -> list[str]:
     """Joints whose range does not count: ``limited="false"``, their own or their class's."""
-    by_class: dict[str | None, str] = {}
-
-    def read(default: ET.Element, name: str | None, inherited: str) -> None:
-        joint = default.find("joint")
-        by_class[name] = inherited if joint is None else joint.get("limited", inherited)
-        for child in default.findall("default"):
-            read(child, child.get("class"), by_class[name])
-
-    for default in xml.findall("default"):
-        read(default, None, "auto")  # the class of all that name none
-        by_class[default.get("class", "main")] = by_class[None]
-
-    def search(body: ET.Element, childclass: str | None) -> Iterator[str]:
-        childclass = body.get("childclass", childclass)
-        for joint in body.findall("joint"):
-            otherwise = by_class.get(joint.get("class", childclass), "auto")
-            if joint.get("limited", otherwise) == "false":
-                yield joint.get("name", "")
-        for inner in body.findall("body"):
-            yield from search(inner, childclass)
-
-    return [name for body in xml.findall("worldbody/body") for name in search(body, None)]
+    return [
+        joint.get("name", "")
+        for joint, given in with_defaults(xml, "joint")
+        if given.get("limited") == "false"
+    ]
 
 
 @cache
@@ -186,6 +175,24 @@ def _merged(sections: list[ET.Element]) -> list[ET.Element]:
             same.attrib.update(section.attrib)
             same.extend(list(section))
     return list(first.values())
+
+
+def _without_looks(xml: ET.Element) -> None:
+    """Take out colours, which nothing here shows, so that none can be wrong."""
+    for asset in xml.findall("asset"):
+        asset[:] = [part for part in asset if part.tag == "mesh"]
+    for geom in xml.iter("geom"):
+        geom.attrib.pop("material", None)
+
+
+def _left_out(xml: ET.Element) -> list[str]:
+    """Warnings about what pinocchio reads over, and all that is in it."""
+    return [
+        f"{place_of(element)}: is not read; write out what is in it"
+        for world in xml.findall("worldbody")
+        for element in world.iter()
+        if element.tag in UNREAD
+    ]
 
 
 def _absolute_folders(xml: ET.Element, folder: Path) -> Path:

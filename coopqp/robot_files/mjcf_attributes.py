@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
@@ -58,7 +59,12 @@ NUMBERS: dict[str, dict[str, Numbers]] = {
         "diaginertia": Numbers(3, 3, positive=True),
         "fullinertia": Numbers(6, 6),
     },
-    "mesh": {"scale": Numbers(3, 3), "refpos": Numbers(3, 3), "refquat": Numbers(4, 4)},
+    "mesh": {
+        "scale": Numbers(3, 3),
+        "refpos": Numbers(3, 3),
+        "refquat": Numbers(4, 4),
+        "vertex": Numbers(12, 10**6, "length"),
+    },
     "option": {"gravity": Numbers(3, 3), "timestep": _NOT_NEGATIVE},
 }
 WORDS = {
@@ -68,6 +74,7 @@ WORDS = {
     ("compiler", "coordinate"): ("local",),
     ("compiler", "autolimits"): ("true", "false"),
 }
+SEQUENCE = re.compile("[xyzXYZ]{3}")
 #: Elements whose names are theirs alone among their like.
 NAMED = ("body", "joint", "site", "geom")
 
@@ -86,6 +93,7 @@ def check(xml: ET.Element) -> None:
         for (tag, key), known in WORDS.items():
             if element.tag == tag:
                 check_word(element, key, known, key)
+        _check_needed(element)
         full = element.get("fullinertia")
         if full and element.tag == "inertial":
             xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
@@ -96,6 +104,19 @@ def check(xml: ET.Element) -> None:
         for tag in NAMED:
             check_names(world.iter(tag), tag)
         _check_classes(xml, world)
+
+
+def _check_needed(element: ET.Element) -> None:
+    """Refuse what lacks a part, or has a word that stands for three."""
+    if element.tag == "inertial" and element.get("mass") is None:
+        raise InvalidValueError(f"{place_of(element)}: needs a mass")
+    sequence = element.get("eulerseq", "xyz")
+    if not SEQUENCE.fullmatch(sequence):
+        words = f"found '{sequence[:40]}', needs three of x, y, z, X, Y and Z"
+        raise InvalidValueError(f"{place_of(element)} eulerseq: {words}")
+    for inner in element.findall("default") if element.tag == "default" else ():
+        if not inner.get("class"):
+            raise InvalidValueError(f"{place_of(inner)}: needs a class")
 
 
 def _check_classes(xml: ET.Element, world: ET.Element) -> None:

@@ -147,9 +147,10 @@ def _or_infinite(limits: Array) -> Array:
 def _check_arms(robot: RobotModel) -> None:
     """Every arm needs a joint that the other arms do not all have."""
     ways = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    for name, joints in ways.items():
+    for arm in robot.arms:
+        name, joints = arm.name, ways[arm.name]
         if not joints:
-            words = f"arm {name}: no free joint between the base and its tip"
+            words = f"arm {name}: no free joint between the base and its tip {arm.tip}"
             raise InvalidValueError(words).at("arms", name)
         for other, others in ways.items():
             if other != name and set(joints) <= set(others):

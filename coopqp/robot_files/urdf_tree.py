@@ -11,11 +11,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 from coopqp.errors import InvalidValueError
+from coopqp.robot_files.attributes import check_word
 from coopqp.robot_files.xml import place_of
 
 
 def check_tree(xml: ET.Element) -> None:
-    """Refuse parts without a name, links that two joints move or none, and links in a circle.
+    """Refuse parts without a name, joints of links that are not there, and what is no tree.
 
     Raises:
         InvalidValueError: with the line.
@@ -23,8 +24,11 @@ def check_tree(xml: ET.Element) -> None:
     for part in (xml, *xml.findall("link"), *xml.findall("joint")):
         if not part.get("name"):
             raise InvalidValueError(f"{place_of(part)}: needs a name")
+    links = {link.get("name", "") for link in xml.findall("link")}
     moved_by: dict[str, ET.Element] = {}
     for joint in xml.findall("joint"):
+        for end in (*joint.findall("parent"), *joint.findall("child")):
+            check_word(end, "link", links, "link")
         link = _end(joint, "child")
         other = moved_by.setdefault(link, joint)
         if other is not joint:

@@ -60,8 +60,10 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in file.data else "grasp"
-        location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
-        raise ScenarioError([Fault(file.place([location, *inside]), str(error))]) from None
+        known = {"passive_start": key, "robot": "robot", "held": "object"}
+        location = known.get(str(argument), grasp)
+        where = [location] if location == "grasp" else [location, *inside]
+        raise ScenarioError([Fault(file.place(where), str(error))]) from None
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
@@ -212,4 +214,4 @@ def built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
 
 def _fault(file: YamlFile, location: Location, error: CoopqpError) -> Fault:
     """An error that was raised by what is at a location, or by what is in it."""
-    return Fault(file.place([*location, *error.keys]), str(error))
+    return Fault(file.place(location, error.keys), str(error))

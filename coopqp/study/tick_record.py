@@ -115,7 +115,8 @@ class TickRecord:
         P = np.array(self.P)
         apart = np.argwhere(~np.isclose(P, P.T, rtol=1e-9, atol=1e-12)).tolist()
         if apart:
-            return ("P", *apart[-1]), "P is not symmetric"
+            i, j = apart[-1]
+            return ("P", i, j), f"found {P[i, j]:g}, but [{j}][{i}] is {P[j, i]:g}: not symmetric"
         least, *_, most = np.linalg.eigvalsh(np.pad(P, (0, 1)))  # a second one, and none negative
         if least < -1e-9 * most:
             return ("P",), f"has the eigenvalue {least:.3g}, needs none below zero"

@@ -111,10 +111,6 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     held = scenario.held_by(controller)
     joints, ticks = held.chain.joint_names, held.ticks
     rows = list(_rows(path, controller))
-    for k, row in enumerate(rows):
-        if row.tick != k:
-            words = f"tick: found {row.tick}, needs {k}; the trace is damaged"
-            raise CoopqpError(f"{row.place}: {words}")
     if len(rows) != ticks + 1:
         raise CoopqpError(
             f"{rows[min(ticks + 1, len(rows) - 1)].place}: '{controller}' has {len(rows) - 1} "
@@ -128,6 +124,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         status=tuple(row.causes for row in rows[:-1]),
         errors=_last_errors(rows),
         tau=np.array(tau),
+        place=rows[0].header,
     )
 
 
@@ -259,9 +256,10 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
     """The rows of a controller; all if None.
 
     Raises:
-        CoopqpError: no such file, not a trace, or a row with too few or too many cells.
+        CoopqpError: no such file, not a trace, a row with too few or too many cells, or ticks that
+            do not follow each other.
     """
-    reader = csv.reader(_lines(path), strict=True)
+    reader, ticks = csv.reader(_lines(path), strict=True), Counter[str]()
     try:
         header = next(reader, [])
         if not set(NEEDED) <= set(header):
@@ -276,7 +274,12 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
                 words = f"found {len(cells)} cells, but line 1 {len(header)}; the trace is damaged"
                 raise CoopqpError(f"{place}: {words}")
             row = _Row(place, f"{path}:1", dict(zip(header, cells, strict=True)))
-            if controller in (None, row.cells["controller"]):
+            name = row.cells["controller"]
+            if row.tick != ticks[name]:
+                words = f"tick: found {row.tick}, needs {ticks[name]}; the trace is damaged"
+                raise CoopqpError(f"{place}: {words}")
+            ticks[name] += 1
+            if controller in (None, name):
                 yield row
     except csv.Error as error:
         raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None

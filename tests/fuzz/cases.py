@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import io
 import json
 import shutil
 import tempfile
 import traceback
-from contextlib import redirect_stderr, redirect_stdout
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -31,7 +32,7 @@ from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import recording_from_trace
 
 from . import mutations, trees
-from .lines import Mutated, wrong_lines
+from .lines import Mutated, wrong_line
 
 SEEDS = Path(__file__).parent / "seeds"
 SHIPPED = Path(__file__).parents[2] / "scenarios"
@@ -53,7 +54,8 @@ class Outcome:
     Attributes:
         kind: what was mutated.
         seed: of the case.
-        ended: "runs", "refused", or what is wrong: "raises", "no line", "prints".
+        ended: "runs", "refused", or what is wrong: "raises", "prints", "no line", "wrong line" (of
+            the mutated file), "other line" (of another one that it has nothing to do with).
         words: what was said.
     """
 
@@ -92,9 +94,16 @@ def _refusal(kind: str, seed: int, error: CoopqpError, mutated: Mutated) -> Outc
     said = str(error)
     if ": raises " in said:  # of shipped code; a user's words would be better
         return Outcome(kind, seed, "raises", said)
-    lines = [str(f) for f in error.faults] if isinstance(error, ScenarioError) else said.splitlines()
-    wrong = wrong_lines(lines, mutated)
-    return Outcome(kind, seed, wrong.split(":")[0][:10] or "refused", wrong + "\n" + said)
+    faults = map(str, error.faults) if isinstance(error, ScenarioError) else said.splitlines()
+    if wrong := wrong_line(list(faults), mutated):
+        return Outcome(kind, seed, wrong, f"{said}\n{_shown(mutated)}")
+    return Outcome(kind, seed, "refused", said)
+
+
+def _shown(mutated: Mutated) -> str:
+    """What was done to a file."""
+    a, b = mutated.old.splitlines(), mutated.new.splitlines()
+    return "\n".join([*difflib.unified_diff(a, b, lineterm="", n=0)][2:40])
 
 
 @cache
@@ -160,14 +169,14 @@ def _short(scenario: Scenario) -> Scenario:
 
 
 @cache
-def _kept() -> tuple[Scenario, str]:
+def _kept(name: str = "phases") -> tuple[Scenario, str]:
     """A short run: its scenario and its trace."""
-    scenario = _short(load(SEEDS / "phases.yaml", catalog()))
-    return scenario, files.trace_csv(compare(scenario, controllers=["qp", "pseudoinverse"]))
+    scenario = _short(load(SEEDS / f"{name}.yaml", catalog()))
+    return scenario, files.trace_csv(compare(scenario))
 
 
 def _trace(rng: Random, folder: Path) -> Case:
-    scenario, written = _kept()
+    scenario, written = _kept(rng.choice(("phases", "pushed")))
     lines = written.splitlines(keepends=True)
     path = folder / "trace.csv"
     if rng.random() < 0.5:
@@ -180,8 +189,8 @@ def _trace(rng: Random, folder: Path) -> Case:
             ",".join(map(str, row)) + "\n" if isinstance(row, list) else f"{row}\n" for row in rows
         )
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    asked, name = rng.choice(("tick", "run", "joints")), rng.choice(("qp", "pseudoinverse"))
-    tick = rng.choice((None, None, 0, 1, 4))
+    asked, name = rng.choice(("tick", "run", "joints")), rng.choice(list(scenario.controllers))
+    tick = rng.choice((None, None, 0, 1))
 
     def run() -> None:
         if asked == "joints":
@@ -213,7 +222,7 @@ def _tick(rng: Random, folder: Path) -> Case:
     path = folder / "tick.json"
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
     solver = solver_by_name(rng.choice(("daqp", "osqp", "proxqp")), catalog())
-    mutated = Mutated(path, _tick_text(), content, trees.of_yaml)
+    mutated = Mutated(path, _tick_text(), content, trees.of_json)
     return mutated, lambda: replay(TickRecord.read(path), solver)
 
 

@@ -5,6 +5,8 @@ Read by ruamel's own composer, by expat and by counting commas: nothing here is 
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -43,9 +45,14 @@ class Tree:
             yield from child.walk((*path, key))
 
     @property
+    def lines(self) -> range:
+        """From first to last."""
+        return range(self.first, self.last + 1)
+
+    @property
     def words(self) -> frozenset[str]:
-        """All that is said in it."""
-        return frozenset(str(word) for path, part in self.walk() for word in (*path, part.word))
+        """The values in it, without keys."""
+        return frozenset(part.word for _, part in self.walk())
 
     @property
     def said(self) -> object:
@@ -58,15 +65,15 @@ class Change:
     """Where a tree is not what it was.
 
     Attributes:
-        path: to what has changed, or to what held it where it is gone.
-        first, last: lines of it.
+        path: to what has changed, or to what held what is gone.
+        lines: of what has changed; the first of what held what is gone, or of a table the ones
+            before and behind it.
         above: first lines of all that holds it, the outermost first.
-        words: that were said there and are said there now.
+        words: that were said there and are said there now, with keys that have come or gone.
     """
 
     path: Path
-    first: int
-    last: int
+    lines: range
     above: tuple[int, ...]
     words: frozenset[str]
 
@@ -74,18 +81,20 @@ class Change:
 def changes(old: Tree, new: Tree, path: Path = (), above: tuple[int, ...] = ()) -> list[Change]:
     """Every difference, as deep in the tree as it can be said."""
     if (old.kind, old.word) != (new.kind, new.word):
-        return [Change(path, new.first, new.last, above, old.words | new.words)]
+        return [Change(path, new.lines, above, old.words | new.words)]
     pairs, added, gone = _aligned(old, new)
     inner, found = (*above, new.first), list[Change]()
     for a, b in pairs:
         found += changes(old.inside[a], new.inside[b], (*path, b), inner)
     for key in added:
         part = new.inside[key]
-        words = part.words | {str(key)}
-        found.append(Change((*path, key), part.first, part.last, inner, words))
+        found.append(Change((*path, key), part.lines, inner, part.words | {str(key)}))
     if gone:
         words = frozenset(map(str, gone)).union(*(old.inside[key].words for key in gone))
-        found.append(Change(path, new.first, new.last, above, words))
+        first, last = new.first, new.first
+        if new.kind == "table":
+            first, last = int(gone[0]), int(gone[0]) + 1
+        found.append(Change(path, range(first, last + 1), above, words))
     return found
 
 
@@ -111,7 +120,7 @@ def _alike(a: list[object], b: list[object]) -> int:
 
 
 def of_yaml(text: str) -> Tree:
-    """The tree of a YAML text; JSON is one.
+    """The tree of a YAML text.
 
     Raises:
         YAMLError, and whatever else ruamel stumbles over.
@@ -122,12 +131,12 @@ def of_yaml(text: str) -> Tree:
 
 def _line(mark: Any, text: str) -> int:
     """As editors number them; YAML has more line breaks than they."""
-    return text.count("\n", 0, mark.index) + 1
+    return len(re.findall(r"\r\n?|\n", text[: mark.index])) + 1
 
 
 def _of_node(node: Node, text: str, first: int) -> Tree:
     end = node.end_mark
-    last = max(first, _line(end, text) - text[: end.index].endswith("\n"))
+    last = max(first, _line(end, text) - (end.column == 0))
     if isinstance(node, MappingNode):
         inside: dict[Key, Tree] = {}
         for key, value in node.value:  # of a key given twice both count, the second by its line
@@ -139,6 +148,16 @@ def _of_node(node: Node, text: str, first: int) -> Tree:
         parts = (_of_node(part, text, _line(part.start_mark, text)) for part in node.value)
         return Tree(str(node.tag), "", first, last, dict(enumerate(parts)), ordered=True)
     return Tree(str(node.tag), str(node.value), first, last)
+
+
+def of_json(text: str) -> Tree:
+    """The tree of a JSON text.
+
+    Raises:
+        ValueError: it is none.
+    """
+    json.loads(text)
+    return of_yaml(text)
 
 
 def of_xml(text: str) -> Tree:
@@ -177,8 +196,16 @@ def of_csv(text: str) -> Tree:
     return root
 
 
+def end_of_sense(text: str, error: Exception) -> int:
+    """The last line that a reader looked at before it gave up."""
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    if mark is not None:
+        return _line(mark, text)
+    return getattr(error, "lineno", None) or len(re.split(r"\r\n?|\n", text))
+
+
 def first_difference(old: str, new: str) -> int:
     """The first line that is not as it was."""
-    a, b = old.split("\n"), new.split("\n")
+    a, b = (re.split(r"\r\n?|\n", text) for text in (old, new))
     pairs = enumerate(zip(a, b, strict=False))
     return next((i for i, (x, y) in pairs if x != y), min(len(a), len(b))) + 1

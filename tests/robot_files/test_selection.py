@@ -164,7 +164,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"joint_limits": {"x_*": {"lower": 1}}}, r"joint_limits: unknown joint 'x_\*'"),
     ({"joint_limits": {"l_a": {"lower": 2}}}, "joint l_a: limits 2 to 1 leave it no room"),
     ({"old": "</robot>", "new": ""}, "tree.urdf:1: is not a URDF file: no element found"),
-    ({"old": 'link="base"', "new": 'link="bas"'}, "tree.urdf: "),
+    ({"old": 'link="base"', "new": 'link="bas"'}, "tree.urdf:1: <parent> link: unknown link 'bas'"),
     ({"old": "<robot", "new": "<robot xmlns:xacro='x'><xacro:a/></robot><!--"}, "URDF|xacro"),
 ]  # fmt: skip
 

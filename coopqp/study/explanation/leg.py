@@ -28,6 +28,7 @@ class Recording:
         status: of each tick, as written.
         errors: at the end of its phase, by the name of each part of a task.
         tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
+        place: file and line where the names of errors stand, of a run that was read from one.
     """
 
     controller: str
@@ -36,6 +37,7 @@ class Recording:
     status: tuple[str, ...]
     errors: Mapping[str, float]
     tau: Array
+    place: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +111,8 @@ def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
         for name in names:
             if name not in run.errors:
                 words = "the trace is of another scenario than the one beside it"
-                raise InvalidValueError(f"no error of '{name}' in the trace; {words}")
+                where = f"{run.place}: " if run.place else ""
+                raise InvalidValueError(f"{where}no error of '{name}' in the trace; {words}")
         ticks = slice(first, end)
         yield Leg(
             problem=problem if heeds else replace(problem, limits=()),
