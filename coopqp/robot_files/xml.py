@@ -40,13 +40,14 @@ def places(elements: Iterable[ET.Element]) -> dict[str, str]:
     return {name: place for name, place in found if place}
 
 
-def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
+def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
     """Read an XML file of a robot.
 
     Args:
         path: of the file.
         roots: names that its outermost element may have.
         kind: of file, for messages.
+        texts: whether what stands between the elements is wanted too.
 
     Raises:
         InvalidValueError: no such file, or no such kind of file.
@@ -55,7 +56,7 @@ def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
         content = read_bytes(path, MOST_BYTES)
     except UnreadableFileError as error:
         raise InvalidValueError(str(error)) from None
-    element = _Tree(path, kind).parsed(content)
+    element = _Tree(path, kind, texts=texts).parsed(content)
     if element.tag not in roots:
         raise InvalidValueError(
             f"{path}:1: is not a {kind} file: starts with <{element.tag}>, needs <{roots[0]}>"
@@ -66,15 +67,19 @@ def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
 class _Tree:
     """Builds the elements of one file."""
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path, kind: str, *, texts: bool) -> None:
         self._path, self._kind = path, kind
         self._open: list[Element] = []
+        self._texts: list[list[str]] = []
         self._root: Element | None = None
         self._count = 0
         self._parser: Any = expat.ParserCreate()
         self._parser.StartElementHandler = self._begin
         self._parser.EndElementHandler = self._end
         self._parser.StartDoctypeDeclHandler = self._doctype
+        self._parser.buffer_text = True
+        if texts:
+            self._parser.CharacterDataHandler = self._text
 
     def parsed(self, content: bytes) -> Element:
         """The outermost element."""
@@ -108,9 +113,13 @@ class _Tree:
         else:
             self._root = element
         self._open.append(element)
+        self._texts.append([])
 
     def _end(self, tag: str) -> None:
-        self._open.pop()
+        self._open.pop().text = "".join(self._texts.pop())
+
+    def _text(self, text: str) -> None:
+        self._texts[-1].append(text)
 
     def _doctype(self, *_: Any) -> None:
         raise self._fault("has a DOCTYPE, which is not read; take it out")
