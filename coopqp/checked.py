@@ -27,6 +27,9 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 """An array of numbers, as all signatures have it."""
 
+FARTHEST = 1e4
+"""No robot is farther from anything than this [m]; rounding would be all that is left of it."""
+
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
@@ -185,6 +188,8 @@ class Pose:
 
     def __post_init__(self) -> None:
         one_angle("rpy", self.rpy, self.rpy_deg)
+        if (away := math.hypot(*self.position)) > FARTHEST:
+            raise ValueError(f"position: found {away:g} m, needs at most {FARTHEST:g} m")
 
     @property
     def angles(self) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, finite, vector
+from coopqp.checked import FARTHEST, Array, finite, vector
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
@@ -23,9 +23,6 @@ from coopqp.robot import Arm, RobotModel, copy_per_velocity
 
 #: Largest gap of given grasps at the start that still counts as closed.
 CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
-
-#: No joint and no object is farther from the world's origin than this [m].
-FARTHEST = 1e4
 
 #: The weights alpha must sum to 1 within this.
 WEIGHT_SUM = 1e-6
@@ -238,9 +235,6 @@ def _object_at_start(hold: Hold) -> tuple[Array, dict[str, pin.SE3]]:
     if held_at is None:
         middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
         held_at = pin.SE3(np.eye(3), middle)
-    if (away := float(np.linalg.norm(held_at.translation))) > FARTHEST:
-        words = f"the object is {away:g} m from the origin; needs at most {FARTHEST:g} m"
-        raise GraspError(words).at(*(("held",) if hold.held.pose else ()))
     return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
 
 

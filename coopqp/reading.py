@@ -15,6 +15,15 @@ from coopqp.errors import UnreadableFileError
 _DECODER = json.JSONDecoder()
 
 
+def absolute(path: Path) -> Path:
+    """The path from the root on; of links in a circle, which ``Path.resolve`` raises at, as it is.
+
+    Raises:
+        ValueError: a name that no file can have.
+    """
+    return Path(os.path.realpath(path))
+
+
 @contextmanager
 def open_bytes(path: Path) -> Iterator[BinaryIO]:
     """A file to read from.

@@ -158,12 +158,12 @@ class Obstacles(Limit):
             InvalidValueError: the robot has no bodies, or a mesh cannot be used.
             UnknownNameError: no body has the name given.
         """
-        bodies, _ = bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.bodies is not None:
             named = list[Body]()
             for i, name in enumerate(self.bodies):
                 with under("bodies", i):
-                    named += named_bodies("obstacles.bodies: ", name, bodies)
+                    named += named_bodies("obstacles.bodies: ", name, bodies, faults)
             bodies = list(dict.fromkeys(named))
         things = [_thing(name, thing) for name, thing in self.shapes.items()]
         return [(body, thing) for body in bodies if body.joint for thing in things]
@@ -174,4 +174,5 @@ def _thing(name: str, thing: Obstacle) -> Body:
         return Body(name, 0, of_shape(thing.shape))
     except InvalidValueError as error:
         words = f"obstacles.shapes.{name}: {error}"
-        raise InvalidValueError(words).at("shapes", name, *error.keys) from None
+        key = ("mesh",) if thing.mesh else ()
+        raise InvalidValueError(words).at("shapes", name, *key) from None

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.checked import FARTHEST, Array
 from coopqp.errors import InvalidValueError, UnreadableFileError
 from coopqp.robot_files.collada import collada_corners
 from coopqp.robot_files.obj import obj_corners
@@ -25,8 +25,6 @@ READERS: Mapping[str, Callable[[Path], tuple[Array, NDArray[np.int64]]]] = {
     ".obj": obj_corners,
     ".dae": collada_corners,
 }
-#: What is larger is no part of a robot, nor of what is near it [m].
-FARTHEST = 1e4
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
+from coopqp.reading import absolute
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
 from coopqp.robot_files.mjcf_defaults import with_defaults
@@ -51,13 +52,13 @@ def read_mjcf(path: Path) -> Description:
         InvalidValueError: no such file, or not an MJCF file.
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
-    _Includes(path.resolve()).fill_in(xml)
+    _Includes(absolute(path)).fill_in(xml)
     check(xml)
     check_geoms(xml)
     _without_looks(xml)
     if not xml.findall("worldbody/body"):
         raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
-    folder, left_out = _absolute_folders(xml, path.resolve().parent), _left_out(xml)
+    folder, left_out = _absolute_folders(xml, absolute(path).parent), _left_out(xml)
     floating = _prepare(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
@@ -149,7 +150,7 @@ class _Includes:
         element[:] = _merged(children) if element.tag == "mujoco" else children
 
     def _included(self, include: ET.Element, depth: int) -> ET.Element:
-        path = (self._folder / include.get("file", "")).resolve()
+        path = absolute(self._folder / include.get("file", ""))
         if path in self._seen:  # as MuJoCo has it; else ten small files can be ten billion
             name = include.get("file")
             raise InvalidValueError(f"{place_of(include)}: file '{name}' is included already")

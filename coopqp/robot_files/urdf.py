@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
+from coopqp.reading import absolute
 from coopqp.robot import Shape
 from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
@@ -223,7 +224,7 @@ def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None
         package_dirs: folders that hold packages.
     """
     scheme, _, rest = uri.rpartition("://")
-    folder = urdf.resolve().parent
+    folder = absolute(urdf).parent
     if scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
         candidates = []

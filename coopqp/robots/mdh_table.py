@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from coopqp.checked import NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.checked import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
 from coopqp.errors import under
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
@@ -100,6 +100,10 @@ class TableRow:
             one_angle(key, getattr(self, key), degrees)
             if key in ("lower", "upper", "velocity") and degrees and self.sigma == "prismatic":
                 raise ValueError(f"{key}_deg: a prismatic joint has no degrees; give {key} in m")
+        for key in ("b", "d", "r"):
+            if abs(getattr(self, key)) > FARTHEST:
+                words = f"found {getattr(self, key):g} m, needs at most {FARTHEST:g} m"
+                raise ValueError(f"{key}: {words}")
         if self.mass is None and any((*self.com, *self.inertia)):
             raise ValueError("com and inertia need a mass")
 

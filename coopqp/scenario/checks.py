@@ -60,8 +60,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in file.data else "grasp"
-        known = {"passive_start": key, "robot": "robot", "held": "object"}
-        location = known.get(str(argument), grasp)
+        location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise ScenarioError([Fault(file.place(where), str(error))]) from None
     if not allowed:

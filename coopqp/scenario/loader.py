@@ -18,6 +18,7 @@ from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.hold import grasp_of_each
 from coopqp.plant import Plant
+from coopqp.reading import absolute
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen, file_model
@@ -229,7 +230,7 @@ class _Reader:
     def _folder(self) -> Path:
         """Where relative paths begin."""
         read: Any = self._read
-        return (self._file.path.parent / str(read.folder)).resolve()
+        return absolute(self._file.path.parent / str(read.folder))
 
     def _start(self) -> Start:
         read: Any = self._read

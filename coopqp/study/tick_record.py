@@ -158,8 +158,10 @@ _RECORD = TypeAdapter(TickRecord)
 
 def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError:
     """That a file is no tick, with the line that shows it."""
-    broken = re.search(r" at line (\d+) column \d+", why)
+    broken = re.search(r" at line (\d+) column (\d+)", why)
     line = int(broken[1]) if broken else line_in_json(text, location)
+    if broken and broken[2] == "0":  # it is the line break before that is wrong
+        line -= 1
     where = f"{dotted(location)}: " if location else ""
     words = "is not a tick saved by 'coopqp explain --save'"
     return CoopqpError(f"{path}:{line}: {words}: {where}{' '.join(why.split())}")

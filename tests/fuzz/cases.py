@@ -31,16 +31,18 @@ from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import recording_from_trace
 
-from . import mutations, trees
+from . import meshes, mutations, trees
 from .lines import Mutated, wrong_line
 
 SEEDS = Path(__file__).parent / "seeds"
 SHIPPED = Path(__file__).parents[2] / "scenarios"
 #: What is mutated; a scenario more often than the others.
-KINDS = ("scenario", "scenario", "scenario", "robot", "trace", "tick")
+KINDS = ("scenario", "scenario", "scenario", "robot", "mesh", "trace", "tick")
 TICKS = 3
 #: Seeds that need no package of robots.
-NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several")
+NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several", "things")
+#: How often a file is none, but a folder, a pipe, a device or a giant.
+SPECIAL = 0.02
 #: What is wrong with a file as a whole, and has no line.
 WHOLE = ("cannot be read", "the file is empty", "is larger")
 #: What was done to a file, and what coopqp is to do with it.
@@ -78,6 +80,8 @@ def run_case(seed: int, folder: Path) -> Outcome:
     heard = io.StringIO()
     try:
         mutated, run = MAKERS[kind](rng, folder)
+        if rng.random() < SPECIAL:
+            meshes.special(rng, mutated.path)
         with redirect_stdout(heard), redirect_stderr(heard):
             run()
     except InternalError as error:
@@ -137,6 +141,24 @@ def _robot(rng: Random, folder: Path) -> Case:
     file.write_bytes(new.encode("utf-8", "surrogatepass"))
     pages = rng.random() < 0.01
     return Mutated(file, old, new, trees.of_xml), lambda: _run(folder / f"{name}.yaml", pages=pages)
+
+
+def _mesh(rng: Random, folder: Path) -> Case:
+    """A mesh that is a thing in the world and a part of a robot."""
+    shutil.copytree(SEEDS, folder, dirs_exist_ok=True)
+    name = rng.choice(("m.obj", "t.stl", "b.stl", "m.dae"))
+    file, old = folder / name, (folder / name).read_bytes()
+    if name == "b.stl":
+        new = meshes.binary(rng, old)
+    else:
+        other = (folder / rng.choice(("m.obj", "t.stl", "m.dae"))).read_text(encoding="utf-8")
+        changed = meshes.text(rng, old.decode(), other)
+        new = changed.encode("utf-8", "surrogatepass")
+    file.write_bytes(new)
+    scenario = folder / rng.choice(("things.yaml", "things.yaml", "urdf.yaml", "mjcf.yaml"))
+    pages = rng.random() < 0.1
+    mutated = Mutated(file, old.decode("latin-1"), new.decode("latin-1"), trees.of_lines)
+    return mutated, lambda: _run(scenario, pages=pages)
 
 
 def _seed(rng: Random) -> Path:
@@ -226,4 +248,6 @@ def _tick(rng: Random, folder: Path) -> Case:
     return mutated, lambda: replay(TickRecord.read(path), solver)
 
 
-MAKERS = {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}
+MAKERS = {
+    "scenario": _scenario, "robot": _robot, "mesh": _mesh, "trace": _trace, "tick": _tick,
+}  # fmt: skip

@@ -9,15 +9,18 @@ refusal names must be
   for anything in a task, a limit, a controller, a phase or a secondary task the first line of that;
   for anything in the grasp of all arms or in the object the line of that key;
 - **namesake**: a line where a name stands that has changed elsewhere, or where the mapping or list
-  begins that it is in: it points nowhere now, or two have it;
+  begins that it is in: it points nowhere now, or two have it; a row of a table with the same
+  controller and tick;
 - **judged by it**: of a value under a key whose values are checked against the changed one, as
   AGREE has it; in a table the row behind what has changed, which does not follow it any more, and
   where its header has changed the first row of a run;
 - **noticed**: where another reader makes no tree of the text either, the lines from the first that
-  has changed to that at which this reader gives up.
+  has changed to that at which this reader gives up; of a mesh to the last, and of one in COLLADA
+  the first, if a part is missing.
 
 A refusal that names no line of the file must name one of another file: one that says a word that
-has changed in this one, or, of a robot's file, a line of the scenario that is judged by the robot.
+has changed in this one; of a robot's file a line of the scenario that is judged by the robot, and
+of a mesh the line that names it.
 Those of WHOLE need no line: they speak of a file as a whole.
 """
 
@@ -60,6 +63,7 @@ AGREE: dict[str, tuple[str, ...]] = {
 #: Lists of a scenario whose items are told of as a whole.
 PARTS = ("tasks", "limits", "controllers", "phases", "secondary")
 SLOTS = ("grasp", "object")
+MESHES = (".stl", ".obj", ".dae")
 #: What is said of a file as a whole.
 WHOLE = ("cannot be read", "the file is empty", "is larger", "no sensors say where the joints are")
 
@@ -115,24 +119,36 @@ class Mutated:
         """Whether a refusal may name a line."""
         if self.tree is None:
             first, last = trees.first_difference(self.old, self.new), self._read[1]
-            return min(first, last) <= line <= last
+            whole = line == 1 and self.path.suffix == ".dae"
+            return whole or min(first, last) <= line <= last
         if any(line in _own(change) for change in self.changes):
             return True
         at = [(path, part) for path, part in self.tree.walk() if part.first == line]
         if self.tree.kind == "table":
             starts = any(path[1:] == (1,) and part.word == "0" for path, part in at)
             head = starts and any(c.path[:1] == (0,) for c in self.changes)
-            return head or any(line - 1 in c.lines for c in self.changes)
+            same = any(self._cells(line) == self._cells(k) for c in self.changes for k in c.lines)
+            return head or same or any(line - 1 in c.lines for c in self.changes)
         said = {str(word) for path, part in at for word in (*path[-1:], *_direct(part))}
         if self.words & said:
             return True
         keys = {path[0] for path, _ in at if path}
-        return any(keys & set(AGREE.get(str(c.path[0]), ())) for c in self.changes if c.path)
+        changed = {str(key) for c in self.changes for key in c.path[:1] or c.words}
+        return any(keys & set(AGREE.get(key, ())) for key in changed)
+
+    def _cells(self, line: int) -> list[str]:
+        """The first two words of a row of a table, which no other row has."""
+        row = self.tree.inside.get(line - 1) if self.tree else None
+        return [part.word for part in row.inside.values()][:2] if row else []
 
     def is_other(self, words: str) -> bool:
         """Whether a refusal that names another file may do so."""
         if any(word in words for word in self.words):
             return True
+        line = re.search(r"(\w+\.yaml):(\d+): ", words)
+        if line and self.path.suffix in MESHES:
+            scenario = (self.path.parent / line[1]).read_text(encoding="utf-8").splitlines()
+            return self.path.name in scenario[int(line[2]) - 1]
         key = re.search(r"\.yaml:\d+: (\w+)", words)
         return key is not None and key[1] in AGREE["robot"] and self.path.suffix != ".yaml"
 

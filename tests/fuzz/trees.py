@@ -186,6 +186,15 @@ def of_xml(text: str) -> Tree:
     return root
 
 
+def of_lines(text: str) -> Tree:
+    """No tree: what is wrong with a mesh may show only where another line needs what has changed.
+
+    Raises:
+        ValueError: always.
+    """
+    raise ValueError(text[:0])
+
+
 def of_csv(text: str) -> Tree:
     """The tree of a table: its rows, and the cells of each."""
     root = Tree("table", "", 1, 1, ordered=True)
