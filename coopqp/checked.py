@@ -28,7 +28,8 @@ Array = NDArray[np.float64]
 """An array of numbers, as all signatures have it."""
 
 FARTHEST = 1e4
-"""No robot is farther from anything than this [m]; rounding would be all that is left of it."""
+"""No robot is farther from anything than this [m], and no joint has turned more [rad]; rounding
+would be all that is left of a motion."""
 
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
@@ -147,6 +148,18 @@ def finite(name: str, found: Array) -> Array:
     """
     if not np.isfinite(found).all():
         raise InvalidValueError(f"{name}: found {found.tolist()}, needs finite numbers")
+    return found
+
+
+def near(name: str, found: Array) -> Array:
+    """The array as it is.
+
+    Raises:
+        InvalidValueError: a number is NaN, infinite, or more than a joint's value can be [rad, m].
+    """
+    if np.abs(finite(name, found)).max(initial=0.0) > FARTHEST:
+        words = f"found {found.tolist()}, needs at most {FARTHEST:g} rad or m"
+        raise InvalidValueError(f"{name}: {words}")
     return found
 
 

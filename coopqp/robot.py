@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, array, finite
+from coopqp.checked import Array, array, near
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 
@@ -162,7 +162,7 @@ class RobotModel:
                 known = [*arms, *self.joint_names]
                 raise UnknownNameError("arm or joint", key, known).at(key)
             joints = arms.get(key, (key,))
-            numbers = np.atleast_1d(finite(key, array(key, value)))
+            numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
                     f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"

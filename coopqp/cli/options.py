@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -58,7 +59,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
     """A written trace, from its own or its folder's path, and the scenario beside it."""
     from coopqp.study.trace_file import controllers_of
 
-    path = trace / "trace.csv" if trace.is_dir() else trace
+    path = trace / "trace.csv" if os.path.isdir(trace) else trace
     controllers_of(path)  # a trace that is missing is said before its scenario is
     return path, read_scenario(str(path.parent / "scenario.yaml"), catalog)
 

@@ -24,7 +24,11 @@ from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
 from coopqp.robot_files.mjcf_defaults import with_defaults
 from coopqp.robot_files.mjcf_geoms import check_geoms
-from coopqp.robot_files.shapes import read_collision_shapes, read_shapes
+from coopqp.robot_files.shapes import (
+    read_collision_shapes,
+    read_shapes,
+    with_numbered_meshes,
+)
 from coopqp.robot_files.xml import (
     DEEPEST,
     MOST_ELEMENTS,
@@ -80,7 +84,7 @@ def read_mjcf(path: Path) -> Description:
 
 
 def _parsed(xml: ET.Element) -> pin.Model:
-    model = _pinocchio(xml)
+    model = _pinocchio(with_numbered_meshes(xml))
     compiler = xml.find("compiler")
     in_degrees = compiler is None or compiler.get("angle", "degree") == "degree"
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)

@@ -234,4 +234,4 @@ def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None
                 candidates.append(parent / inside)
     else:
         candidates = [folder / rest]
-    return next((file for file in candidates if file.is_file()), None)
+    return next((file for file in candidates if os.path.isfile(file)), None)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, array, finite, type_name
+from coopqp.checked import Array, array, near, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
@@ -270,7 +270,7 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     for key, value in start.items():
         arm, dot, _ = key.rpartition(".")
         if dot and arm in arms and key not in robot.joint_names:
-            numbers = np.atleast_1d(finite(key, array(key, own.pop(key))))
+            numbers = np.atleast_1d(near(key, array(key, own.pop(key))))
             if numbers.shape != (1,):
                 raise InvalidValueError(f"{key}: found {value}, needs one number").at(key)
             passive[key] = float(numbers[0])

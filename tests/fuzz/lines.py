@@ -20,7 +20,7 @@ refusal names must be
 
 A refusal that names no line of the file must name one of another file: one that says a word that
 has changed in this one; of a robot's file a line of the scenario that is judged by the robot, and
-of a mesh the line that names it.
+of a mesh the line that names it, or where the robot's file does so, that file's name.
 Those of WHOLE need no line: they speak of a file as a whole.
 """
 
@@ -65,7 +65,10 @@ PARTS = ("tasks", "limits", "controllers", "phases", "secondary")
 SLOTS = ("grasp", "object")
 MESHES = (".stl", ".obj", ".dae")
 #: What is said of a file as a whole.
-WHOLE = ("cannot be read", "the file is empty", "is larger", "no sensors say where the joints are")
+WHOLE = (
+    "cannot be read", "the file is empty", "is larger", "no sensors say where the joints are",
+    "has no tick", "unknown controller",  # that was asked for
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,8 @@ class Mutated:
         line = re.search(r"(\w+\.yaml):(\d+): ", words)
         if line and self.path.suffix in MESHES:
             scenario = (self.path.parent / line[1]).read_text(encoding="utf-8").splitlines()
-            return self.path.name in scenario[int(line[2]) - 1]
+            at = [i for i, said in enumerate(scenario, 1) if self.path.name in said]
+            return int(line[2]) in at if at else self.path.name in words
         key = re.search(r"\.yaml:\d+: (\w+)", words)
         return key is not None and key[1] in AGREE["robot"] and self.path.suffix != ".yaml"
 
