@@ -16,12 +16,37 @@ what goes wrong there is a :class:`coopqp.solver.Status`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+from typing_extensions import Self
 
 
 class CoopqpError(Exception):
-    """Base of all errors raised by coopqp."""
+    """Base of all errors raised by coopqp.
+
+    Attributes:
+        keys: the way from what was to be built to the value that is wrong, as far as it is known:
+            names of fields, keys and indices.
+    """
+
+    keys: tuple[str | int, ...] = ()
+
+    def at(self, *keys: str | int) -> Self:
+        """The same error, with its way told from farther outside."""
+        self.keys = (*keys, *self.keys)
+        return self
+
+
+@contextmanager
+def under(*keys: str | int) -> Iterator[None]:
+    """Tell of an error that it is of what is under these keys."""
+    try:
+        yield
+    except CoopqpError as error:
+        error.at(*keys)
+        raise
 
 
 class InvalidValueError(CoopqpError, ValueError):

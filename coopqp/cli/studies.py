@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from coopqp.cli.options import JSON, catalogued, read_tick, read_trace
+from coopqp.reading import absolute
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -57,7 +58,7 @@ def explain(
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recording, report)
-    click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
+    click.echo(explained.run_text(found, absolute(path.parent).name, as_json=as_json))
 
 
 @click.command()

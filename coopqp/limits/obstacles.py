@@ -20,7 +20,7 @@ from pydantic import Field
 
 from coopqp.checked import Array, Lengths3, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, under
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
@@ -158,10 +158,13 @@ class Obstacles(Limit):
             InvalidValueError: the robot has no bodies, or a mesh cannot be used.
             UnknownNameError: no body has the name given.
         """
-        bodies, _ = bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.bodies is not None:
-            named = (named_bodies("obstacles.bodies: ", name, bodies) for name in self.bodies)
-            bodies = list(dict.fromkeys(body for found in named for body in found))
+            named = list[Body]()
+            for i, name in enumerate(self.bodies):
+                with under("bodies", i):
+                    named += named_bodies("obstacles.bodies: ", name, bodies, faults)
+            bodies = list(dict.fromkeys(named))
         things = [_thing(name, thing) for name, thing in self.shapes.items()]
         return [(body, thing) for body in bodies if body.joint for thing in things]
 
@@ -170,4 +173,6 @@ def _thing(name: str, thing: Obstacle) -> Body:
     try:
         return Body(name, 0, of_shape(thing.shape))
     except InvalidValueError as error:
-        raise InvalidValueError(f"obstacles.shapes.{name}: {error}") from None
+        words = f"obstacles.shapes.{name}: {error}"
+        key = ("mesh",) if thing.mesh else ()
+        raise InvalidValueError(words).at("shapes", name, *key) from None

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, under
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
@@ -118,19 +118,19 @@ class SelfCollision(Limit):
         """Those given, or those that can meet, without those to be ignored.
 
         Raises:
-            InvalidValueError: the robot has no bodies.
+            InvalidValueError: the robot has no bodies, or one that is named cannot be watched.
             UnknownNameError: no body has the name given.
         """
-        bodies, _ = bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.pairs is None:
             found = pairs_that_can_meet(chain)
         else:
-            found = list(_named("pairs", self.pairs, bodies))
+            found = list(_named("pairs", self.pairs, bodies, faults))
             if not found:
                 raise InvalidValueError(
                     "self_collision.pairs: these bodies are fixed to each other"
-                )
-        ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies)}
+                ).at("pairs")
+        ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies, faults)}
         return [pair for pair in found if _names(pair) not in ignored]
 
 
@@ -142,16 +142,20 @@ def _names(pair: Pair) -> frozenset[str]:
     return frozenset(body.name for body in pair)
 
 
-def _named(key: str, names: Collection[NamePair], bodies: Sequence[Body]) -> Iterator[Pair]:
+def _named(
+    key: str, names: Collection[NamePair], bodies: Sequence[Body], faults: Sequence[str]
+) -> Iterator[Pair]:
     """Pairs of bodies by names and patterns, each once.
 
     Raises:
         UnknownNameError: no body has the name given.
+        InvalidValueError: nothing of what has it can be watched.
     """
     seen = set[frozenset[Body]]()
-    for first, second in names:
+    for i, pair_of_names in enumerate(names):
         where = f"self_collision.{key}: "
-        ones, others = (named_bodies(where, name, bodies) for name in (first, second))
+        with under(key, i):
+            ones, others = (named_bodies(where, name, bodies, faults) for name in pair_of_names)
         for pair in itertools.product(ones, others):
             if pair[0].joint != pair[1].joint and frozenset(pair) not in seen:
                 seen.add(frozenset(pair))

@@ -50,9 +50,9 @@ class Workspace(Limit):
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """Points of the object, then frames."""
         known = [frame.name for frame in chain.model.frames]
-        for frame in self.frames:
+        for i, frame in enumerate(self.frames):
             if frame not in known:
-                raise UnknownNameError("frame", frame, known, f"{self.name}: ")
+                raise UnknownNameError("frame", frame, known, f"{self.name}: ").at("frames", i)
         points = {
             f"object[{i}]": f"{self._words(point)} of the object"
             for i, point in enumerate(self._points(chain))

@@ -47,7 +47,7 @@ def without_locked_joints(
         elif locked.get(name) is not None:
             raise InvalidValueError(
                 f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
-            )
+            ).at("locked", name)
     still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
     if not still:
         return model
@@ -93,5 +93,5 @@ def _locked_value(description: Description, name: str, locked: Mapping[str, floa
     if not lower <= given <= upper:
         raise InvalidValueError(
             f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
-        )
+        ).at("locked", name)
     return given

@@ -41,7 +41,7 @@ class ExampleRobot(Robot):
         """The joints of the arms; all others locked."""
         known = robots()
         if self.name not in known:
-            raise UnknownNameError("example robot", self.name, known)
+            raise UnknownNameError("example robot", self.name, known).at("name")
         return robot_model(
             read_urdf(known[self.name]),
             arms=self.arms,

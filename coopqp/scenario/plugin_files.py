@@ -24,6 +24,7 @@ from pathlib import Path
 from pydantic import BaseModel, PydanticUserError
 
 from coopqp.errors import Fault, unknown_name
+from coopqp.reading import absolute
 from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
 from coopqp.scenario.user_folders import package_of
 
@@ -94,12 +95,12 @@ def installed() -> Iterator[Shelf | Fault]:
 
 def in_folder(folder: Path) -> Iterator[Shelf | Fault]:
     """What a user's folder of plug-ins holds."""
-    yield from _shelves(folder.resolve(), None)
+    yield from _shelves(absolute(folder), None)
 
 
 def of_tasks(folder: Path) -> Shelf:
     """A user's folder of task files alone."""
-    folder = folder.resolve()
+    folder = absolute(folder)
     return Shelf("tasks", folder, package_of(folder))
 
 

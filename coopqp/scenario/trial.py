@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limit import Limit, LimitRows
@@ -293,7 +293,9 @@ def blamed(plugin: Task | Limit) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):  # what is not finite is told of anyway
             yield
-    except CoopqpError:
+    except CoopqpError as error:
+        if error.keys:
+            error.at(type_name(type(plugin)))
         raise
     except _PromiseError as error:
         raise InvalidValueError(f"{file}: {error}") from None

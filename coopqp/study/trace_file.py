@@ -32,10 +32,12 @@ class _Row:
 
     Attributes:
         place: file and line.
+        header: file and line of the columns' names.
         cells: texts by column.
     """
 
     place: str
+    header: str
     cells: Mapping[str, str]
 
     def number(self, column: str, *, nan: bool = False) -> float:
@@ -51,7 +53,7 @@ class _Row:
         text = self.cells.get(column)
         if text is None:
             raise InvalidValueError(
-                f"{self.place}: has no column '{column}'; the trace is damaged, or it is of "
+                f"{self.header}: has no column '{column}'; the trace is damaged, or it is of "
                 "another scenario than the one beside it: run it again"
             )
         try:
@@ -109,9 +111,9 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     rows = list(_rows(path, controller))
     if len(rows) != ticks + 1:
         raise CoopqpError(
-            f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
-            "is damaged, of another scenario, or of a live loop, of which only a tick can be "
-            "explained: name it with --tick"
+            f"{rows[min(ticks + 1, len(rows) - 1)].place}: '{controller}' has {len(rows) - 1} "
+            f"ticks, its scenario {ticks}; the file is damaged, of another scenario, or of a live "
+            "loop, of which only a tick can be explained: name it with --tick"
         )
     tau = [_torques(row, joints) for row in rows[:-1]] if rows[0].tells("tau", joints) else [[]]
     return Recording(
@@ -122,6 +124,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         errors=_last_errors(rows),
         tau=np.array(tau),
         inputs=_inputs(rows[:-1], held),
+        place=rows[0].header,
     )
 
 
@@ -288,8 +291,9 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
     """The rows of a controller; all if None.
 
     Raises:
-        CoopqpError: no such file, not a trace, or a row with too few or too many cells.
+        CoopqpError: no such file, not a trace, a row with too few or too many cells, or ticks that
+            do not follow each other.
     """
     for found in format_of(path).rows(path):
         if controller in (None, found.texts["controller"]):
-            yield _Row(found.place, found.texts)
+            yield _Row(found.place, found.header or found.place, found.texts)
