@@ -109,7 +109,6 @@ def _check(xml: ET.Element) -> list[str]:
     warnings = []
     check_names(xml.findall("link"), "link")
     check_names(xml.findall("joint"), "joint")
-    check_circles(xml)
     for part in (*xml.findall("link"), *xml.findall("joint")):
         for element in part.iter():
             check_numbers(element, NUMBERS.get(element.tag, {}))
@@ -117,7 +116,9 @@ def _check(xml: ET.Element) -> list[str]:
                 check_numbers(element, {"xyz": Numbers(3, 3, direction=True)})
             if element.tag == "inertia":
                 warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
-    return [*(line for line in warnings if line), *check_schema(xml)]
+    strange = check_schema(xml)
+    check_circles(xml)
+    return [*(line for line in warnings if line), *strange]
 
 
 @contextmanager

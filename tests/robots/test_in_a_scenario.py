@@ -13,7 +13,7 @@ from scenario_files import GOOD, HAS_ROBOTS, write
 
 from coopqp.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.form import check, chosen, file_model
+from coopqp.scenario.form import check, chosen
 from coopqp.scenario.loader import load
 from coopqp.scenario.yaml import read_yaml
 
@@ -54,7 +54,7 @@ def test_a_table_is_read_as_it_is_printed(tmp_path: Path) -> None:
     path = tmp_path / "table.yaml"
     rest = "tasks: [point_on_point: {goal: [0, 0, 1]}]\nduration: 1\n"
     path.write_text(f"robot:{TABLE}{rest}", encoding="utf-8")
-    read: Any = check(read_yaml(path), file_model(Catalog()))
+    read: Any = check(read_yaml(path), Catalog())
     robot = chosen(read.robot)[1].build()
     assert robot.joint_names == ("1", "slide", "3", "b1")
     model = robot.model
@@ -103,7 +103,7 @@ def test_the_examples_of_the_manual_are_good(tmp_path: Path) -> None:
     for block in blocks:
         path = tmp_path / "manual.yaml"
         path.write_text(block + rest, encoding="utf-8")
-        read: Any = check(read_yaml(path), file_model(Catalog()))
+        read: Any = check(read_yaml(path), Catalog())
         name, robot = chosen(read.robot)
         seen.add(name)
         if name == "mdh_table" or (HAS_ROBOTS and name in ("example_robot", "several")):
