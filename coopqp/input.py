@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 
@@ -192,6 +192,13 @@ def _channel(
     except InvalidValueError as error:
         raise InvalidValueError(f"inputs.{name}: {error}") from None
     return Channel(kind, settings, dt, here)
+
+
+class Sender(Protocol):
+    """Who sends while the arms move."""
+
+    def step(self, state: State) -> None:
+        """Let what has been sent arrive, for the tick of a state."""
 
 
 _Row = tuple[float, float, Array]
