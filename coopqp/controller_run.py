@@ -34,16 +34,25 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
         CoopqpError: the controller or the plant cannot be built for this scenario.
     """
     chosen = controller_of(scenario, controller)
-    if chosen.commands_torques and not scenario.plant.takes_torques:
-        raise InvalidValueError(
-            f"controller '{controller}' commands torques, which this plant does not take; use "
-            "plant: rigid_body or plant: mujoco"
-        )
+    check_plant(scenario, chosen, controller)
     scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
     with _own_words(controller):
         legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
         return join(legs) if scenario.phases else legs[0][1]
+
+
+def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
+    """Refuse a controller by torques where the plant takes none.
+
+    Raises:
+        InvalidValueError: that is so.
+    """
+    if chosen.commands_torques and not scenario.plant.takes_torques:
+        raise InvalidValueError(
+            f"controller '{name}' commands torques, which this plant does not take; use "
+            "plant: rigid_body or plant: mujoco"
+        )
 
 
 @contextmanager

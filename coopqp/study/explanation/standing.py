@@ -79,7 +79,7 @@ def _said(goal: Goal, room: Room, q: Array, *, rests: bool) -> Standing:
         return Standing(False, False, f"{short}; it can be reached from here")
     if isinstance(found, BlockedByLimits):
         if not rests:
-            short = _nearest(goal, found.place.q)
+            short = _nearest(goal, found.place.q) or short
         said = [short, words.holding(found.shares), *_needed(goal, room, found)]
         if found.elsewhere:
             said.append(words.elsewhere(found.elsewhere, goal.chain))
@@ -96,9 +96,12 @@ def _said(goal: Goal, room: Room, q: Array, *, rests: bool) -> Standing:
 
 
 def _nearest(goal: Goal, q: Array) -> str:
-    """How near to the goal a configuration is, as a bound."""
+    """How near to the goal a configuration is, as a bound; empty where it is there."""
     goal.look(q)
-    (part, error), *_ = _missed(goal)
+    missed = _missed(goal)
+    if not missed:
+        return ""
+    part, error = missed[0]
     return f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
 
 
