@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import Command
 from coopqp.controller_run import BegunPhase, begin_phase, controller_of
+from coopqp.errors import CoopqpError
 from coopqp.input import Arrival, Feed, Inputs, InputSettings
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.rollout import drive
@@ -185,6 +187,12 @@ class Lane:
         self._ending = True
         next(self._run, None)
 
-    def channel_targets(self) -> dict[str, Any]:
-        """What its inputs go to, by name."""
-        return {name: c.target.copy() for name, c in self.feed.inputs.channels.items()}
+    def targets(self) -> dict[str, Array]:
+        """What its inputs go to, by name, with what people have sent since the last tick."""
+        found = {}
+        for name, channel in self.feed.inputs.channels.items():
+            found[name] = channel.target.copy()
+            if name in self._hands:
+                with suppress(CoopqpError):  # what cannot be used is refused by the next tick
+                    found[name] = channel.kind.read(self._hands[name])
+        return found

@@ -55,6 +55,7 @@ class _Page:
 
     async def _begin(self, client: Any) -> None:
         """Time goes on from when somebody looks."""
+        self._scene.fit(client)
         if not self._begun:
             self._begun = True
             self._ask(Asked("play"))

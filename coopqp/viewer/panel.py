@@ -15,6 +15,8 @@ Arrange = Callable[[str, int], None]
 
 OVERLAID, APART = "all, one over the other", "all, side by side"
 BUTTONS = ("Play", "Pause", "One tick", "Reset")
+DRAG = "Drag the box, or the arrows and rings at a goal; the arms follow as far as they can."
+STILL = "Nothing can be dragged here: what the tasks ask for moves by itself, or has no place."
 #: Limits that are listed by name.
 MOST = 4
 
@@ -31,7 +33,7 @@ class Panel:
 
     def __init__(self, server: Any, show: Show, ask: Ask, arrange: Arrange) -> None:
         self._gui, self._show, self._ask, self._arrange = server.gui, show, ask, arrange
-        self._texts: dict[Any, str] = {}
+        self._texts: dict[int, str] = {}
         self._gui.add_html(_head(show))
         self._verdict = self._gui.add_html("")
         self._buttons()
@@ -51,8 +53,8 @@ class Panel:
 
     def _set(self, handle: Any, text: str) -> None:
         """Send a text that has changed."""
-        if self._texts.get(handle) != text:
-            self._texts[handle] = handle.content = text
+        if self._texts.get(id(handle)) != text:
+            self._texts[id(handle)] = handle.content = text
 
     def _buttons(self) -> None:
         buttons = self._gui.add_button_group("", BUTTONS)
@@ -136,7 +138,7 @@ def _box(content: str, *, style: str = "") -> str:
 def _head(show: Show) -> str:
     title = f'<div style="font-weight:600;font-size:1.15em">{escape(show.title)}</div>'
     words = escape(show.description)
-    hint = "Drag the box, or the arrows and rings at a goal; the arms follow as far as they can."
+    hint = DRAG if show.gizmos else STILL
     return _box(f'{title}<div>{words}</div><div style="opacity:0.7;margin-top:0.35em">{hint}</div>')
 
 

@@ -28,6 +28,8 @@ ARROW, LEAST_FORCE = 0.8, 1.0
 #: Corners of a circle.
 ROUND = 48
 MOST_NAMED = 2
+#: What is smaller than this many digits tell is no error to people [m, rad].
+DIGITS = 6
 
 
 def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
@@ -156,17 +158,18 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
         return False, lane.command.note
     said, reached, at = [], True, 0
     for task in problem.tasks:
+        errors = []
         for part in task.parts(problem.chain):
             rows = slice(at, at + part.rows)
             at += part.rows
-            miss = (
-                stack.J[rows] @ state.v - stack.rate[rows] if task.asks_velocity else stack.e[rows]
-            )
+            miss = stack.e[rows]
+            if task.asks_velocity:
+                miss = stack.J[rows] @ state.v - stack.rate[rows]
             error = math.hypot(*miss.tolist())
             reached = reached and error <= part.tolerance
-            name = f"{task.name} {part.name}".strip()
-            said.append(f"{name} {size(error, part.unit)} off")
-    return reached, listed(said)
+            errors.append(size(round(error, DIGITS), part.unit))
+        said.append(f"{task.name} {listed(errors)} off")
+    return reached, ", ".join(said)
 
 
 def _arrows(lane: Lane, state: State) -> Array:

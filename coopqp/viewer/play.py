@@ -7,7 +7,12 @@ import socket
 import time
 from collections.abc import Callable
 
-from coopqp.errors import CoopqpError, InvalidValueError, MissingDependencyError
+from coopqp.errors import (
+    CoopqpError,
+    InternalError,
+    InvalidValueError,
+    MissingDependencyError,
+)
 from coopqp.viewer import explainer, page
 from coopqp.viewer.beside import Beside
 from coopqp.viewer.messages import Asked, Opened, Placed, Told
@@ -65,16 +70,16 @@ def play(
     port: int,
     opened: Callable[[str], None],
     *,
-    seconds: float | None = None,
+    goes_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Play until Ctrl-C.
+    """Play until Ctrl-C, or as long as is asked for.
 
     Args:
         player: what is played.
         host: to be bound to.
         port: likewise; 0 is any that is free.
         opened: called with the page's address.
-        seconds: at most so long, for tests [s].
+        goes_on: asked some tens of times a second; where it says no, that is the end.
 
     Raises:
         CoopqpError: the page cannot be opened, or breaks down.
@@ -83,7 +88,7 @@ def play(
     thinker = Beside(explainer.serve, player.scenario)
     try:
         opened(_address(beside, host))
-        _Clock(player, beside, thinker).run(seconds)
+        _Clock(player, beside, thinker).run(goes_on)
     finally:
         beside.end()
         thinker.end()
@@ -98,7 +103,7 @@ def _address(beside: Beside, host: str) -> str:
                 return f"http://{f'[{host}]' if ':' in host else host}:{thing.port}"
     except EOFError:
         pass
-    raise CoopqpError("the page did not open; see what is printed above")
+    raise InternalError("the page did not open; see what is printed above")
 
 
 class _Clock:
@@ -111,10 +116,10 @@ class _Clock:
         self._thinks = True
         self._done: list[tuple[float, float]] = []  # when ticks were done, and how long [us]
 
-    def run(self, seconds: float | None) -> None:
+    def run(self, goes_on: Callable[[], bool]) -> None:
         """Until somebody ends it."""
-        begin = now = time.perf_counter()
-        while seconds is None or now - begin < seconds:
+        while goes_on():
+            now = time.perf_counter()
             self._hear()
             self._think(now)
             self._tick(now)
@@ -122,7 +127,6 @@ class _Clock:
             now = time.perf_counter()
             rest = min(self._next_frame, self._next_tick if self._player.playing else now + NAP)
             time.sleep(min(max(rest - now, 0.0), NAP))
-            now = time.perf_counter()
 
     def _hear(self) -> None:
         try:
@@ -130,7 +134,7 @@ class _Clock:
                 if isinstance(thing, Asked):
                     self._player.do(thing)
         except EOFError:
-            raise CoopqpError("the page has broken down; see what is printed above") from None
+            raise InternalError("the page has broken down; see what is printed above") from None
 
     def _think(self, now: float) -> None:
         """Let the explainer have something new; without it the page has fewer words."""

@@ -213,7 +213,7 @@ class Player:
             corrected=state.corrected,
             measured=None if state.q_measured is None else state.q_measured.copy(),
             inputs=followed,
-            targets=lane.channel_targets(),
+            targets=lane.targets(),
             rests=picture.speed(lane) < RESTS and _arrived(lane),
         )
 
@@ -258,10 +258,10 @@ class Player:
     def _reach_for(self, asked: Asked) -> None:
         """A gizmo, the object, a dial or a knob."""
         lane, which, value = self.lanes[self._main], asked.which, asked.value
-        targets = lane.channel_targets()
+        targets = lane.targets()
         if asked.what == "drag" and isinstance(which, int) and which < len(self._handles):
             self._send(self._handles[which], value)
-        elif asked.what == "carry":
+        elif asked.what == "carry" and len(value) == 3:
             placed = (h for h in self._handles if h.look.phase == lane.phase and h.look.moves)
             for handle in list(placed)[:1]:
                 self._send(handle, handle.carried(value, targets, lane.state).tolist())
@@ -297,7 +297,7 @@ class Player:
         return f"the recording {self.recording.note}" if self.recording.note else ""
 
     def _gizmo_poses(self, lane: Lane) -> tuple[Array | None, ...]:
-        targets = lane.channel_targets()
+        targets = lane.targets()
         return tuple(
             handle.pose(targets, lane.state) if handle.look.phase == lane.phase else None
             for handle in self._handles

@@ -21,6 +21,11 @@ STILL = 1e-6
 #: Sizes, in the object's longest edge, and of the space that is seen.
 GIZMO, THIN, APART = 1.1, 0.02, 1.15
 
+#: Where the camera is at first, in diagonals of the space that is seen, and how wide it sees [rad].
+BEFORE, BESIDE, FOV = (1.15, -0.55, 0.5), (0.45, -1.2, 0.5), 0.8
+#: A window below is narrow [px]: the camera goes farther off and looks lower, in the same measures.
+NARROW, FARTHER, LOWER = 600, 1.5, 0.35
+
 Ask = Callable[[Asked], None]
 
 
@@ -80,12 +85,24 @@ class Scene:
         if self._outlines.visible != seen:
             self._outlines.visible = seen
 
+    def fit(self, client: Any) -> None:
+        """Let somebody with a narrow window see what stands above the panel."""
+        camera = client.camera
+        if camera.image_width >= NARROW:
+            return
+        below = np.array([0.0, 0.0, LOWER * self._wide])
+        camera.look_at = self._middle - below
+        camera.position = self._middle - below + FARTHER * self._wide * self._aside
+
     def _look_around(self, server: Any) -> None:
         low, high = self._show.low, self._show.high
         middle, wide = 0.5 * (low + high), float(np.linalg.norm(high - low))
+        aside = np.array(BESIDE if high[0] - low[0] > high[1] - low[1] else BEFORE)
+        self._middle, self._wide, self._aside = middle, wide, aside
         server.scene.set_up_direction("+z")
         server.initial_camera.look_at = tuple(middle)
-        server.initial_camera.position = tuple(middle + wide * np.array([1.0, -0.45, 0.45]))
+        server.initial_camera.position = tuple(middle + wide * aside)
+        server.initial_camera.fov = FOV
         server.initial_camera.near = 0.01 * wide
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.world_axes.visible = False
