@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -33,8 +34,9 @@ class Line:
         self._connection = connection
 
     def send(self, thing: Any) -> None:
-        """Let the control loop have something; it takes all, in order."""
-        self._connection.send(thing)
+        """Let the control loop have something; it takes all, in order, until it ends."""
+        with suppress(OSError):
+            self._connection.send(thing)
 
     def things(self) -> Iterator[Any]:
         """One thing after the other, each the newest by when it is asked for; until the end."""

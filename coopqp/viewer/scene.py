@@ -29,6 +29,16 @@ NARROW, FARTHER, LOWER = 600, 1.5, 0.35
 Ask = Callable[[Asked], None]
 
 
+def view(show: Show) -> tuple[Array, Array]:
+    """What the camera looks at at first, and from where, shape (3,) each [m].
+
+    Aside of the longer horizontal edge of what there is.
+    """
+    size = show.high - show.low
+    middle, aside = 0.5 * (show.low + show.high), BESIDE if size[0] > size[1] else BEFORE
+    return middle, middle + float(np.linalg.norm(size)) * np.array(aside)
+
+
 class Scene:
     """The scene of a page.
 
@@ -92,16 +102,16 @@ class Scene:
             return
         below = np.array([0.0, 0.0, LOWER * self._wide])
         camera.look_at = self._middle - below
-        camera.position = self._middle - below + FARTHER * self._wide * self._aside
+        camera.position = self._middle - below + FARTHER * self._aside
 
     def _look_around(self, server: Any) -> None:
         low, high = self._show.low, self._show.high
-        middle, wide = 0.5 * (low + high), float(np.linalg.norm(high - low))
-        aside = np.array(BESIDE if high[0] - low[0] > high[1] - low[1] else BEFORE)
-        self._middle, self._wide, self._aside = middle, wide, aside
+        wide = float(np.linalg.norm(high - low))
+        middle, eye = view(self._show)
+        self._middle, self._wide, self._aside = middle, wide, eye - middle
         server.scene.set_up_direction("+z")
         server.initial_camera.look_at = tuple(middle)
-        server.initial_camera.position = tuple(middle + wide * aside)
+        server.initial_camera.position = tuple(eye)
         server.initial_camera.fov = FOV
         server.initial_camera.near = 0.01 * wide
         server.scene.configure_default_lights(cast_shadow=False)

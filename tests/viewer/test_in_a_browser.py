@@ -16,7 +16,7 @@ from coopqp.scenario.loader import load
 from coopqp.viewer.messages import Show
 from coopqp.viewer.play import play
 from coopqp.viewer.player import Player
-from coopqp.viewer.scene import BEFORE, FOV, GIZMO
+from coopqp.viewer.scene import FOV, GIZMO, view
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WIDTH, HEIGHT = 1000, 360  # small, because software draws it
@@ -63,8 +63,7 @@ def browser() -> Iterator[Any]:
 
 def pixel(show: Show, place: Array) -> tuple[float, float]:
     """Where a place is seen, by the pinhole that the page says its camera is."""
-    middle = 0.5 * (show.low + show.high)
-    eye = middle + np.linalg.norm(show.high - show.low) * np.array(BEFORE)
+    middle, eye = view(show)
     ahead = (middle - eye) / np.linalg.norm(middle - eye)
     right = np.cross(ahead, UP)
     right /= np.linalg.norm(right)
