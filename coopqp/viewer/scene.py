@@ -19,10 +19,10 @@ LET_GO = 0.7
 #: A part that moves by less stays where it is drawn [m].
 STILL = 1e-6
 #: Sizes, in the object's longest edge, and of the space that is seen.
-GIZMO, THIN, APART = 1.1, 0.02, 1.15
+GIZMO, THIN, APART = 0.9, 0.02, 1.15
 
 #: Where the camera is at first, in diagonals of the space that is seen, and how wide it sees [rad].
-BEFORE, BESIDE, FOV = (1.15, -0.55, 0.5), (0.45, -1.2, 0.5), 0.8
+BEFORE, BESIDE, FOV = (1.35, -0.65, 0.55), (0.55, -1.4, 0.55), 0.8
 #: A window below is narrow [px]: the camera goes farther off and looks lower, in the same measures.
 NARROW, FARTHER, LOWER = 600, 1.5, 0.35
 
@@ -101,8 +101,8 @@ class Scene:
         if camera.image_width >= NARROW:
             return
         below = np.array([0.0, 0.0, LOWER * self._wide])
-        camera.look_at = self._middle - below
         camera.position = self._middle - below + FARTHER * self._aside
+        camera.look_at = self._middle - below  # after the position, which takes it along
 
     def _look_around(self, server: Any) -> None:
         low, high = self._show.low, self._show.high

@@ -20,6 +20,7 @@ from coopqp.viewer.scene import FOV, GIZMO, view
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WIDTH, HEIGHT = 1000, 360  # small, because software draws it
+VIEWPORT = {"width": WIDTH, "height": HEIGHT}
 PATIENCE = 60_000  # [ms], where the machine is busy
 UP = np.array([0.0, 0.0, 1.0])
 #: Graphics by software; a sandbox is not to be had in every container.
@@ -76,9 +77,10 @@ def pixel(show: Show, place: Array) -> tuple[float, float]:
 def test_a_gizmo_is_dragged_out_of_reach_and_the_limit_is_named() -> None:
     player = Player(load("point_on_point"), ("qp",))
     show, goal = player.show(), np.array([0.13, 0.05, 0.03])
+    player.speed = 4.0
     asked: list[str] = []
     with served(player) as url, browser() as chromium:
-        page = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        page = chromium.new_page(viewport=VIEWPORT, device_scale_factor=0.5)
         page.on("request", lambda request: asked.append(request.url))
         page.goto(url)
         page.wait_for_selector('[data-tone="reached"]', timeout=PATIENCE)
