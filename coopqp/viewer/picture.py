@@ -25,6 +25,8 @@ FORCES = "internal_wrench"
 AT_LIMIT = 1e-4
 #: Forces are drawn as long as this share of the object, the longest of them, and not below [N].
 ARROW, LEAST_FORCE = 0.8, 1.0
+#: So far above the hands, in the object's longest edge: inside them nobody would see an arrow.
+ABOVE = 0.6
 #: Corners of a circle.
 ROUND = 48
 MOST_NAMED = 2
@@ -173,14 +175,15 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
 
 
 def _arrows(lane: Lane, state: State) -> Array:
-    """What each hand presses with, from the hand on, shape (arms, 2, 3) [m]."""
+    """What each hand presses with, from above the hand on, shape (arms, 2, 3) [m]."""
     wrenches = lane.plant.signals.get(FORCES)
     if wrenches is None:
         return np.zeros((0, 2, 3))
     forces = wrenches.reshape(-1, 6)[:, :3]
     longest = max(float(np.linalg.norm(forces, axis=1).max()), LEAST_FORCE)
     scale = ARROW * max(lane.scenario.held.size) / longest
-    hands = _hands(state, lane.scenario.chain.robot)
+    size = max(lane.scenario.held.size)
+    hands = _hands(state, lane.scenario.chain.robot) + (0.0, 0.0, ABOVE * size)
     return np.stack([hands, hands + scale * forces], axis=1)
 
 

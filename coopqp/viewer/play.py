@@ -6,6 +6,7 @@ import importlib.util
 import socket
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from coopqp.errors import (
     CoopqpError,
@@ -85,7 +86,8 @@ def play(
         CoopqpError: the page cannot be opened, or breaks down.
     """
     beside = Beside(page.serve, player.show(), host, port)
-    thinker = Beside(explainer.serve, player.scenario)
+    # A copy leaves behind what was built of it: not every model can be sent.
+    thinker = Beside(explainer.serve, replace(player.scenario))
     try:
         opened(_address(beside, host))
         _Clock(player, beside, thinker).run(goes_on)

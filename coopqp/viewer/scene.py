@@ -34,9 +34,13 @@ def view(show: Show) -> tuple[Array, Array]:
 
     Aside of the longer horizontal edge of what there is.
     """
+    middle, aside = 0.5 * (show.low + show.high), BESIDE if _longer_along_x(show) else BEFORE
+    return middle, middle + float(np.linalg.norm(show.high - show.low)) * np.array(aside)
+
+
+def _longer_along_x(show: Show) -> bool:
     size = show.high - show.low
-    middle, aside = 0.5 * (show.low + show.high), BESIDE if size[0] > size[1] else BEFORE
-    return middle, middle + float(np.linalg.norm(size)) * np.array(aside)
+    return bool(size[0] > size[1])
 
 
 class Scene:
@@ -49,7 +53,7 @@ class Scene:
     """
 
     def __init__(self, server: Any, show: Show, ask: Ask) -> None:
-        self._show, self._ask, self._scene = show, ask, server.scene
+        self._show, self._ask, self._server, self._scene = show, ask, server, server.scene
         self._size = max(show.size)
         self._look_around(server)
         self._laws = [_Law(server, show, i, ask) for i in range(len(show.laws))]
@@ -69,15 +73,24 @@ class Scene:
             how: one, overlaid or apart.
             main: the law that is explained, and seen alone with "one".
         """
-        width = APART * float(self._show.high[1] - self._show.low[1])
+        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._show) else [0.0, -1.0, 0.0])
+        width = APART * float(np.abs(across) @ (self._show.high - self._show.low))
         for i, law in enumerate(self._laws):
-            shift = width * (main - i) if how == "apart" else 0.0
             law.place(
                 shown=how != "one" or i == main,
                 ghost=how == "overlaid" and i != main,
-                shift=shift,
+                shift=width * (i - main) * across if how == "apart" else np.zeros(3),
                 draggable=i == main,
             )
+        if how == "apart":
+            self._step_back(width * (0.5 * (len(self._laws) - 1) - main) * across)
+
+    def _step_back(self, shift: Array) -> None:
+        """Let all laws be seen side by side."""
+        for client in self._server.get_clients().values():
+            middle, far = self._middle + shift, 0.8 + 0.5 * len(self._laws)
+            client.camera.position = middle + far * self._aside
+            client.camera.look_at = middle
 
     def draw(self, frame: Frame) -> None:
         """Everything as it is now."""
@@ -185,11 +198,11 @@ class _Law:
             pull = np.subtract(event.end_position, event.start_position)
             self._ask(Asked("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
 
-    def place(self, *, shown: bool, ghost: bool, shift: float, draggable: bool) -> None:
+    def place(self, *, shown: bool, ghost: bool, shift: Array, draggable: bool) -> None:
         """Where and how it is drawn."""
         self._shown, self._draggable = shown, draggable
         self._root.visible = shown
-        self._root.position = (0.0, shift, 0.0)
+        self._root.position = shift
         tint = colors.mixed(colors.LINK, colors.rgb(self._look.color), 0.45)
         self._base = tint if ghost else colors.LINK
         for node in (*self._links, self._held):

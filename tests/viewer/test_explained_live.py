@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from dataclasses import replace
 
@@ -97,6 +98,15 @@ def test_a_law_without_limits_is_stopped_by_none() -> None:
     found = told(player)
     assert not found.blocked
     assert not found.active
+
+
+def test_a_scenario_with_hinges_can_be_sent_to_the_explainer() -> None:
+    """Models with them cannot be pickled; what is sent is built anew there."""
+    player = Player(load("passive_grasp_pose"), ("qp",))
+    sent = pickle.loads(pickle.dumps(replace(player.scenario)))
+    wire = _Wire(player.placed(), player.look())
+    serve(Line(wire), sent)  # type: ignore[arg-type]
+    assert not next(thing for thing in wire.sent if isinstance(thing, Told)).blocked
 
 
 def test_at_the_goal_nothing_is_blocked() -> None:
