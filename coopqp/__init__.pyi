@@ -22,6 +22,7 @@ from coopqp.errors import UnknownNameError as UnknownNameError
 from coopqp.grasp import Grasp as Grasp
 from coopqp.grasp import PassiveJoint as PassiveJoint
 from coopqp.held_object import HeldObject as HeldObject
+from coopqp.input import InputSettings as InputSettings
 from coopqp.limit import Limit as Limit
 from coopqp.limit import LimitRows as LimitRows
 from coopqp.limit import Tighten as Tighten
@@ -37,6 +38,8 @@ from coopqp.mark import SolidMark as SolidMark
 from coopqp.mark import SphereMark as SphereMark
 from coopqp.mark import TrackedMark as TrackedMark
 from coopqp.metric import Metric as Metric
+from coopqp.online.loop import OnlineLoop as OnlineLoop
+from coopqp.online.real_time import real_time as real_time
 from coopqp.plant import Plant as Plant
 from coopqp.plant import PlantModel as PlantModel
 from coopqp.profile import Profile as Profile
@@ -49,6 +52,10 @@ from coopqp.scenario.catalog import Catalog as Catalog
 from coopqp.scenario.loader import load as load
 from coopqp.scenario.phase import Phase as Phase
 from coopqp.scenario.scenario import Scenario as Scenario
+from coopqp.signal import Course as Course
+from coopqp.signal import Instant as Instant
+from coopqp.signal import Kind as Kind
+from coopqp.signal import Signal as Signal
 from coopqp.solver import Budget as Budget
 from coopqp.solver import Solution as Solution
 from coopqp.solver import Solve as Solve

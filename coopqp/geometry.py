@@ -307,8 +307,8 @@ class RotationError:
 
     def __init__(self, goal: Course, profile: Profile, start: Array) -> None:
         self._profile, self._goal, self._omega = profile, goal, goal.rate[goal.kind.numbers :]
-        self._R_goal = goal.R
-        self._phi = np.array(pin.log3(self._R_goal @ start.T))
+        self._start = start.copy()
+        self._phi = np.array(pin.log3(goal.R @ start.T))
         self.rows = np.zeros((3, 3))
 
     def fill(
@@ -325,13 +325,14 @@ class RotationError:
         """
         e, J, rate = out
         share, speed = self._profile.at(t)
-        left = pin.exp3(self._phi * (share - 1.0))
         turning = self._phi * speed
-        R_goal = self._R_goal
         if self._goal.moves:
-            R_goal = self._goal.R
+            left = pin.exp3(self._phi * (share - 1.0))
+            Q_r = left.dot(self._goal.R)
             turning += left.dot(self._omega)
-        Q_e = Q.dot(left.dot(R_goal).T)
+        else:  # the same, and exactly the start at the start
+            Q_r = pin.exp3(self._phi * share).dot(self._start)
+        Q_e = Q.dot(Q_r.T)
         e[:] = pin.log3(Q_e)
         # pinocchio's Jlog3 takes body velocities; Q_e' turns those of the reference into them.
         J_log = pin.Jlog3(Q_e)

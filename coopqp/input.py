@@ -114,6 +114,22 @@ class Channel(Limiter):
         return self.step(None if brakes else self.target)
 
 
+def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array | None]]:
+    """Inputs that tasks follow, by name: their kind, and where they begin.
+
+    Args:
+        tasks: any.
+        start: the state from which their references set out; the list of its inputs is written.
+
+    Raises:
+        CoopqpError: an input is wanted as two kinds.
+    """
+    start.inputs = Followed()
+    for task in tasks:
+        task.bind(start)
+    return start.inputs.wanted
+
+
 class Inputs:
     """All inputs of a run.
 
@@ -138,16 +154,12 @@ class Inputs:
         dt: float,
     ) -> None:
         self._now = -math.inf
-        followed = Followed()
-        start.inputs = followed
-        for task in tasks:
-            task.bind(start)
         self.channels: dict[str, Channel] = {}
-        for name, (kind, here) in followed.wanted.items():
+        for name, (kind, here) in wanted(tasks, start).items():
             if name not in settings:
                 raise UnknownNameError("input", name, settings)
-            self.channels[name] = _channel(name, kind, here, settings[name], dt)
-        followed.update(self.channels)
+            self.channels[name] = open_channel(kind, here, settings[name], dt)
+        start.inputs.update(self.channels)
 
     def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
         """Take what has arrived and go on to the time of a state, whose tick is next.
@@ -156,41 +168,48 @@ class Inputs:
             state: written: what is followed then.
             arrivals: name, value and when it was sent by the state's clock [s], oldest first.
         """
-        now, refused = state.t, []
+        followed, now = state.inputs, state.t
+        refused = []
         arrived: dict[str, tuple[float, Array]] = {}
         for name, value, sent in arrivals:
-            channel_of = self.channels.get(name)
-            why = "no such input" if channel_of is None else channel_of.take(value, sent, now)
+            channel = self.channels.get(name)
+            why = channel.take(value, sent, now) if channel else "no such input"
             if why:
                 refused.append(f"{name}: {why}")
-            elif channel_of is not None:
-                arrived[name] = channel_of.sent, channel_of.target
-        if state.t > self._now > -math.inf:
+            elif channel:
+                arrived[name] = channel.sent, channel.target
+        if now > self._now > -math.inf:
             for name, channel in self.channels.items():
                 if not channel.advance(now):
                     refused.append(f"{name}: no way there within its bounds")
-        self._now = state.t
-        followed = state.inputs
+        self._now = now
         followed.arrived, followed.refused = arrived, tuple(refused)
         followed.stale = tuple(n for n, channel in self.channels.items() if channel.stale(now))
 
 
-def _channel(
-    name: str, kind: Kind, here: Array | None, settings: InputSettings, dt: float
-) -> Channel:
-    try:
-        if kind.velocity and settings.when_stale == "hold":
-            raise InvalidValueError("when_stale: hold goes on for ever with a velocity; use brake")
-        for key in ("lower", "upper"):
-            found = getattr(settings, key)
-            if found is not None and len(found) != kind.numbers:
-                needs = f"needs {kind.numbers} for a {kind.name}"
-                raise InvalidValueError(f"{key}: found {len(found)} numbers, {needs}")
-        if here is None:
-            words = f"where is the {kind.name} before anything arrives? Say it where it is used"
-            raise InvalidValueError(f"{words}, input: {{name: {name}, start: [...]}}")
-    except InvalidValueError as error:
-        raise InvalidValueError(f"inputs.{name}: {error}") from None
+def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
+    """An input, at rest where it begins.
+
+    Args:
+        kind: of its values.
+        here: where it begins, shape (values,).
+        settings: from the scenario.
+        dt: control period [s].
+
+    Raises:
+        InvalidValueError: nobody says where it begins; a setting does not fit its kind.
+    """
+    if kind.velocity and settings.when_stale == "hold":
+        words = "when_stale: hold would go on for ever with a velocity; use brake"
+        raise InvalidValueError(words)
+    for key in ("lower", "upper"):
+        found = getattr(settings, key)
+        if found is not None and len(found) != kind.numbers:
+            needs = f"needs {kind.numbers} for a {kind.name}"
+            raise InvalidValueError(f"{key}: found {len(found)} numbers, {needs}")
+    if here is None:
+        words = f"where is the {kind.name} before anything arrives? Say it where it is used"
+        raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
     return Channel(kind, settings, dt, here)
 
 

@@ -120,7 +120,7 @@ class Limiter(Course):
                 plan.target_position = np.concatenate([target[:k], self._turn_to(target[k:])])
         try:
             self._planner.update(plan, self._out)
-        except RuckigError:  # of bounds that are out of all proportion
+        except (RuckigError, ValueError):  # of bounds that are out of all proportion
             self.rate[:] = self.acceleration[:] = 0.0
             return False
         self._go()
@@ -151,7 +151,8 @@ class Limiter(Course):
         if self.kind.turns:
             way = position[k:]
             self.rate[k:] = _left_jacobian(way).dot(self.rate[k:])
-            self.value[k:] = quaternion_of(pin.exp3(way).dot(self.R))
+            turned = quaternion_of(pin.exp3(way).dot(self.R))
+            self.value[k:] = turned / np.linalg.norm(turned)
 
 
 def _plan(kind: Kind, bounds: _Bounds, *, brakes: bool = False) -> InputParameter:

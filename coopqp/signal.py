@@ -116,6 +116,7 @@ class Kind:
 
 
 TURN_COLUMNS = ("qx", "qy", "qz", "qw")
+TURN_RATES = ("rot_x", "rot_y", "rot_z")
 POINT = Kind("point", 3, columns=("x", "y", "z"))
 ROTATION = Kind("rotation", 0, turns=True, columns=TURN_COLUMNS)
 DIRECTION = Kind("direction", 0, turns=True, columns=POINT.columns, axis=True)

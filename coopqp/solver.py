@@ -58,6 +58,15 @@ class Status(enum.Enum):
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     INPUT_STALE = "nothing new has arrived at an input in time", True
     INPUT_REFUSED = "what arrived at an input cannot be used", True
+    ROBOT_SILENT = "comes to rest: the robot does not say where it is", True, True
+    MEASURED_JUMPED = (
+        "comes to rest: the measured joints are farther from the last than they can have gone",
+        True,
+        True,
+    )
+    STOPPED = "comes to rest, and stays there until it is told to go on", True, True
+    NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
+    LATE = "the tick came late; references have waited for it", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 

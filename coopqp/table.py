@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.errors import InvalidValueError, MissingDependencyError, UnknownNameError
+from coopqp.errors import InvalidValueError, MissingDependencyError
 from coopqp.reading import read_bytes, read_text
 
 #: Bytes that a table may have: an hour at 500 Hz with ten columns.
@@ -48,8 +48,8 @@ class Table:
         for name in names:
             if name not in self.columns:
                 there = ", ".join(self.columns)
-                words = UnknownNameError("column", name, self.columns)
-                raise InvalidValueError(f"{self.path}: {words}; its columns are {there}")
+                words = f"unknown column '{name}'; its columns are {there}"
+                raise InvalidValueError(f"{self.path}: {words}")
         found = np.array([self.columns[name] for name in names]).T
         wrong = np.argwhere(~np.isfinite(found))
         if len(wrong):

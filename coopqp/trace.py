@@ -6,7 +6,7 @@ so positions have T + 1 rows and commands T.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.row import Row
-from coopqp.signal import Course, Kind, Moment
+from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
 
 
@@ -68,6 +68,17 @@ class InputTrace:
     sent: Array
     value: Array
     rate: Array
+
+
+def followed(inputs: Mapping[str, InputTrace], k: int) -> Followed:
+    """What was made of the inputs in a tick; after the last as in it."""
+    found = Followed()
+    for name, kept in inputs.items():
+        row = min(k, len(kept.value) - 1)
+        if row >= 0 and np.isfinite(kept.value[row]).all():
+            found[name] = Course(kept.kind, kept.value[row])
+            found[name].rate[:] = kept.rate[row]
+    return found
 
 
 @dataclass(frozen=True)
@@ -319,13 +330,7 @@ class Trace:
             k: row.
             t: since they set out [s].
         """
-        moment = Moment(t)
-        for name, kept in self.inputs.items():
-            row = min(k, self.ticks - 1)
-            if row >= 0 and np.isfinite(kept.value[row]).all():
-                moment.inputs[name] = Course(kept.kind, kept.value[row])
-                moment.inputs[name].rate[:] = kept.rate[row]
-        return moment
+        return Moment(t, followed(self.inputs, k))
 
     @property
     def final_error(self) -> Array:

@@ -25,6 +25,8 @@ from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 JointValues = Annotated[float | list[float] | Signal, Reads(float | list[float])]
+_Constants = dict[str, JointValues] | list[float]
+Goal = Annotated[_Constants | Signal, Reads(_Constants, mapping=True)]
 
 
 @spec
@@ -34,10 +36,7 @@ class Posture(Task):
     unit: ClassVar[str] = "rad"
     joint_space: ClassVar[bool] = True
 
-    goal: Annotated[
-        dict[str, JointValues] | list[float] | Signal,
-        Reads(dict[str, JointValues] | list[float], mapping=True),
-    ]
+    goal: Goal
     """Values by arm (base first) or joint, or all of them in the order of the joints [rad, m].
 
     Each a constant or a signal. Joints that are not named stay free: their rows are zero."""

@@ -14,6 +14,7 @@ import example_limits
 import example_metrics
 import example_plants
 import example_robots
+import example_signals
 import example_solvers
 import example_tasks
 import numpy as np
@@ -37,6 +38,7 @@ ENTRIES = [
 EXAMPLES: dict[str, Iterable[object]] = {
     "grasps": example_grasps.EXAMPLES.values(),
     "tasks": example_tasks.EXAMPLES.values(),
+    "signals": example_signals.EXAMPLES.values(),
     "limits": example_limits.EXAMPLES,
     "controllers": example_controllers.EXAMPLES.values(),
     "solvers": example_solvers.EXAMPLES.values(),

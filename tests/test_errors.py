@@ -105,8 +105,8 @@ WRONG: dict[str, tuple[Callable[[], object], list[str]]] = {
         ["Several.robots.a.robot: found 3; needs a robot"],
     ),
     "a thing": (
-        lambda: Twist(velocity={"x": 1.0}, command=3),  # type: ignore[arg-type]
-        ["Twist.command: found 3; needs callable"],
+        lambda: Twist(velocity={"x": 1.0}, point=3),  # type: ignore[arg-type]
+        ["Twist.point: found 3; needs 3 numbers"],
     ),
     "a changed copy": (
         lambda: replace(JointPosition(), margin=-1.0),

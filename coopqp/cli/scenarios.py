@@ -11,7 +11,7 @@ import click
 from coopqp.cli.options import JSON, SCENARIO, SOLVER, catalogued, print_notes, read_scenario
 
 COLLECTIONS = (
-    "robots", "grasps", "tasks", "limits", "controllers", "solvers", "plants", "metrics",
+    "robots", "grasps", "tasks", "signals", "limits", "controllers", "solvers", "plants", "metrics",
     "scenarios",
 )  # fmt: skip
 

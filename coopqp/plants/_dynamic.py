@@ -54,7 +54,7 @@ class DynamicModel(PlantModel):
                 f"robot {problem.chain.robot.name} has no masses; use plant: kinematic"
             )
         self.disturbance, self._seed = disturbance, seed
-        self._dt, self._t_start, self._slipped = problem.dt, 0.0, 0.0
+        self._dt, self._slipped = problem.dt, 0.0
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._told = State(firm), State(firm)
         self.servo = ServoLaw(problem.chain, servo)
@@ -100,7 +100,7 @@ class DynamicModel(PlantModel):
         """
         assert isinstance(before, DynamicModel)
         old, released = before.true, self.true.chain.hold.released
-        self._t_start, self._slipped = old.t, before._slipped
+        self._slipped = before._slipped
         self._late, self._rng, self.measured = before._late, before._rng, before.measured
         self.servo.resume(before.servo)
         if self.servo.follows:
@@ -155,7 +155,7 @@ class DynamicModel(PlantModel):
         else:
             state.q[:], state.q_measured = self.measured, None
             state.v[:] = self._noisy(true.v, disturbance.noise_velocity)
-        state.t = true.t - self._t_start
+            state.t += self._dt  # as the loop counts, whatever the sum of the plant's steps is
 
     def _noisy(self, values: Array, deviation: float) -> Array:
         if not deviation:

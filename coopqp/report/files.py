@@ -18,7 +18,8 @@ from coopqp.report import folder as report_folder
 from coopqp.report import strict_json
 from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
-from coopqp.trace import Trace
+from coopqp.signal import TURN_COLUMNS, TURN_RATES
+from coopqp.trace import InputTrace, Trace
 from coopqp.wording import raised
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
@@ -92,7 +93,7 @@ def trace_csv(comparison: Comparison) -> str:
     The last row of a controller is the end of its run, after which there is no command. Columns
     are empty where a controller has nothing to say: ``commanded`` where the joints do exactly as
     told, ``measured`` where no sensor says otherwise, ``gap`` where the model has no error,
-    ``memory`` where the law remembers nothing.
+    ``memory`` where the law remembers nothing, ``input`` where nothing arrived.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -114,6 +115,7 @@ def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
         *(f"measured[{joint}]" for joint in joints),
         *(f"gap[{loop + 1}].{axis}" for loop in range(trace.gap.shape[1] // 6) for axis in AXES),
         *(f"memory[{i}]" for i in range(memory)),
+        *(column for kept in trace.inputs.items() for column in _input_columns(*kept)),
         *(f"tau[{joint}]" for joint in joints),
         *("x", "y", "z"),
         *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
@@ -122,6 +124,17 @@ def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
         *("status", "scale", "tick_us"),
         *(["phase"] if trace.phases else []),
     ]
+
+
+def _input_columns(name: str, kept: InputTrace) -> Iterator[str]:
+    """What arrived and when it was sent, what was followed and how that moved."""
+    kind = kept.kind
+    values = [*kind.columns[: kind.numbers], *(TURN_COLUMNS if kind.turns else ())]
+    rates = [*kind.columns[: kind.numbers], *(TURN_RATES if kind.turns else ())]
+    yield from (f"input[{name}].{column}" for column in values)
+    yield f"input[{name}].sent"
+    yield from (f"followed[{name}].{column}" for column in values)
+    yield from (f"followed_rate[{name}].{column}" for column in rates)
 
 
 def _rows(name: str, trace: Trace, joints: list[str], memory: int) -> Iterator[list[Any]]:
@@ -157,8 +170,17 @@ def _known(trace: Trace, joints: list[str], memory: int) -> list[list[Any]]:
         empty = width - values.shape[1] if values.any() else width
         shown: list[list[Any]] = values[:, : width - empty].tolist()
         rows.append([[*row, *[""] * empty] for row in shown])
-    known = zip(commanded, measured, *rows, strict=True)
+    known = zip(commanded, measured, *rows, _arrived(trace), strict=True)
     return [[value for part in parts for value in part] for parts in known]
+
+
+def _arrived(trace: Trace) -> list[list[Any]]:
+    """What arrived at the inputs and what was made of it; empty where there is nothing."""
+    columns = [np.zeros((trace.ticks, 0))]
+    for kept in trace.inputs.values():
+        columns += [kept.arrived, kept.sent[:, None], kept.value, kept.rate]
+    rows: list[list[Any]] = np.concatenate(columns, axis=1).tolist()
+    return [["" if value != value else value for value in row] for row in rows]
 
 
 def _errors(trace: Trace) -> list[list[Any]]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import TypeVar
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.hold import arm_weights
+from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
@@ -17,6 +20,7 @@ from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, try_limit, try_task
 from coopqp.scenario.yaml import YamlFile
+from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location
 
@@ -68,6 +72,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     places = _places(scenario)
     first = places[scenario.schedule[0].name]
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
+    faults = faults or list(_broken_inputs(file, scenario, places))
     if not allowed and not faults:
         faults = [
             Fault(file.place(["limits", i]), words)
@@ -117,6 +122,45 @@ def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Place
         except CoopqpError as error:
             faults.append(Fault(file.place(place), str(error)))
     return faults
+
+
+def _broken_inputs(
+    file: YamlFile, scenario: Scenario, places: Mapping[str, Places]
+) -> Iterator[Fault]:
+    """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
+    for place, task, phase in placed_tasks(scenario):
+        start, used = State(places[phase.name].start.chain), partial(_used, file.data, place)
+        for name, (_, here) in wanted([task], start).items():
+            if name not in scenario.inputs:
+                words = unknown_name("input", name, scenario.inputs)
+                yield Fault(file.place(used(name)), words)
+                continue
+            try:
+                scenario.feed(replace(scenario.problem(phase, start.chain), tasks=[task]), start)
+            except CoopqpError as error:
+                where = used(name) if here is None else ["inputs", name]
+                yield Fault(file.place(where), str(error))
+    try:
+        for phase in scenario.schedule:
+            chain = places[phase.name].start.chain
+            wanted((*phase.tasks, *scenario.secondary), State(chain))
+    except CoopqpError as error:
+        yield Fault(file.place(["inputs"]), str(error))
+
+
+def _used(data: Any, place: Location, name: str) -> Location:
+    """Where in a task an input is used."""
+    for key in place:
+        data = data[key]
+    waiting: list[tuple[list[str | int], Any]] = [([*place], data)]
+    while waiting:
+        where, found = waiting.pop()
+        if isinstance(found, dict):
+            given = found.get("input")
+            if given == name or (isinstance(given, dict) and given.get("name") == name):
+                return where
+            waiting += [([*where, key], inside) for key, inside in found.items()]
+    return place
 
 
 def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from coopqp.controller import Controller
+from coopqp.input import wanted
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
@@ -27,7 +29,22 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
-    return [*deaf_to, *(line for k in scenario.limits for line in k.notes(scenario.chain))]
+    of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
+    return [*deaf_to, *of_limits, *_of_inputs(scenario)]
+
+
+def _of_inputs(scenario: Scenario) -> Iterator[str]:
+    """Inputs to which nobody sends, or which nobody follows."""
+    tasks = [task for phase in scenario.schedule for task in phase.tasks]
+    followed = wanted((*tasks, *scenario.secondary), State(scenario.chain))
+    for name, settings in scenario.inputs.items():
+        if name not in followed:
+            yield f"no task follows the input '{name}'"
+        elif settings.feed is None and settings.feed_file is None:
+            yield (
+                f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
+                "give it feed or feed_file"
+            )
 
 
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:

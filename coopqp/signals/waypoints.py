@@ -16,7 +16,7 @@ from coopqp.checked import Array, Pose, spec
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import pose_matrix
 from coopqp.robot_files.keys import FilePath
-from coopqp.signal import Course, Instant, Kind, Signal, axes_along, quaternion_of
+from coopqp.signal import Course, Instant, Kind, Signal, axes_along, matrix, quaternion_of
 from coopqp.signals._between import Between, Turns, pieces, same_side
 from coopqp.table import read_table
 
@@ -92,7 +92,7 @@ class Waypoints(Signal):
                 raise InvalidValueError(f"{places(i)}: {error}") from None
         found = np.array(values)
         if kind.axis:
-            _carry_over(found)
+            _carry_over(found, round_trip=self.repeat == "round")
         return t, found
 
 
@@ -113,17 +113,25 @@ def _same(kind: Kind, values: Array) -> bool:
     return bool(near and (not kind.turns or abs(first[k:] @ last[k:]) > 1.0 - SAME))
 
 
-def _carry_over(quaternions: Array) -> None:
+def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
     """Let each direction's axes be those of the one before, turned on the shortest way.
+
+    On a round trip these come back turned about the direction; each then takes its share of that.
 
     Raises:
         InvalidValueError: a direction is the opposite of the one before.
     """
-    R = axes_along((0.0, 0.0, 1.0)).T
-    for i, q in enumerate(quaternions):
-        d = pin.Quaternion(q[3], q[0], q[1], q[2]).toRotationMatrix()[:, 2]
-        R = shortest_turn(R[:, 2], d, f"waypoints.values[{i}]: ") @ R if i else axes_along(d).T
-        q[:] = quaternion_of(R)
+    axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
+    for i, q in enumerate(quaternions[1:], start=1):
+        before = axes[-1]
+        turn = shortest_turn(before[:, 2], matrix(q)[:, 2], f"waypoints.values[{i}]: ")
+        axes.append(turn @ before)
+    spin = 0.0
+    if round_trip and np.linalg.norm(axes[0][:, 2] - axes[-1][:, 2]) < SAME:
+        back = axes[0].T @ axes[-1]
+        spin = float(np.arctan2(back[1, 0], back[0, 0])) / (len(axes) - 1)
+    for i, (q, R) in enumerate(zip(quaternions, axes, strict=True)):
+        q[:] = quaternion_of(R @ pin.exp3(np.array([0.0, 0.0, -i * spin])))
 
 
 def shortest_turn(a: Array, b: Array, place: str = "") -> Array:

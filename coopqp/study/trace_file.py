@@ -15,12 +15,15 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.input import wanted
 from coopqp.qp_law.law import QPLaw
 from coopqp.reading import open_bytes
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Course, Followed
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
+from coopqp.trace import InputTrace, no_input
 
 LONGEST = 1 << 20  # bytes of a line
 #: Columns that every trace has.
@@ -121,7 +124,20 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         status=tuple(row.causes for row in rows[:-1]),
         errors=_last_errors(rows),
         tau=np.array(tau),
+        inputs=_inputs(rows[:-1], held),
     )
+
+
+def _inputs(rows: Sequence[_Row], scenario: Scenario) -> dict[str, InputTrace]:
+    """What was followed, by name."""
+    found = {}
+    tasks = [task for phase in scenario.schedule for task in phase.tasks]
+    for name, (kind, _) in wanted(tasks, State(scenario.chain)).items():
+        kept = found[name] = no_input(kind, len(rows))
+        for k, row in enumerate(rows):
+            _read(row, f"followed[{name}].", kept.value[k])
+            _read(row, f"followed_rate[{name}].", kept.rate[k])
+    return found
 
 
 def _torques(row: _Row, joints: Sequence[str]) -> list[float]:
@@ -173,6 +189,7 @@ def state_from_trace(
                 state.q_measured = np.array(row.numbers("measured", joints, nan=True))
                 state.corrected = 0.0
             _read(row, "memory[", state.memory.numbers)
+            _read_inputs(row, law, state)
         elif k == tick - 1:
             state.v[:] = row.numbers("v", joints)
     if not found:
@@ -181,6 +198,23 @@ def state_from_trace(
         )
     state.update()
     return state
+
+
+def _read_inputs(row: _Row, law: QPLaw, state: State) -> None:
+    """What was made of the inputs, into a state."""
+    problem, followed = law.problem, Followed()
+    for name, (kind, _) in wanted((*problem.tasks, *problem.secondary), law.start()).items():
+        if not any(key.startswith(f"followed[{name}].") and row.cells[key] for key in row.cells):
+            continue
+        followed[name] = Course(kind, kind.zero)
+        _read(row, f"followed[{name}].", followed[name].value)
+        _read(row, f"followed_rate[{name}].", followed[name].rate)
+    causes = row.causes.split("+")
+    if Status.INPUT_STALE.name in causes:
+        followed.stale = tuple(followed)
+    if Status.INPUT_REFUSED.name in causes:
+        followed.refused = tuple(followed)
+    state.inputs = followed
 
 
 def _read(row: _Row, start: str, numbers: Array) -> None:

@@ -17,6 +17,7 @@ from coopqp.grasp import pose_matrix
 from coopqp.mark import PostureMark, RelativeMark
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
+from coopqp.signal import Moment
 from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import Posture, RelativeMotion
@@ -66,7 +67,7 @@ def test_joints_without_a_goal_are_drawn_where_they_are() -> None:
 def test_a_posture_given_as_numbers_of_all_joints_shows_all_arms() -> None:
     _, run = compared(Posture(goal=load("point_on_point").chain.q_start.tolist()))
     assert len(run["postures"]) == 2
-    (mark,) = Posture(goal={"right": RIGHT}).marks(0.3)
+    (mark,) = Posture(goal={"right": RIGHT}).marks(Moment(0.3))
     assert isinstance(mark, PostureMark)
 
 
@@ -99,7 +100,7 @@ def test_a_relative_goal_is_as_far_from_the_second_hand_as_the_error_says(tmp_pa
 
 def test_a_relative_mark_has_the_goal() -> None:
     goal = PoseValue(position=(0.0, 0.03, 0.0), rpy=(0.1, 0.2, 0.3))
-    (mark,) = RelativeMotion(goal=goal).marks(1.0)
+    (mark,) = RelativeMotion(goal=goal).marks(Moment(1.0))
     assert isinstance(mark, RelativeMark)
     np.testing.assert_array_equal(mark.position, goal.position)
     np.testing.assert_allclose(mark.rotation, pose_matrix(goal).rotation)

@@ -28,6 +28,7 @@ from coopqp.profile import Profile
 from coopqp.report.page import render
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
+from coopqp.signal import Instant
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import (
@@ -69,12 +70,12 @@ class Own(Task):
 
         return evaluate
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
         if self.wrong:
             return (np.zeros(3),)  # type: ignore[return-value]
-        line = LineMark(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + t, 0, 0]))
+        line = LineMark(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + at.t, 0, 0]))
         axes = PoseMark(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
-        return (line, TrackedMark(point=POINT), *([axes] if 0.095 < t < 0.205 else []))
+        return (line, TrackedMark(point=POINT), *([axes] if 0.095 < at.t < 0.205 else []))
 
 
 def drawn(*tasks: Task, limits: tuple[coopqp.Limit, ...] = ()) -> Any:

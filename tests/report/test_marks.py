@@ -30,6 +30,7 @@ from coopqp.mark import (
 )
 from coopqp.profile import Profile
 from coopqp.scenario.catalog import Catalog
+from coopqp.signal import Moment
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
@@ -237,7 +238,7 @@ def test_the_tracked_point_is_as_far_from_each_mark_as_the_error_says(
     name: str, t: float, chain: ClosedChain, closed_loop_walk: Walk
 ) -> None:
     task, rows = PLACED[name]
-    marks = task.marks(t)
+    marks = task.marks(Moment(t))
     assert len(marks) == len(rows)
     for state in states(chain, closed_loop_walk, t):
         p, e = tracked(marks, state), error(task, state)
@@ -254,7 +255,7 @@ def test_the_object_is_turned_from_its_mark_as_the_error_says(
     task, rows, turned = TURNED[name]
     for state in states(chain, closed_loop_walk, t):
         expected = float(np.linalg.norm(error(task, state)[rows]))
-        assert turned(task.marks(t), state) == pytest.approx(expected, abs=1e-7)
+        assert turned(task.marks(Moment(t)), state) == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize("name", [n for n, (task, _) in PLACED.items() if "velocity" in dir(task)])
@@ -262,7 +263,7 @@ def test_marks_are_where_the_reference_is_then(name: str) -> None:
     """The place moves at the velocity, also while the way there is not over."""
     task = replace(PLACED[name][0], profile=Profile(duration=2.0))
     for t in TIMES:
-        mark: Any = task.marks(t)[0]
+        mark: Any = task.marks(Moment(t))[0]
         place = mark.center if isinstance(mark, CircleMark | SphereMark) else mark.through
         np.testing.assert_allclose(place, np.array(AT) + t * np.array(VELOCITY), atol=1e-15)
 
@@ -270,7 +271,7 @@ def test_marks_are_where_the_reference_is_then(name: str) -> None:
 def test_a_turning_plane_is_drawn_turned() -> None:
     quarter = Turn(axis=(3, 0, 0), angle_deg=90.0, profile=Profile(duration=3.0))
     task = PointOnPlane(normal=(0, 0, 2), through=AT, turn=quarter)
-    begin, middle, end = (task.marks(t)[0] for t in (0.0, 1.5, 3.0))
+    begin, middle, end = (task.marks(Moment(t))[0] for t in (0.0, 1.5, 3.0))
     assert isinstance(begin, PlaneMark)
     assert isinstance(middle, PlaneMark)
     assert isinstance(end, PlaneMark)
@@ -280,7 +281,7 @@ def test_a_turning_plane_is_drawn_turned() -> None:
 
 
 def test_a_slide_without_an_orientation_shows_its_line_alone() -> None:
-    marks = Prismatic(direction=ALONG, through=AT, point=POINT).marks(0.5)
+    marks = Prismatic(direction=ALONG, through=AT, point=POINT).marks(Moment(0.5))
     assert [type(mark) for mark in marks] == [LineMark, TrackedMark]
 
 
@@ -292,7 +293,7 @@ def test_twist_shows_the_point_whose_velocity_it_asks_for(
     for state in states(chain, closed_loop_walk, 0.5):
         v = rng.normal(size=chain.n)
         before, after = (
-            tracked(task.marks(0.5), State(chain, state.q + s * h * v)) for s in (-1.0, 1.0)
+            tracked(task.marks(Moment(0.5)), State(chain, state.q + s * h * v)) for s in (-1.0, 1.0)
         )
         stack.update(state)
         np.testing.assert_allclose((after - before) / (2 * h), stack.J @ v, atol=1e-8)
@@ -302,7 +303,7 @@ def test_twist_shows_the_point_whose_velocity_it_asks_for(
 def test_what_has_no_goal_shows_nothing(name: str) -> None:
     task = Catalog().entries("tasks")[name].cls()
     assert isinstance(task, Task)
-    assert task.marks(0.3) == ()
+    assert task.marks(Moment(0.3)) == ()
 
 
 # ---- limits ----------------------------------------------------------------------------------

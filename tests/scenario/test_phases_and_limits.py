@@ -54,7 +54,6 @@ def test_an_acceleration_limit_given_up_at_a_regrasp_is_kept_again_soon(tmp_path
     assert np.abs(trace.v[150:]).max() < 3.0, "at rest or nearly so, not at full speed"
 
 
-@pytest.mark.xfail(strict=True, reason="secondary tasks are bound in the shortest phase alone")
 @pytest.mark.parametrize(
     "task",
     [

@@ -104,7 +104,7 @@ def test_explaining_without_the_plug_ins_says_which_name_is_unknown_and_what_to_
     out = tmp_path / "out"
     assert coopqp("compare", short(tmp_path), "--plugins", EXAMPLES, "--out", out).exit_code == 0
     lines = refused("explain", out)
-    assert len(lines) == 8 - 1  # a metric is not named in a scenario
+    assert len(lines) == 9 - 1  # a metric is not named in a scenario
     assert any("unknown task 'hold_height'" in line for line in lines)
     assert all("--plugins FOLDER" in line for line in lines)
 
@@ -235,6 +235,7 @@ HALF_WRITTEN = {
     "robots": ("Robot", "'build'"),
     "grasps": ("Grasp", "'passive_joints'"),
     "tasks": ("Task", "'bind' and 'rows'"),
+    "signals": ("Signal", "'bind'"),
     "limits": ("Limit", "'bind'"),
     "controllers": ("Controller", "'build'"),
     "solvers": ("Solver", "'open'"),

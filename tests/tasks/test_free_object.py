@@ -13,8 +13,8 @@ from example_tasks import AXIS, EXAMPLES, MOVING, POINT, THROUGH, TILTED, object
 from free_body import FreeBody, block_of
 
 from coopqp.checked import Array
-from coopqp.signal import axes_along
 from coopqp.profile import Profile
+from coopqp.signal import axes_along
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,

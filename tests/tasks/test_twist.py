@@ -17,6 +17,7 @@ from coopqp.controller_run import run
 from coopqp.profile import Profile
 from coopqp.row import names_of
 from coopqp.scenario.loader import load
+from coopqp.signals import Waypoints
 from coopqp.tasks import Twist
 
 
@@ -50,12 +51,9 @@ def test_twist_commands_the_velocity_given_once_it_has_grown(chain: ClosedChain)
         np.testing.assert_allclose(rate, share * np.array([0.01, -0.02, 0.2]), atol=1e-15)
 
 
-def test_twist_can_be_commanded_from_python(chain: ClosedChain) -> None:
-    task = Twist(
-        velocity={"rot_z": 0.0, "x": 0.0},
-        profile=Profile(kind="step"),
-        command=lambda t: (2.0 * t, 0.1 * t),
-    )
+def test_twist_can_be_commanded_by_a_signal(chain: ClosedChain) -> None:
+    there = Waypoints(times=[0.0, 1.0], values=[[0.0, 0.0], [2.0, 0.1]], between="linear")
+    task = Twist(velocity=there, components=("rot_z", "x"), profile=Profile(kind="step"))
     stack = rows(task, at(chain, chain.q_start, 0.5))
     assert names_of(stack.rows) == ("task[twist].x", "task[twist].rot_z")
     np.testing.assert_allclose(stack.rate, [0.05, 1.0])

@@ -13,6 +13,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.signal import Followed
 from coopqp.state import State
 from coopqp.task import Part, Task, TaskStack
 
@@ -46,6 +47,7 @@ class Goal:
         chain: from whose start the references set out.
         tasks: each with a place, :func:`placed`.
         t: when [s].
+        inputs: what is made of inputs then.
 
     Attributes:
         parts: of all tasks.
@@ -54,9 +56,12 @@ class Goal:
         weights: of the rows, at most 1; those of a later priority count less.
     """
 
-    def __init__(self, chain: ClosedChain, tasks: Sequence[Task], t: float) -> None:
+    def __init__(
+        self, chain: ClosedChain, tasks: Sequence[Task], t: float, inputs: Followed | None = None
+    ) -> None:
         self.chain, self.tasks, self.t = chain, tuple(tasks), t
         self.state = State(chain, t=t)
+        self.state.inputs = inputs or Followed()
         self.stack = TaskStack(tasks, State(chain))
         self.parts = tuple(parts_of(tasks, chain))
         counts = [_level_weight(task) for task in tasks]
@@ -77,7 +82,7 @@ class Goal:
 
     def only(self, tasks: Sequence[Task]) -> Goal:
         """The same for some of the tasks."""
-        return Goal(self.chain, tasks, self.t)
+        return Goal(self.chain, tasks, self.t, self.state.inputs)
 
     def look(self, q: Array) -> None:
         """Bring state and stack to a configuration."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +13,10 @@ from coopqp.controller import ControlProblem
 from coopqp.controller_run import controller_of
 from coopqp.errors import InvalidValueError
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Followed
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.goal import PartOfTask, parts_of
-from coopqp.trace import Trace
+from coopqp.trace import InputTrace, Trace, followed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,7 @@ class Recording:
         status: of each tick, as written.
         errors: at the end of its phase, by the name of each part of a task.
         tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
+        inputs: what was followed, by name.
     """
 
     controller: str
@@ -36,6 +38,7 @@ class Recording:
     status: tuple[str, ...]
     errors: Mapping[str, float]
     tau: Array
+    inputs: Mapping[str, InputTrace] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +51,7 @@ class Leg:
         first: its first tick.
         q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
         causes: of each tick.
+        inputs: what was followed in the whole run, by name.
         parts: of all tasks. errors: at the end, by the parts' order [the part's unit].
     """
 
@@ -61,6 +65,11 @@ class Leg:
     causes: tuple[tuple[Status, ...], ...]
     parts: tuple[PartOfTask, ...]
     errors: Array
+    inputs: Mapping[str, InputTrace]
+
+    def followed(self, k: int) -> Followed:
+        """What was made of the inputs in a tick of the leg."""
+        return followed(self.inputs, self.first + k)
 
     @property
     def t_end(self) -> float:
@@ -88,6 +97,7 @@ def recording_of(trace: Trace) -> Recording:
         status=trace.status,
         errors=dict(errors),
         tau=trace.signals.get("tau", np.zeros((0, 0))),
+        inputs=trace.inputs,
     )
 
 
@@ -122,4 +132,5 @@ def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
             causes=tuple(causes_of(word) for word in run.status[ticks]),
             parts=parts,
             errors=np.array([run.errors[name] for name in names], float),
+            inputs=run.inputs,
         )

@@ -57,6 +57,7 @@ class Ticks:
         state, leg = self.state, self._leg
         state.q[:], state.t = leg.q[k], k * leg.problem.dt
         state.v[:] = leg.v[k - 1] if k else 0.0
+        state.inputs = leg.followed(k)
         state.update()
         self.stack.update(state)
         return np.asarray(self.stack.wanted - self.stack.J @ leg.v[k], float)

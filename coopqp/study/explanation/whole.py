@@ -191,7 +191,8 @@ class _Whole:
         self._scenario, self._name, self._leg = scenario, run.controller, leg
         self._base, self._report = base, report
         problem = leg.problem
-        self._goal = Goal(problem.chain, placed(problem.tasks, problem.chain), leg.t_end)
+        tasks = placed(problem.tasks, problem.chain)
+        self._goal = Goal(problem.chain, tasks, leg.t_end, leg.followed(len(leg.v)))
         self._room = Room(problem.chain, problem.limits, problem.dt)
 
     def explained(self) -> RunExplanation:

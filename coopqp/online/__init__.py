@@ -1,0 +1,1 @@
+"""What a loop on a real robot needs."""

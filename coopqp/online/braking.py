@@ -1,0 +1,59 @@
+"""Coming to rest: all joints slow down as fast as they may, and the loops stay closed.
+
+    minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
+
+which is the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0.
+Without acceleration limits that is at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from coopqp.controller import Command, ControlProblem
+from coopqp.controllers import QPController
+from coopqp.online.acceleration import acceleration_of
+from coopqp.solver import Status
+from coopqp.state import Memory, State
+
+
+class Braking:
+    """The law that brings a problem's joints to rest.
+
+    Args:
+        problem: what is controlled.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        self._law = QPController().build(replace(problem, tasks=(), secondary=()))
+        self._memory = Memory(self._law.memory_sizes)
+        self._step = acceleration_of(problem.limits, problem.chain) * problem.dt
+        self._still = Command(problem.chain.n)
+
+    def can_stop(self, state: State) -> bool:
+        """Whether every joint could stop in one tick."""
+        return bool((np.abs(state.v) <= self._step).all())
+
+    def tick(self, state: State) -> Command:
+        """The next command on the way to rest; the state's kinematics are up to date after it.
+
+        Args:
+            state: as the last tick left it; its memory is that of the law that was stopped and
+                stays as it is.
+        """
+        if self.can_stop(state):
+            return self._stand(state)
+        memory, state.memory = state.memory, self._memory
+        command = self._law.tick(state)
+        state.memory = memory
+        return command if command.status.usable else self._stand(state)
+
+    def _stand(self, state: State) -> Command:
+        still = self._still
+        state.update()
+        still.v[:], still.note = 0.0, ""
+        still.say(Status.OPTIMAL)
+        self._memory.numbers[:] = 0.0
+        return still

@@ -1,0 +1,114 @@
+"""Who hands the loop's ticks and inputs to what keeps them, and lets no fault of it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from coopqp.controller import Command
+from coopqp.input import Arrival
+from coopqp.online.leg import Leg
+from coopqp.online.record import Record
+from coopqp.online.session import Session
+from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
+
+#: So much of a session is kept in memory before it is written by a tick itself [s].
+AT_MOST = 1.0
+
+
+class Kept(Protocol):
+    """A loop, as it is seen from here."""
+
+    controller: str
+
+    @property
+    def scenario(self) -> Scenario: ...
+    @property
+    def legs(self) -> tuple[Leg, ...]: ...
+
+
+class Keeper:
+    """Session and recording of a loop.
+
+    Args:
+        loop: whose.
+        out: folder of the session; None for none.
+        record: makes a recording; None for none.
+
+    Attributes:
+        session: the files; None where there are none.
+        fault: why nothing is kept any more; empty while all is well.
+    """
+
+    def __init__(self, loop: Any, out: Path | None, record: Callable[[Any], Record] | None) -> None:
+        self._loop: Kept = loop
+        self._out, self._make = out, record
+        self.session: Session | None = None
+        self._record: Record | None = None
+        self.fault, self._flushed = "", 0.0
+
+    def begin(self, given: Scenario) -> None:
+        """The loop has begun.
+
+        Args:
+            given: the scenario as it was before.
+
+        Raises:
+            CoopqpError: it cannot be written.
+        """
+        if self._out is not None:
+            self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
+            self._out, self._flushed = None, 0.0
+        self._record = self._make(self._loop) if self._make else None
+
+    def go_on(self) -> None:
+        """The loop goes on from another state, as after a stop or in another phase."""
+        if self._record is not None:
+            leg, record = self._loop.legs[-1], self._record
+            self._safely("_record", lambda: record.begin(leg.state, leg.first * leg.problem.dt))
+
+    def arrived(self, arrivals: Sequence[Arrival]) -> None:
+        """Keep what arrived and was taken; write it when it is much."""
+        if self.session is None:
+            return
+        leg = self._loop.legs[-1]
+        since, t = leg.first * leg.problem.dt, leg.state.t
+        taken = leg.state.inputs.arrived
+        for name, value, _ in arrivals:
+            if name in taken:
+                kind = leg.inputs.channels[name].kind
+                self.session.add(name, kind, since + t, since + taken[name][0], value)
+        if since + t - self._flushed > AT_MOST:
+            self.flush()
+
+    def tick(self, state: State, command: Command, us: float) -> None:
+        """Hand a tick to the recording."""
+        record = self._record
+        if record is not None:
+            self._safely("_record", lambda: record.tick(state, command, us))
+
+    def flush(self) -> None:
+        """Write what is new of the session."""
+        if self.session is None or not self._loop.legs:
+            return
+        leg, session = self._loop.legs[-1], self.session
+        now = self._flushed = leg.first * leg.problem.dt + leg.state.t
+        self._safely("session", lambda: session.flush(now, self._loop.legs))
+
+    def close(self) -> None:
+        """Write the rest of all."""
+        if self._record is not None:
+            self._safely("_record", self._record.close)
+            self._record = None
+        if self.session is not None:
+            session, self.session = self.session, None
+            self._safely("session", lambda: session.close(self._loop.legs))
+
+    def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
+        try:
+            write()
+        except Exception as error:  # noqa: BLE001 - the robot comes before its record
+            self.fault = f"the record is not whole: {error}"
+            setattr(self, whose, None)

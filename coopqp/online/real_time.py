@@ -1,0 +1,196 @@
+"""The loop with a robot and a clock: it keeps the period, and leaves the robot at rest.
+
+Python's collector of garbage stops everything for as long as it takes, 20 ms and more with all that
+a scenario has built, at a moment of its own choosing. So before the first tick all garbage is
+collected, what is left is frozen (never looked at again) and the collector switched off; what the
+ticks leave is little, and is collected in the time that a period leaves over.
+
+Sleeping is not exact, so the last part of a period is waited for awake. After a late tick the next
+period begins at once, and none is made up for: ticks in quick succession would ask for as much
+motion in less time.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.online.loop import OnlineLoop
+from coopqp.online.robot import Robot
+from coopqp.wording import raised
+
+#: The last part of a period, waited for awake [s].
+AWAKE = 1.5e-4
+#: Time between collections of garbage and between writings of the session [s], and what must be
+#: left of a period for one of them, as a share of it.
+EVERY, LEFT = 0.25, 0.4
+
+InputsNow = Callable[[], Mapping[str, Any] | None]
+"""What has arrived since it was last asked, as :meth:`OnlineLoop.tick` takes it; never waits."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a loop came to its end.
+
+    Attributes:
+        why: the reason.
+        ticks: how many there were.
+        late: how many of them came late.
+        longest: the longest time between two ticks [s].
+        longest_tick: the number of the tick after it.
+    """
+
+    why: str
+    ticks: int
+    late: int
+    longest: float
+    longest_tick: int
+
+    def __str__(self) -> str:
+        """One sentence."""
+        slow = f"the longest wait was {1e3 * self.longest:.2f} ms, before tick {self.longest_tick}"
+        return f"{self.why}; {self.late} of {self.ticks} ticks late, {slow}"
+
+
+def real_time(
+    loop: OnlineLoop,
+    robot: Robot,
+    *,
+    inputs: InputsNow | None = None,
+    duration: float | None = None,
+) -> Ended:
+    """Run a loop on a robot until something ends it; the robot is then told to stand still.
+
+    It ends, at rest, at Ctrl-C, after the duration, when :meth:`OnlineLoop.end` is called, and when
+    the loop has stopped by itself, as after a silence of the robot.
+
+    Args:
+        loop: not begun yet, or at rest; with a clock.
+        robot: to be moved.
+        inputs: what has arrived; nothing does when omitted.
+        duration: [s]; without an end when omitted.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        CoopqpError: the loop cannot begin where the robot is, or the record could not be written.
+        Exception: what the robot, or ``inputs``, has raised, after the robot came to rest; at once
+            where it was ``write``.
+    """
+    if loop.simulated:
+        raise InvalidValueError("the loop counts ticks; give it a clock to run in real time")
+    run = _Run(loop, robot, inputs, np.inf if duration is None else duration)
+    with loop:
+        try:
+            run.begin()
+            with _collecting_when_told():
+                run.until_the_end()
+        finally:
+            with suppress(Exception):  # nobody is left to be told
+                robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
+    if run.fault:
+        raise run.fault
+    watch = loop.watch
+    return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
+
+
+class _Run:
+    """A loop on a robot.
+
+    Attributes:
+        fault: what the robot's read, or the inputs, have raised.
+    """
+
+    def __init__(
+        self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
+    ) -> None:
+        self._loop, self._robot, self._inputs = loop, robot, inputs
+        self._dt = loop.problem.dt
+        self._duration = duration
+        self.fault: Exception | None = None
+        self._flushed = self._collected = 0.0
+
+    def begin(self) -> None:
+        """Wait until the robot says where it is, and begin there.
+
+        Raises:
+            CoopqpError: it says nothing, or the loop cannot begin there.
+        """
+        if self._loop.begun:
+            return
+        until = self._loop.now + self._loop.patience
+        while (q := self._robot.read()) is None:
+            if self._loop.now > until:
+                raise CoopqpError(f"the robot has said nothing for {self._loop.patience:g} s")
+            time.sleep(self._dt)
+        self._loop.begin(q)
+
+    def until_the_end(self) -> None:
+        """Tick after tick."""
+        loop, due = self._loop, self._loop.now
+        until = due + self._duration
+        while loop.running:
+            q, given = self._ask(self._robot.read), self._ask(self._inputs)
+            command = loop.tick(q, given)
+            self._robot.write(loop.setpoint, command.v)
+            if loop.stopped and loop.at_rest:
+                loop.end(loop.stopped)
+            elif loop.now >= until:
+                loop.end("the time is up")
+            due = max(due + self._dt, loop.now)
+            self._use_what_is_left(due)
+            self._wait(due)
+
+    def _ask(self, who: Callable[[], Any] | None) -> Any:
+        """What somebody says; nothing once one of them has failed."""
+        if who is None or self.fault:
+            return None
+        try:
+            return who()
+        except Exception as error:  # noqa: BLE001 - the robot has to come to rest first
+            self.fault = error
+            self._loop.end(raised(error))
+            return None
+
+    def _use_what_is_left(self, due: float) -> None:
+        """Collect garbage, or write the session, if the period leaves time for one of them."""
+        now = self._loop.now
+        if due - now < LEFT * self._dt:
+            return
+        if now - self._collected > EVERY:
+            self._collected = now
+            gc.collect()
+        elif now - self._flushed > EVERY:
+            self._flushed = now
+            self._loop.flush()
+
+    def _wait(self, due: float) -> None:
+        asleep = due - self._loop.now - AWAKE
+        if asleep > 0.0:
+            time.sleep(asleep)
+        while self._loop.now < due:
+            pass
+
+
+@contextmanager
+def _collecting_when_told() -> Iterator[None]:
+    """No collection of garbage by itself, and none of what is there already."""
+    by_itself = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if by_itself:
+            gc.enable()

@@ -1,0 +1,146 @@
+"""A session on disk, so that it can be played again: its scenario, and what arrived at its inputs.
+
+    OUT/scenario.yaml        the scenario, begun where the robot was, fed from the files
+    OUT/inputs/NAME.csv      t: of the tick for which it arrived; sent: when; the value's columns
+
+``coopqp compare OUT/scenario.yaml`` plays it again, for the same law or for others. With the same
+law on the same plant the joints are equal bit for bit, if nothing came in between: no stop, no
+silence.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from coopqp.checked import Array
+from coopqp.errors import CoopqpError
+from coopqp.online.leg import Leg
+from coopqp.online.played_again import played_again, scenario_text
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Kind
+
+FOLDER = "inputs"
+
+
+class _Sent:
+    """What arrived at one input: rows that wait to be written, and the file.
+
+    Args:
+        path: of the file.
+        kind: of the values.
+    """
+
+    def __init__(self, path: Path, kind: Kind) -> None:
+        self.path, self.written = path, 0
+        self._header = ",".join(("t", "sent", *kind.columns)) + "\n"
+        self._rows: list[tuple[float, float, Array]] = []
+
+    def add(self, t: float, sent: float, value: Array) -> None:
+        """Keep a row; while the loop's time stands still the last one counts."""
+        if self._rows and self._rows[-1][0] == t:
+            self._rows.pop()
+        self._rows.append((t, sent, value))
+
+    def flush(self, now: float) -> None:
+        """Write all rows before a time, after which no other can have their times [s]."""
+        done = [row for row in self._rows if row[0] < now]
+        if not done:
+            return
+        lines = (",".join(map(repr, (t, sent, *value.tolist()))) + "\n" for t, sent, value in done)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write("".join([] if self.written else [self._header]) + "".join(lines))
+        self._rows = self._rows[len(done) :]
+        self.written += len(done)
+
+
+class Session:
+    """The files of a session.
+
+    Args:
+        folder: made if it does not exist.
+        scenario: as begun.
+        given: as it was before it was begun where the robot is.
+        controller: its law's name.
+
+    Raises:
+        CoopqpError: there is a session already, or it cannot be written.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario, given: Scenario, controller: str) -> None:
+        self._folder, self._scenario, self._given = Path(folder), scenario, given
+        self._controller = controller
+        self._sent: dict[str, _Sent] = {}
+        try:
+            if (self._folder / "scenario.yaml").exists() or (self._folder / FOLDER).exists():
+                raise CoopqpError(f"'{folder}' holds a session already; name another folder")
+            (self._folder / FOLDER).mkdir(parents=True)
+            self._write_scenario(())
+        except OSError as error:
+            raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
+
+    def add(self, name: str, kind: Kind, t: float, sent: float, value: Array) -> None:
+        """Keep what arrived at an input.
+
+        Args:
+            name: of the input.
+            kind: of the value.
+            t: of the tick for which it arrived, since the session began [s].
+            sent: when it was sent [s].
+            value: in the kind's columns.
+        """
+        if name not in self._sent:
+            file = re.sub(r"[^\w.-]", "_", name) or "_"
+            taken = {sent.path.stem for sent in self._sent.values()}
+            while file in taken:
+                file += "_"
+            self._sent[name] = _Sent(self._folder / FOLDER / f"{file}.csv", kind)
+        self._sent[name].add(t, sent, value)
+
+    def flush(self, now: float, legs: Sequence[Leg]) -> None:
+        """Write what is new.
+
+        Args:
+            now: since the session began [s].
+            legs: the phases so far.
+
+        Raises:
+            OSError: the disk is full, or gone.
+        """
+        before = {name for name, sent in self._sent.items() if sent.written}
+        for sent in self._sent.values():
+            sent.flush(now)
+        if before != {name for name, sent in self._sent.items() if sent.written}:
+            self._write_scenario(legs)
+
+    def close(self, legs: Sequence[Leg]) -> None:
+        """Write the rest, and how long the phases were.
+
+        Raises:
+            OSError: the disk is full, or gone.
+        """
+        self.flush(float("inf"), legs)
+        self._write_scenario(legs)
+
+    def replay(self, legs: Sequence[Leg]) -> Scenario:
+        """The scenario that plays what is on disk again.
+
+        Args:
+            legs: the phases so far.
+        """
+        return played_again(self._scenario, legs, self._feeds())
+
+    def _feeds(self) -> dict[str, Path]:
+        return {name: sent.path for name, sent in self._sent.items() if sent.written}
+
+    def _write_scenario(self, legs: Sequence[Leg]) -> None:
+        if not self._scenario.source:
+            return  # it was made in Python; who plays it again has it there
+        text = scenario_text(
+            self._scenario, self._given, self._controller, legs, self._feeds(), self._folder
+        )
+        path = self._folder / "scenario.yaml"
+        fresh = path.with_suffix(".new")
+        fresh.write_text(text, encoding="utf-8")
+        fresh.replace(path)

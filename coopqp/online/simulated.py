@@ -1,0 +1,56 @@
+"""A plant of a scenario in the place of a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.controller import Command
+from coopqp.online.loop import OnlineLoop
+from coopqp.plant import PlantModel
+from coopqp.state import State
+
+
+class SimulatedRobot:
+    """Reads and writes like a robot; each write lets one period pass.
+
+    Args:
+        loop: whose scenario's plant it is. With the plant ``kinematic`` give the loop
+            ``reference="measured"``, so that it does what a comparison does, to the last bit.
+
+    Attributes:
+        plant: with its signals, such as forces.
+        state: of the plant, which is not the loop's.
+    """
+
+    def __init__(self, loop: OnlineLoop) -> None:
+        self._loop, self._leg_index = loop, 0
+        self.plant = self._built()
+        self.state = State(loop.problem.chain, self.plant.measured)
+        self._command = Command(loop.problem.chain.n)
+
+    def read(self) -> Array:
+        """Where the sensors say that the joints are."""
+        measured = self.plant.measured
+        return self.state.q.copy() if measured is None else measured.copy()
+
+    def write(self, q: Array, v: Array) -> None:
+        """Let the plant do for one period what it is told."""
+        if len(self._loop.legs) - 1 > self._leg_index:
+            self._hand_over()
+        self._command.v[:] = v
+        self.plant.step(self.state, self._command)
+
+    def _built(self) -> PlantModel:
+        scenario = self._loop.scenario
+        return scenario.plant.build(self._loop.problem, scenario.seed, scenario.disturbance)
+
+    def _hand_over(self) -> None:
+        """The loop has gone on to another phase: other arms hold the object."""
+        before, old, self._leg_index = self.plant, self.state, len(self._loop.legs) - 1
+        self.plant = self._built()
+        self.plant.resume(before)
+        self.state = State(self._loop.problem.chain, old.q)
+        self.state.v[:] = old.v
+        if self.plant.measured is not None:
+            np.copyto(self.state.q, self.plant.measured)

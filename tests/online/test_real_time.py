@@ -1,0 +1,154 @@
+"""The loop with a clock: it keeps the period, and always leaves the robot at rest."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from online_loops import Scripted, follows, go, simulated
+
+import coopqp
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.online.loop import OnlineLoop
+from coopqp.online.real_time import real_time
+from coopqp.scenario.scenario import Scenario
+
+TARGET = {"target": [0.15, 0.01, 0.05]}
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    return follows()
+
+
+def _raise(error: Exception) -> Callable[[], Any]:
+    def raising() -> Any:
+        raise error
+
+    return raising
+
+
+def test_it_keeps_the_period_and_ends_at_rest(scenario: Scenario) -> None:
+    loop, robot = OnlineLoop(scenario), Scripted(scenario.chain.q_start)
+    began = time.monotonic()
+    ended = real_time(loop, robot, inputs=lambda: TARGET, duration=0.4)
+    assert 0.4 < time.monotonic() - began < 3.0
+    assert ended.why == "the time is up"
+    assert 10 < ended.ticks <= 41 + 25  # and those that it took to come to rest
+    assert np.abs(robot.written).max() > 0.02
+    assert not robot.written[-1].any()
+    assert "ticks late" in str(ended)
+    assert gc.isenabled()
+
+
+def test_ctrl_c_ends_it_at_rest_with_the_record_on_disk(scenario: Scenario, tmp_path: Path) -> None:
+    def interrupt() -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        return robot.q.copy()
+
+    before = signal.getsignal(signal.SIGINT)
+    robot = Scripted(scenario.chain.q_start, {40: interrupt})
+    loop = OnlineLoop(scenario, out=tmp_path / "out")
+    ended = real_time(loop, robot, inputs=lambda: TARGET)
+    assert ended.why == "Ctrl-C"
+    assert signal.getsignal(signal.SIGINT) is before
+    changes = np.abs(np.diff(robot.written, axis=0)) / scenario.dt
+    assert (changes <= loop.problem.chain.velocity / 0.2 + 1e-9).all()
+    assert not robot.written[-1].any()
+    assert coopqp.load(tmp_path / "out" / "scenario.yaml").inputs["target"].feed_file
+
+
+def test_ctrl_c_in_a_loop_of_ones_own(scenario: Scenario) -> None:
+    with simulated(scenario)[0] as loop:
+        q, ticks = scenario.chain.q_start, 0
+        while loop.running:
+            loop.tick(q, TARGET)
+            q, ticks = loop.setpoint.copy(), ticks + 1
+            if ticks == 30:
+                os.kill(os.getpid(), signal.SIGINT)
+    assert 30 < ticks < 60
+    assert loop.at_rest
+
+
+@pytest.mark.parametrize("who", ["read", "inputs"])
+def test_what_others_raise_comes_out_after_the_arms_have_stopped(
+    scenario: Scenario, who: str
+) -> None:
+    asked = iter(range(10_000))
+
+    def inputs() -> Any:
+        if who == "inputs" and next(asked) == 40:
+            raise OSError("unplugged")
+        return TARGET
+
+    says: dict[int, Any] = {40: OSError("unplugged")} if who == "read" else {}
+    robot = Scripted(scenario.chain.q_start, says)
+    with pytest.raises(OSError, match="unplugged"):
+        real_time(OnlineLoop(scenario), robot, inputs=inputs)
+    speeds = np.abs(robot.written).max(axis=1)
+    assert speeds[38] > 0.05
+    assert (np.abs(np.diff(robot.written, axis=0)) <= 1.25).all()
+    assert not robot.written[-1].any()
+    assert gc.isenabled()
+
+
+def test_a_write_that_raises_is_followed_by_one_that_stops(scenario: Scenario) -> None:
+    class Breaks(Scripted):
+        def write(self, q: Any, v: Any) -> None:
+            super().write(q, v)
+            if len(self.written) == 30:
+                raise OSError("bus off")
+
+    robot = Breaks(scenario.chain.q_start)
+    with pytest.raises(OSError, match="bus off"):
+        real_time(OnlineLoop(scenario), robot, inputs=lambda: TARGET)
+    assert len(robot.written) == 31
+    assert not robot.written[-1].any()
+
+
+def test_a_robot_that_falls_silent_ends_it(scenario: Scenario) -> None:
+    robot = Scripted(scenario.chain.q_start, dict.fromkeys(range(30, 10_000)))
+    ended = real_time(OnlineLoop(scenario), robot, inputs=lambda: TARGET)
+    assert ended.why.endswith("the robot has not said where it is")
+    assert not robot.written[-1].any()
+
+
+def test_it_waits_for_the_first_word_of_a_robot(scenario: Scenario) -> None:
+    robot = Scripted(scenario.chain.q_start, dict.fromkeys(range(5)))
+    assert real_time(OnlineLoop(scenario), robot, duration=0.05).ticks > 1
+    mute = Scripted(scenario.chain.q_start, dict.fromkeys(range(10_000)))
+    with pytest.raises(CoopqpError, match=r"the robot has said nothing for 0\.1 s"):
+        real_time(OnlineLoop(scenario, patience=0.1), mute)
+    assert not np.any(mute.written)
+
+
+def test_a_late_tick_is_not_made_up_for(scenario: Scenario) -> None:
+    times: list[float] = []
+
+    class Slow(Scripted):
+        def read(self) -> Any:
+            times.append(time.monotonic())
+            if len(times) == 20:
+                time.sleep(0.05)
+            return super().read()
+
+    loop = OnlineLoop(scenario)
+    real_time(loop, Slow(scenario.chain.q_start), duration=0.4)
+    assert loop.watch.late >= 1
+    assert loop.watch.longest > 0.045
+    rest = np.array(times[20:]) - times[20]
+    assert (rest > (np.arange(len(rest)) - 1.5) * scenario.dt).all()
+
+
+def test_counting_ticks_is_no_clock(scenario: Scenario) -> None:
+    loop, robot = simulated(scenario)
+    with pytest.raises(InvalidValueError, match="give it a clock"):
+        real_time(loop, robot)
+    go(loop, robot, 1)
