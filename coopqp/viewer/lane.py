@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -14,29 +13,15 @@ from coopqp.controller import Command
 from coopqp.controller_run import BegunPhase, begin_phase, controller_of
 from coopqp.errors import CoopqpError
 from coopqp.input import Arrival, Feed, Inputs, InputSettings
+from coopqp.online.arrivals import in_columns
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.rollout import drive
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Kind, matrix
 from coopqp.state import State
 from coopqp.task import TaskStack
 
 Hands = Mapping[str, list[float]]
 """What people send, by the input's name; who feeds an input otherwise is not heard then."""
-
-
-def in_columns(kind: Kind, value: Any) -> list[float]:
-    """A value as files have it, so that what is sent can be recorded: a direction as three numbers.
-
-    Args:
-        kind: of the value.
-        value: as a file has it, or as :meth:`Kind.read` keeps it.
-    """
-    found = np.asarray(value, float)
-    if kind.axis and len(found) == kind.values:
-        found = matrix(found)[:, 2]
-    numbers: list[float] = found.tolist()
-    return numbers
 
 
 class HandFeed:
@@ -64,7 +49,7 @@ class HandFeed:
         """Let what has been sent arrive, for the tick of a state."""
         known = self.inputs.channels
         fed = [
-            (name, in_columns(known[name].kind, value), when)
+            (name, np.array(in_columns(known[name].kind, value)).tolist(), when)
             for name, value, when in self._feed.arrivals(state.t)
             if name not in self._hands
         ]

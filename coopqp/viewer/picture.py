@@ -181,9 +181,10 @@ def _arrows(lane: Lane, state: State) -> Array:
         return np.zeros((0, 2, 3))
     forces = wrenches.reshape(-1, 6)[:, :3]
     longest = max(float(np.linalg.norm(forces, axis=1).max()), LEAST_FORCE)
-    scale = ARROW * max(lane.scenario.held.size) / longest
     size = max(lane.scenario.held.size)
-    hands = _hands(state, lane.scenario.chain.robot) + (0.0, 0.0, ABOVE * size)
+    scale = ARROW * size / longest
+    hands = _hands(state, lane.scenario.chain.robot)
+    hands[:, 2] += ABOVE * size
     return np.stack([hands, hands + scale * forces], axis=1)
 
 
