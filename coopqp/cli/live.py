@@ -41,6 +41,7 @@ def play(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
+    from coopqp.errors import CoopqpError
     from coopqp.viewer import play as viewer
 
     viewer.check_viewer()
@@ -57,6 +58,9 @@ def play(
         click.echo(f"warning: {fault}", err=True)
     try:
         viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
+    except CoopqpError:
+        player.save()  # what was played is not lost for the page
+        raise
     except KeyboardInterrupt:
         words = f"ended after {player.lanes[0].t:.2f} s"
         if record:

@@ -20,8 +20,8 @@ LEAST_GAIN, STEPS = 0.1, 200
 def dials_of(scenario: Scenario) -> tuple[Dial, ...]:
     """Everything that can be turned."""
     found = list(_of_tasks(scenario))
-    most = 1.0 / scenario.dt
     now = scenario.drift_gain
+    most = max(1.0 / scenario.dt, now)  # which rounding may tell apart
     found.append(Dial(KAPPA, "loop", "kappa, drift gain [1/s]", 0.0, most, most / STEPS, now))
     return tuple(found)
 
@@ -87,7 +87,7 @@ def _of_tasks(scenario: Scenario) -> Iterator[Dial]:
 
 def _of_task(task: Task, place: str, group: str, dt: float) -> Iterator[Dial]:
     if not task.asks_velocity:
-        most = min(max(MOST_GAIN, 2.0 * task.gain), 1.0 / dt)
+        most = max(min(max(MOST_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         least = min(LEAST_GAIN, task.gain)
         step = (most - least) / STEPS
         yield Dial(f"{place}.gain", group, "gain [1/s]", least, most, step, task.gain)

@@ -37,7 +37,7 @@ from coopqp.viewer.messages import (
 from coopqp.viewer.recording import Recording
 
 #: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
-RESTS, ARRIVED = 2e-3, 1e-6
+RESTS, ARRIVED = 3e-4, 1e-6
 SLOWEST, FASTEST = 0.05, 4.0
 UNTOLD = Told(False, "", (), "")
 
@@ -317,12 +317,14 @@ class Player:
         stale = lane.state.inputs.stale
         if drawn.broken:
             return "broken", _sentence(drawn.broken, drawn.words)
+        if stale:
+            return "waiting", _sentence(
+                f"nothing arrives at {', '.join(stale)}; drag it or turn it"
+            )
         if drawn.reached and _arrived(lane):
             return "reached", _sentence("at the goal", drawn.words)
         if self.told.blocked:
             return "blocked", _sentence(self.told.sentence)
-        if stale:
-            return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}", "drag it")
         if not self.playing:
             return "waiting", _sentence("paused", drawn.words)
         return "moving", _sentence("on its way", drawn.words)

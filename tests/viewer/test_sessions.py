@@ -139,6 +139,33 @@ def test_who_feeds_is_heard_until_somebody_drags(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trace.q[1:191], np.array([*fed, *later])[:, 0])
 
 
+JOYSTICK = """\
+dt: 0.01
+duration: 0.6
+controllers: [qp]
+inputs: {stick: {velocity: 0.05}}
+tasks:
+  - twist: {velocity: {input: stick}, components: [x, y, z]}
+"""
+
+
+def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -> None:
+    player = playing(written(tmp_path, JOYSTICK), "qp")
+    player.playing = True
+    played(player, 30)
+    assert [knob.label for knob in player.show().knobs] == ["x", "y", "z"]
+    assert player.show().gizmos == ()
+    frame = player.frame()
+    assert frame.tone == "waiting"
+    assert "Nothing arrives at stick" in frame.sentence
+    before = player.lanes[0].state.p_WO.copy()
+    player.do(Asked("knob", "stick/2", (-0.02,)))
+    played(player, 100)
+    moved = player.lanes[0].state.p_WO - before
+    assert moved[2] == pytest.approx(-0.02, abs=0.004)
+    assert np.abs(moved[:2]).max() < 1e-4
+
+
 def test_a_dial_rebuilds_the_law_from_where_it_is(tmp_path: Path) -> None:
     player = playing("point_on_point", "qp", folder=tmp_path)
     played(player, 60)
