@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -13,7 +13,7 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.leverage import leverage
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
-from coopqp.input import Feed
+from coopqp.input import Sender
 from coopqp.plant import PlantModel
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.row import Row
@@ -38,7 +38,7 @@ def rollout(
     heeds: Heeds = HEEDS_NOTHING,
     progress: Progress | None = None,
     state: State | None = None,
-    feed: Feed | None = None,
+    feed: Sender | None = None,
 ) -> Trace:
     """Run a law on a plant.
 
@@ -72,7 +72,11 @@ def rollout(
 
 
 def drive(
-    law: Law, plant: PlantModel, state: State, ticks: int, feed: Feed | None = None
+    law: Law,
+    plant: PlantModel,
+    state: State,
+    ticks: int | Iterable[object],
+    feed: Sender | None = None,
 ) -> Iterator[tuple[Command, float]]:
     """The control loop: take what has arrived, decide, hand over the command, let the plant move.
 
@@ -80,14 +84,14 @@ def drive(
         law: the controller, built.
         plant: where the state is.
         state: written; after the last step its kinematics are up to date.
-        ticks: how many.
+        ticks: how many, or as many as there are items.
         feed: who sends to the inputs; nothing arrives when omitted.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
     """
     guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
-    for _ in range(ticks):
+    for _ in range(ticks) if isinstance(ticks, int) else ticks:
         if feed:
             feed.step(state)
         before = time.perf_counter_ns()

@@ -95,7 +95,7 @@ def shown_marks(scenario: Scenario, frames: NDArray[np.int64], trace: Trace) -> 
     Raises:
         InvalidValueError: a task or a limit shows what is no mark.
     """
-    place, found = _Place(scenario), []
+    place, found = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
@@ -110,7 +110,7 @@ def shown_marks(scenario: Scenario, frames: NDArray[np.int64], trace: Trace) -> 
 
 
 def _through_time(
-    marks: dict[int, tuple[Mark, ...]], name: str, place: _Place, *, limit: bool
+    marks: dict[int, tuple[Mark, ...]], name: str, place: Place, *, limit: bool
 ) -> list[Shown]:
     """Marks by frame, which may come and go; one that stays is one."""
     found: list[Shown] = []
@@ -126,7 +126,7 @@ def _through_time(
     return found
 
 
-class _Place:
+class Place:
     """Where what has no end is cut off: near the object's start.
 
     Args:

@@ -96,7 +96,7 @@ def _rests(leg: Leg, place: Place) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
-    return f"it rests although this is inside the limits: {words.start(place.q, leg)}"
+    return f"it rests although this is inside the limits: {words.start(place.q, leg.problem.chain)}"
 
 
 def _leash(scenario: Scenario, controller: str, leg: Leg) -> Late | None:

@@ -219,7 +219,7 @@ class _Whole:
         if isinstance(found, BlockedByLimits):
             return self._limits(found)
         if isinstance(found, Elsewhere):
-            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg)}"
+            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg.problem.chain)}"
             return replace(
                 base, kind="elsewhere", sentence=said, held_back=_held_back(found.shares)
             )
@@ -227,7 +227,7 @@ class _Whole:
             return replace(
                 base,
                 kind="contradiction",
-                sentence=words.contradiction(found, leg, ordered=self._ordered()),
+                sentence=words.contradiction(found, leg.missed, ordered=self._ordered()),
                 tasks=tuple(task.name for task in found.tasks),
                 any_robot=found.any_robot,
             )
@@ -250,7 +250,7 @@ class _Whole:
         )
         said = f"{self._held(found.shares)}; {words.cure(cured, found.shares)}"
         if found.elsewhere:
-            said += f"; {words.elsewhere(found.elsewhere, self._leg)}"
+            said += f"; {words.elsewhere(found.elsewhere, self._leg.problem.chain)}"
         return self._with(cured, found.shares, said)
 
     def _with(self, cured: Cure | None, shares: tuple[Share, ...], said: str) -> RunExplanation:

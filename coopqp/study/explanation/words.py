@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
 from coopqp.study.explanation.diagnosis import OutOfReach, TooFewFreedoms
+from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share, thing_of
@@ -44,7 +46,11 @@ def with_note(row: Row, note: str) -> str:
 
 def stops(leg: Leg) -> str:
     """What the worst part of a task ended off by."""
-    part, error = leg.missed[0]
+    return stops_short(*leg.missed[0])
+
+
+def stops_short(part: PartOfTask, error: float) -> str:
+    """What a part of a task is off by."""
     if np.isnan(error):
         return f"the error of {part.name} is no number"
     amount = size(error, part.part.unit)
@@ -75,10 +81,10 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     now = {thing_of(share.row) for share in shares}
     first = [need for need in found.needs if thing_of(need.row) in now]
     later = [need for need in found.needs if thing_of(need.row) not in now]
-    text = f"to get there {_needs(first)}" if first else "to get there"
+    text = f"to get there {needed(first)}" if first else "to get there"
     if later:
         text += (
-            f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
+            f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
         )
     if found.reached and found.time is not None:
         return f"{text} and the run {found.time:.3g} s (tried: reached)"
@@ -90,8 +96,8 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     return f"{text}; tried, but then {stops(found.left)}"
 
 
-def _needs(needs: Sequence[Need], *, alone: bool = True) -> str:
-    """Amounts, each beside its limit; the verb with the first."""
+def needed(needs: Sequence[Need], *, alone: bool = True) -> str:
+    """Amounts that limits would have to give, each beside its limit; the verb with the first."""
     said: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else _thing(need.row)
@@ -106,15 +112,14 @@ def _thing(row: Row) -> str:
     return row.owner.replace("_", " ")
 
 
-def elsewhere(place: Place, leg: Leg) -> str:
+def elsewhere(place: Place, chain: ClosedChain) -> str:
     """Where it would be reached inside the limits."""
-    where = start(place.q, leg)
+    where = start(place.q, chain)
     return f"it can be reached inside the limits from another configuration, such as {where}"
 
 
-def start(q: Array, leg: Leg) -> str:
+def start(q: Array, chain: ClosedChain) -> str:
     """A configuration by arm, as a scenario's start has it."""
-    chain = leg.problem.chain
     at = dict(zip(chain.joint_names, q.tolist(), strict=True))
     arms = []
     for arm in chain.arms:
@@ -174,11 +179,13 @@ def point(p: Array, digits: int = 3) -> str:
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def contradiction(found: Contradiction, leg: Leg, *, ordered: bool) -> str:
-    """Which tasks, and who comes first."""
+def contradiction(
+    found: Contradiction, missed: Sequence[tuple[PartOfTask, float]], *, ordered: bool
+) -> str:
+    """Which tasks, what they miss, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
-    mine = [(part, e) for part, e in leg.missed if part.task in found.tasks]
+    mine = [(part, e) for part, e in missed if part.task in found.tasks]
     if not mine:
         return text
     ranks = {_rank(task) for task in found.tasks}
