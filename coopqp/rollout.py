@@ -128,6 +128,7 @@ class _Recorder:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
+        self.e, self.rate = np.full((2, rows, len(stacks[0].e)), np.nan)
         self.tick_us = np.zeros(ticks)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
@@ -158,6 +159,8 @@ class _Recorder:
             for i, (_, part) in enumerate(self._parts):
                 if i not in self._velocities:
                     error[k, i] = np.linalg.norm(stack.e[part])
+            if error is self.task_error:
+                self.e[k], self.rate[k] = stack.e, stack.rate
 
     def _close(self, k: int, v: Array) -> None:
         """Keep what only shows after the step of tick k."""
@@ -247,6 +250,9 @@ class _Recorder:
             task_error=self.task_error,
             leverage=self._leverage(),
             goal_error=self.goal_error,
+            task_rows=_task_rows(problem.tasks, chain),
+            e=self.e,
+            rate=self.rate,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),
@@ -271,6 +277,11 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found
+
+
+def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

@@ -145,6 +145,11 @@ def _tasks(legs: Legs, name: str) -> tuple[TaskInfo, ...]:
     )
 
 
+def _rows_of_tasks(legs: Legs, name: str) -> tuple[str, ...]:
+    """Every phase's rows of tasks."""
+    return tuple(f"{info.name}.{row}" for info, leg in legs for row in getattr(leg, name))
+
+
 def _task_errors(legs: Legs, name: str) -> Array:
     """A column for each phase's tasks, NaN in the other phases."""
     instants, columns = len(_times(legs, "t")), []
@@ -257,6 +262,10 @@ class Trace:
         task_error: Euclidean norm of each task's error, to its reference, which may be on its way
             to the goal, shape (T + 1, K) [the task's unit].
         goal_error: the same to the goal, as if the reference were there from the start.
+        task_rows: the rows of all tasks, such as "reach.z", R of them.
+        e: each row's error to its reference, value minus reference, shape (T + 1, R) [the task's
+            unit]; 0 for tasks that ask for a velocity alone.
+        rate: how fast each row's reference moves, shape (T + 1, R) [unit/s].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
@@ -296,6 +305,9 @@ class Trace:
     loop_orientation: Array = field(metadata={"join": _instants})
     task_error: Array = field(metadata={"join": _task_errors})
     goal_error: Array = field(metadata={"join": _task_errors})
+    task_rows: tuple[str, ...] = field(metadata={"join": _rows_of_tasks})
+    e: Array = field(metadata={"join": _task_errors})
+    rate: Array = field(metadata={"join": _task_errors})
     usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
     inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
     status: tuple[str, ...] = field(metadata={"join": _statuses})

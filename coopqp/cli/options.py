@@ -12,6 +12,7 @@ import click
 SCENARIO = click.argument("scenario")
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
+SAME = 1e-6  # velocities of a tick that is done again [rad/s, m/s]
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
 
@@ -49,18 +50,42 @@ def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
     from coopqp.scenario.loader import load, with_solver
 
     loaded = load(name, catalog)
-    for line in loaded.robot_model.warnings:
-        click.echo(f"warning: {line}", err=True)
+    _warn(loaded)
     return with_solver(loaded, solver) if solver else loaded
 
 
 def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
-    """A written trace, from its own or its folder's path, and the scenario beside it."""
-    from coopqp.study.trace_file import controllers_of
+    """A recorded run, from its own or its folder's path, and its scenario."""
+    from coopqp.recordings.known import controllers_of, format_of, trace_in
 
-    path = trace / "trace.csv" if trace.is_dir() else trace
+    path = trace_in(trace)
     controllers_of(path)  # a trace that is missing is said before its scenario is
-    return path, read_scenario(str(path.parent / "scenario.yaml"), catalog)
+    if format_of(path).cut_short(path):
+        words = "was cut short, as by a kill; what follows is of what had been written"
+        click.echo(f"warning: {path}: {words}", err=True)
+    loaded = format_of(path).scenario(path, catalog)
+    _warn(loaded)
+    return path, loaded
+
+
+def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:
+    """A tick of a recorded run, done again; says where it does not come out as recorded."""
+    from coopqp.study.recorded_tick import off_the_record, recorded_tick
+
+    path, scenario = read_trace(trace, catalog)
+    record = recorded_tick(path, scenario, controller, tick)
+    off = off_the_record(path, record)
+    if off > SAME:
+        words = "done again it commands another velocity than recorded, by up to"
+        why = "its scenario or the code is another than when it was run"
+        click.echo(f"warning: tick {record.tick}: {words} {off:.2g}; {why}", err=True)
+    return record
+
+
+def _warn(scenario: Any) -> None:
+    """Say what a scenario's robot leaves out."""
+    for line in scenario.robot_model.warnings:
+        click.echo(f"warning: {line}", err=True)
 
 
 def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:

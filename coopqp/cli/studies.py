@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, catalogued, read_trace
+from coopqp.cli.options import JSON, catalogued, read_tick, read_trace
+
+FORMATS = ("mcap", "rosbag2", "parquet")
 
 
 @click.command()
@@ -32,30 +34,62 @@ def explain(
 ) -> None:
     """Say why a run did not reach its goal, and what would do.
 
-    TRACE is a trace.csv, or its folder, written by 'coopqp compare --out'.
+    TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
+    made of it.
     """
+    from coopqp.recordings.known import controllers_of
     from coopqp.report import explained, files
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
-    from coopqp.study.recorded_tick import recorded_tick
-    from coopqp.study.trace_file import controllers_of, recording_from_trace
+    from coopqp.study.trace_file import recording_from_trace
 
-    path, scenario = read_trace(trace, catalog)
-    known = controllers_of(path)
     if tick is not None or save:
-        record = recorded_tick(path, scenario, controller, tick)
+        record = read_tick(trace, catalog, controller, tick)
         click.echo(explained.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
             click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
         return
-    own = scenario.controllers
+    path, scenario = read_trace(trace, catalog)
+    known, own = controllers_of(path), scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]
     recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recording, report)
     click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--to", required=True, type=click.Choice(FORMATS), help="Format.")
+@click.option("--controller", help="Whose; all of them, a file each, if omitted.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="File; CONTROLLER.FORMAT beside RUN if omitted."
+)
+@catalogued
+def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
+    """Write a recorded run for Foxglove, ROS 2, PlotJuggler or pandas.
+
+    RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
+    recorded; explain and replay work on the files as on RUN.
+    """
+    from coopqp.errors import CoopqpError
+    from coopqp.recordings.known import EXPORTS, controllers_of
+    from coopqp.recordings.known import export as write
+
+    path, scenario = read_trace(run, catalog)
+    names = [controller] if controller else controllers_of(path)
+    if out and len(names) > 1:
+        listed = ", ".join(names)
+        raise CoopqpError(f"--out is one file, but '{path}' has {listed}; add --controller NAME")
+    suffix = {known.name: known.suffix for known in EXPORTS}[to]
+    for name in names:
+        if not out and Path(name).name != name:
+            raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
+        file = out or path.parent / f"{name}{suffix}"
+        write(path, scenario, to, name, file)
+        click.echo(f"wrote {file}")
 
 
 @click.command()
@@ -69,7 +103,7 @@ def calibrate(
 ) -> None:
     """Find from a run where the object really is in the hands; print lines for the scenario.
 
-    TRACE is a trace.csv with measured joints, or its folder, written by 'coopqp compare --out'.
+    TRACE is a run with measured joints, as for 'coopqp explain'.
     """
     from coopqp.report import calibration as report
     from coopqp.report import strict_json
@@ -92,17 +126,31 @@ def calibrate(
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
+@click.option("--tick", type=int, help="Which tick of a run; as 'explain --save' if omitted.")
+@click.option("--controller", help="Whose tick of a run; the first QP controller's if omitted.")
 @click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
 @catalogued
 @JSON
-def replay(file: Path, solver: tuple[str, ...], catalog: Any, as_json: bool) -> None:
-    """Solve a tick saved by 'coopqp explain --save' again, with any solver."""
+def replay(
+    file: Path,
+    tick: int | None,
+    controller: str | None,
+    solver: tuple[str, ...],
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Solve a tick again, with any solver.
+
+    FILE is a tick saved by 'coopqp explain --save', or a recorded run as for 'coopqp explain'.
+    """
+    from coopqp.recordings.known import is_run
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
 
-    record = TickRecord.read(file)
+    recorded = is_run(file)
+    record = read_tick(file, catalog, controller, tick) if recorded else TickRecord.read(file)
     answers = {
         name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)

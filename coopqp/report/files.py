@@ -18,6 +18,7 @@ from coopqp.report import folder as report_folder
 from coopqp.report import strict_json
 from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
+from coopqp.report.trace_columns import Beside
 from coopqp.signal import TURN_COLUMNS, TURN_RATES
 from coopqp.trace import InputTrace, Trace
 from coopqp.wording import raised
@@ -94,19 +95,21 @@ def trace_csv(comparison: Comparison) -> str:
     are empty where a controller has nothing to say: ``commanded`` where the joints do exactly as
     told, ``measured`` where no sensor says otherwise, ``gap`` where the model has no error,
     ``memory`` where the law remembers nothing, ``input`` where nothing arrived.
+    ``docs/recordings.md`` has all columns.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     traces = comparison.traces
     joints = list(dict.fromkeys(joint for trace in traces.values() for joint in trace.joints))
     memory = max(trace.memory.shape[1] for trace in traces.values())
-    writer.writerow(_header(joints, memory, next(iter(traces.values()))))
+    beside = Beside(list(traces.values()))
+    writer.writerow(_header(joints, memory, next(iter(traces.values())), beside))
     for name, trace in traces.items():
-        writer.writerows(_rows(name, trace, joints, memory))
+        writer.writerows(_rows(name, trace, joints, memory, beside))
     return stream.getvalue()
 
 
-def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
+def _header(joints: list[str], memory: int, trace: Trace, beside: Beside) -> list[str]:
     return [
         *("controller", "tick", "t"),
         *(f"q[{joint}]" for joint in joints),
@@ -121,6 +124,8 @@ def _header(joints: list[str], memory: int, trace: Trace) -> list[str]:
         *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
         *("loop_position", "loop_orientation"),
         *(f"error[{task.name}]" for task in trace.tasks),
+        *beside.of_instants,
+        *beside.of_ticks,
         *("status", "scale", "tick_us"),
         *(["phase"] if trace.phases else []),
     ]
@@ -137,7 +142,9 @@ def _input_columns(name: str, kept: InputTrace) -> Iterator[str]:
     yield from (f"followed_rate[{name}].{column}" for column in rates)
 
 
-def _rows(name: str, trace: Trace, joints: list[str], memory: int) -> Iterator[list[Any]]:
+def _rows(
+    name: str, trace: Trace, joints: list[str], memory: int, beside: Beside
+) -> Iterator[list[Any]]:
     # tolist() gives Python floats, which csv writes with all the digits they need.
     after = np.column_stack(
         [
@@ -147,16 +154,19 @@ def _rows(name: str, trace: Trace, joints: list[str], memory: int) -> Iterator[l
             trace.loop_orientation,
         ]
     ).tolist()
-    after = [[*row, *errors] for row, errors in zip(after, _errors(trace), strict=True)]
+    rows = zip(after, _errors(trace), beside.instants(trace), strict=True)
+    after = [[*row, *errors, *asked] for row, errors, asked in rows]
+    left = beside.ticks(trace)
     q, v = _by_joint(trace.q, trace, joints), _by_joint(trace.v, trace, joints)
     tau = _by_joint(trace.signals.get("tau", np.zeros((trace.ticks, 0))), trace, joints)
     t, us, scale = trace.t.tolist(), trace.tick_us.tolist(), trace.scale.tolist()
     known, phases = _known(trace, joints, memory), _phase_of_each_tick(trace)
     for k in range(trace.ticks):
         flags = [trace.status[k], scale[k], us[k], *phases[k]]
-        yield [name, k, t[k], *q[k], *v[k], *known[k], *tau[k], *after[k], *flags]
+        yield [name, k, t[k], *q[k], *v[k], *known[k], *tau[k], *after[k], *left[k], *flags]
     end, nothing = trace.ticks, [""] * (2 * len(joints) + len(known[0]))
-    yield [name, end, t[end], *q[end], *nothing, *after[end], "", "", "", *phases[end - 1]]
+    none = [""] * len(beside.of_ticks)
+    yield [name, end, t[end], *q[end], *nothing, *after[end], *none, "", "", "", *phases[end - 1]]
 
 
 def _known(trace: Trace, joints: list[str], memory: int) -> list[list[Any]]:

@@ -24,7 +24,7 @@ from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
 from coopqp.scenario.trial import blamed
-from coopqp.scenario.yaml import YamlFile, read_yaml
+from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
 from coopqp.task import Task
@@ -44,8 +44,25 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    file = read_yaml(find(path))
-    scenario = _Reader(file, catalog or Catalog()).scenario()
+    return _loaded(read_yaml(find(path)), catalog or Catalog())
+
+
+def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
+    """The same from the text of a scenario that stands in another file.
+
+    Args:
+        path: of that file, for faults.
+        text: of the scenario.
+        catalog: what it can name.
+
+    Raises:
+        ScenarioError: as :func:`load`.
+    """
+    return _loaded(parsed(path, text), catalog)
+
+
+def _loaded(file: YamlFile, catalog: Catalog) -> Scenario:
+    scenario = _Reader(file, catalog).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
     elif file.data.get("start_deg") is not None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.plants import Kinematic
+from coopqp.recordings.known import controllers_of
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.trace_file import controllers_of, measured_joints
+from coopqp.study.trace_file import measured_joints
 
 
 def measured_run(
@@ -21,7 +22,7 @@ def measured_run(
     grasp. On the plant ``kinematic`` nothing holds the hands together: only the first tick counts.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         scenario: that it was written for.
         controller: whose; the first of the trace for which sensors said something when None.
 

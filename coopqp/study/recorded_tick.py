@@ -9,9 +9,10 @@ from pathlib import Path
 
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
+from coopqp.recordings.known import controllers_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord, record_tick
-from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
+from coopqp.study.trace_file import blocked_tick, recorded_velocity, state_from_trace
 
 
 def recorded_tick(
@@ -20,7 +21,7 @@ def recorded_tick(
     """Do a tick of a trace again and keep it.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         scenario: that it was written for.
         controller: whose; the first QP controller of the trace when None.
         tick: which; the first that gave something up when None, else the last.
@@ -46,6 +47,24 @@ def recorded_tick(
     state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = path.parent.resolve().name
     return record_tick(law, state, scenario=name, controller=chosen, tick=k)
+
+
+def off_the_record(path: Path, record: TickRecord) -> float:
+    """How far a tick that was done again is from the velocities that were recorded [rad/s, m/s].
+
+    More than rounding says that its scenario is not the one that was run, or that the code is not.
+
+    Args:
+        path: from where it was recorded.
+        record: of the tick.
+
+    Raises:
+        CoopqpError: as :func:`recorded_tick`.
+    """
+    v = recorded_velocity(path, record.controller, record.tick)
+    known = [(v[row.joint], x) for row, x in zip(record.variables, record.answer, strict=True)
+             if row.joint in v]  # fmt: skip
+    return max((abs(was - now) for was, now in known), default=0.0)
 
 
 def _qp_laws(scenario: Scenario, names: Sequence[str]) -> dict[str, QPLaw]:

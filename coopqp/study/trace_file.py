@@ -1,11 +1,10 @@
-"""Reading a written ``trace.csv`` back: controllers, runs, ticks and states.
+"""Reading a recorded run back: runs, ticks and states.
 
 A file that is damaged, or of another scenario, is refused with the line that shows it.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,17 +16,14 @@ from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.input import wanted
 from coopqp.qp_law.law import QPLaw
-from coopqp.reading import open_bytes
+from coopqp.recordings.column import split
+from coopqp.recordings.known import controllers_of, format_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Course, Followed
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
 from coopqp.trace import InputTrace, no_input
-
-LONGEST = 1 << 20  # bytes of a line
-#: Columns that every trace has.
-NEEDED = ("controller", "tick", "t", "status", "tick_us")
 
 
 @dataclass(frozen=True)
@@ -98,7 +94,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     """A controller's whole run.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         scenario: that it was written for.
         controller: whose.
 
@@ -114,7 +110,8 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     if len(rows) != ticks + 1:
         raise CoopqpError(
             f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
-            "is damaged, or of another scenario"
+            "is damaged, of another scenario, or of a live loop, of which only a tick can be "
+            "explained: name it with --tick"
         )
     tau = [_torques(row, joints) for row in rows[:-1]] if rows[0].tells("tau", joints) else [[]]
     return Recording(
@@ -164,7 +161,7 @@ def state_from_trace(
     The gap is what the observer had made of the measured joints already, so it learns nothing more.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         controller: whose.
         tick: which.
         law: gives the joints.
@@ -174,7 +171,7 @@ def state_from_trace(
         CoopqpError: no such file, controller or tick; a damaged row.
     """
     joints = law.problem.chain.joint_names
-    state, found, last = law.start(), False, 0
+    state, found, last, before = law.start(), False, 0, tick == 0
     for row in _rows(path, controller):
         if not row.cells["tick_us"]:
             continue
@@ -191,7 +188,10 @@ def state_from_trace(
             _read(row, "memory[", state.memory.numbers)
             _read_inputs(row, law, state)
         elif k == tick - 1:
-            state.v[:] = row.numbers("v", joints)
+            state.v[:], before = row.numbers("v", joints), True
+    if found and not before:
+        words = f"has tick {tick}, but not the one before it, which it follows from"
+        raise InvalidValueError(f"{path}: controller '{controller}' {words}")
     if not found:
         raise InvalidValueError(
             f"{path}: controller '{controller}' has no tick {tick}; it has 0 to {last}"
@@ -217,6 +217,19 @@ def _read_inputs(row: _Row, law: QPLaw, state: State) -> None:
     state.inputs = followed
 
 
+def recorded_velocity(path: Path, controller: str, tick: int) -> dict[str, float]:
+    """What was commanded in a tick, by joint [rad/s, m/s].
+
+    Raises:
+        CoopqpError: no such file, or a damaged row.
+    """
+    for row in _rows(path, controller):
+        if row.cells["tick_us"] and row.tick == tick:
+            parts = ((split(key), key) for key, text in row.cells.items() if text)
+            return {part[1]: row.number(key) for part, key in parts if part[0] == "v"}
+    return {}
+
+
 def _read(row: _Row, start: str, numbers: Array) -> None:
     """Numbers from the columns whose names start so; nothing where they are empty."""
     columns = [key for key, text in row.cells.items() if key.startswith(start) and text]
@@ -230,7 +243,7 @@ def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: f
     Ticks in which they said nothing are left out.
 
     Args:
-        path: of ``trace.csv``.
+        path: of ``trace.csv``, or of a run in another format.
         controller: whose.
         joints: names, shape (n,).
         ticks: only those before this one.
@@ -242,7 +255,8 @@ def measured_joints(path: Path, controller: str, joints: Sequence[str], ticks: f
         raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
     found = []
     for row in _rows(path, controller):
-        if all(row.cells.get(f"measured[{joint}]") == "" for joint in joints):
+        sensed = any(key.startswith("measured[") for key in row.cells)
+        if not sensed or all(row.cells.get(f"measured[{joint}]") == "" for joint in joints):
             continue
         measured = row.numbers("measured", joints, nan=True)
         if row.tick < ticks:
@@ -270,52 +284,12 @@ def blocked_tick(path: Path, controller: str) -> int:
     return last
 
 
-def controllers_of(path: Path) -> list[str]:
-    """Names of the controllers in a written trace, in their order.
-
-    Raises:
-        CoopqpError: no such file, not a trace, or one without rows.
-    """
-    found = list(dict.fromkeys(row.cells["controller"] for row in _rows(path)))
-    if not found:
-        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
-    return found
-
-
 def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
     """The rows of a controller; all if None.
 
     Raises:
         CoopqpError: no such file, not a trace, or a row with too few or too many cells.
     """
-    reader = csv.reader(_lines(path), strict=True)
-    try:
-        header = next(reader, [])
-        if not set(NEEDED) <= set(header):
-            words = "is not a trace.csv written by 'coopqp compare --out'"
-            raise CoopqpError(f"{path}:1: {words}")
-        for cells in reader:
-            place = f"{path}:{reader.line_num}"
-            if len(cells) != len(header):
-                words = f"found {len(cells)} cells, needs {len(header)}; the trace is damaged"
-                raise CoopqpError(f"{place}: {words}")
-            row = _Row(place, dict(zip(header, cells, strict=True)))
-            if controller in (None, row.cells["controller"]):
-                yield row
-    except csv.Error as error:
-        raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """The lines of a file, as text."""
-    with open_bytes(path) as stream:
-        number = 0
-        while line := stream.readline(LONGEST):
-            number += 1
-            try:
-                text = line.decode("utf-8")
-            except UnicodeDecodeError:
-                raise CoopqpError(f"{path}:{number}: is not a text file in UTF-8") from None
-            if len(line) == LONGEST:
-                raise CoopqpError(f"{path}:{number}: the line is longer than {LONGEST} bytes")
-            yield text
+    for found in format_of(path).rows(path):
+        if controller in (None, found.texts["controller"]):
+            yield _Row(found.place, found.texts)

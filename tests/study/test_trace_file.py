@@ -17,11 +17,12 @@ from coopqp.comparison import Comparison, compare
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
+from coopqp.recordings.known import controllers_of
 from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import blocked_tick, controllers_of, state_from_trace
+from coopqp.study.trace_file import blocked_tick, state_from_trace
 
 
 @pytest.mark.parametrize("tick", [0, 1, 57, 150, 299])

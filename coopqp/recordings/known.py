@@ -1,0 +1,85 @@
+"""Which formats there are, and how a recorded run goes from one into another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from coopqp.errors import CoopqpError, UnknownNameError
+from coopqp.recordings.arrow_stream import ArrowStream
+from coopqp.recordings.csv_file import CsvFile
+from coopqp.recordings.format import Cells, ExportFormat, Format, RecordedRun
+from coopqp.recordings.mcap import Mcap
+from coopqp.recordings.parquet import Parquet
+from coopqp.recordings.rosbag2 import Rosbag2
+from coopqp.scenario.scenario import Scenario
+
+EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet())
+_ALL: tuple[Format, ...] = (*EXPORTS, ArrowStream(), CsvFile())  # the last holds all the rest
+
+NAMES = tuple(known.name for known in EXPORTS)
+
+
+def format_of(path: Path) -> Format:
+    """The format of a recorded run, by its name."""
+    return next(known for known in _ALL if known.holds(path))
+
+
+def trace_in(path: Path) -> Path:
+    """A recorded run from its own path, or that of the folder of a report."""
+    return path / "trace.csv" if path.is_dir() and not Rosbag2().holds(path) else path
+
+
+def is_run(path: Path) -> bool:
+    """Whether a path names a recorded run, or a report's folder, and no saved tick."""
+    return path.is_dir() or path.suffix == ".csv" or not isinstance(format_of(path), CsvFile)
+
+
+def controllers_of(path: Path) -> list[str]:
+    """Names of the controllers of a recorded run, in their order.
+
+    Raises:
+        CoopqpError: no such file, a damaged one, or one without rows.
+    """
+    rows = format_of(path).rows(path)
+    found = list(dict.fromkeys(row.texts["controller"] for row in rows))
+    if not found:
+        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
+    return found
+
+
+def export(path: Path, scenario: Scenario, to: str, controller: str, out: Path) -> None:
+    """Write one controller's run in another format.
+
+    Args:
+        path: of a recorded run in any format.
+        scenario: of it.
+        to: the format's name.
+        controller: whose.
+        out: the file; one that is there is replaced.
+
+    Raises:
+        CoopqpError: no such format or controller; the run is damaged; the file cannot be written.
+    """
+    chosen = {known.name: known for known in EXPORTS}.get(to)
+    if chosen is None:
+        raise UnknownNameError("format", to, NAMES)
+    if out.resolve() == path.resolve():
+        raise CoopqpError(f"'{out}' is what is read; choose another name with --out")
+    rows = partial(_rows, path, controller)
+    first = next(rows(), None)
+    if first is None:
+        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
+    run = RecordedRun(
+        controller=controller,
+        scenario=scenario.held_by(controller),
+        source=scenario.portable,
+        columns=tuple(first.texts),
+        rows=rows,
+    )
+    chosen.replace(run, out)
+
+
+def _rows(path: Path, controller: str) -> Iterator[Cells]:
+    return (row for row in format_of(path).rows(path) if row.texts["controller"] == controller)

@@ -1,0 +1,153 @@
+"""MCAP, for Foxglove and its like, in Foxglove's own schemas.
+
+``/joint_states`` foxglove.JointStates, ``/tf`` foxglove.FrameTransforms, ``/object_pose``
+foxglove.PoseInFrame, ``/log`` foxglove.Log where something has changed, and ``/coopqp/tick`` with
+the whole row as JSON, of which every number can be plotted. The attachment ``scenario.yaml`` is
+the scenario.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+from coopqp import __version__
+from coopqp.errors import CoopqpError
+from coopqp.reading import open_bytes
+from coopqp.recordings import column
+from coopqp.recordings.format import Cells, ExportFormat, RecordedRun, needs, readable
+from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark
+from coopqp.recordings.messages import instants as instants_of
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import load_text
+from coopqp.scenario.scenario import Scenario
+
+LOG, ATTACHED = "/log", "scenario.yaml"
+CHUNK = 1 << 18  # bytes
+NS = 1_000_000_000
+
+
+class Mcap(ExportFormat):
+    """One file a controller."""
+
+    name: ClassVar[str] = "mcap"
+    suffix: ClassVar[str] = ".mcap"
+
+    def write(self, run: RecordedRun, path: Path) -> None:
+        # foxglove's own writer prints what goes wrong, and goes on; this one raises.
+        with needs("MCAP"):
+            from foxglove import messages
+            from mcap.writer import Writer
+        with open(path, "wb") as stream:
+            writer = Writer(stream, chunk_size=CHUNK)
+            writer.start(library=f"coopqp {__version__}")
+            writer.add_attachment(0, 0, ATTACHED, "text/yaml", run.source.encode("utf-8"))
+            writer.add_metadata("coopqp", {"controller": run.controller})
+            file = _Messages(writer, messages, run.controller)
+            for instant in instants_of(run):
+                file.log(instant)
+            writer.finish()
+
+    def rows(self, path: Path) -> Iterator[Cells]:
+        with needs("MCAP"):
+            from mcap.reader import make_reader
+        with open_bytes(path) as stream, readable(path):
+            found = make_reader(stream).iter_messages([TICK])
+            for i, (_, _, message) in enumerate(found):
+                yield column.flat(f"{path}: message {i}", json.loads(message.data))
+
+    def scenario(self, path: Path, catalog: Catalog) -> Scenario:
+        with needs("MCAP"):
+            from mcap.reader import make_reader
+        with open_bytes(path) as stream, readable(path):
+            attached = {found.name: found.data for found in make_reader(stream).iter_attachments()}
+        if ATTACHED not in attached:
+            raise CoopqpError(f"{path}: holds no run of coopqp: has no attachment '{ATTACHED}'")
+        return load_text(path, attached[ATTACHED].decode("utf-8", "replace"), catalog)
+
+
+class _Messages:
+    """The topics of one file, and how rows go into them."""
+
+    def __init__(self, writer: Any, messages: Any, controller: str) -> None:
+        self._writer, self._of, self._controller = writer, messages, controller
+        self._channels: dict[str, int] = {}
+        self._said: dict[str, tuple[int, str]] = {}
+
+    def log(self, instant: Instant) -> None:
+        """Write all messages of a row."""
+        of, ns = self._of, instant.ns
+        stamp = of.Timestamp(ns // NS, ns % NS)
+        for topic, joints in instant.joints.items():
+            self._write(topic, ns, of.JointStates(timestamp=stamp, joints=self._states(joints)))
+        frames = [self._frame(stamp, placed) for placed in (*instant.frames, instant.held)]
+        self._write(TF, ns, of.FrameTransforms(transforms=frames))
+        p, q = self._vectors(instant.held)
+        pose = of.Pose(position=p, orientation=q)
+        self._write(POSE, ns, of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
+        for remark in instant.remarks:
+            said = remark.level, remark.words
+            if said != self._said.get(remark.about, (0, "")):
+                self._said[remark.about] = said
+                self._write(LOG, ns, self._log(stamp, remark))
+        self._write_row(ns, column.nested(instant.cells))
+
+    def _write(self, topic: str, ns: int, message: Any) -> None:
+        """Write a message of Foxglove's."""
+        if topic not in self._channels:
+            schema = type(message).get_schema()
+            known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
+        self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
+
+    def _write_row(self, ns: int, row: dict[str, Any]) -> None:
+        """Write all of it as JSON."""
+        if TICK not in self._channels:
+            schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
+            known = self._writer.register_schema("coopqp.Tick", "jsonschema", schema)
+            self._channels[TICK] = self._writer.register_channel(TICK, "json", known)
+        self._writer.add_message(self._channels[TICK], ns, json.dumps(row).encode("utf-8"), ns)
+
+    def _log(self, stamp: Any, remark: Remark) -> Any:
+        level = (self._of.LogLevel.Info, self._of.LogLevel.Warning, self._of.LogLevel.Error)
+        return self._of.Log(
+            timestamp=stamp,
+            level=level[remark.level],
+            message=f"{remark.about}: {remark.words or 'free again'}",
+            name=self._controller,
+        )
+
+    def _states(self, joints: Joints) -> list[Any]:
+        values = (joints.position, joints.velocity, joints.effort)
+        columns: list[list[Any]] = [list(of) or [None] * len(joints.names) for of in values]
+        return [
+            self._of.JointState(name=name, position=q, velocity=v, effort=tau)
+            for name, q, v, tau in zip(joints.names, *columns, strict=True)
+        ]
+
+    def _frame(self, stamp: Any, placed: Placed) -> Any:
+        p, q = self._vectors(placed)
+        return self._of.FrameTransform(
+            timestamp=stamp,
+            parent_frame_id=WORLD,
+            child_frame_id=placed.name,
+            translation=p,
+            rotation=q,
+        )
+
+    def _vectors(self, placed: Placed) -> tuple[Any, Any]:
+        of = self._of
+        return of.Vector3(**dict(zip("xyz", placed.p, strict=True))), of.Quaternion(
+            **dict(zip("xyzw", placed.q, strict=True))
+        )
+
+
+def _schema(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON Schema of a row: whose columns there are; each may be null."""
+    inside = {
+        key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
+        for key, value in row.items()
+    }
+    return {"type": "object", "properties": inside}

@@ -1,0 +1,115 @@
+"""What every format keeps: all cells, so that ticks and runs are explained as from trace.csv."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import typed
+
+from coopqp.recordings.known import NAMES, format_of
+from coopqp.scenario.catalog import Catalog
+from coopqp.study.recorded_tick import recorded_tick
+
+PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow"}
+every_format = pytest.mark.parametrize("name", NAMES)
+
+
+@every_format
+def test_every_cell_is_kept(name: str, written: Any) -> None:
+    own = [
+        row.texts
+        for row in format_of(written.trace_csv).rows(written.trace_csv)
+        if row.texts["controller"] == "qp"
+    ]
+    path = written.exported[name]
+    assert [row.texts for row in format_of(path).rows(path)] == own
+
+
+@every_format
+def test_ticks_are_explained_and_solved_again_bit_for_bit(name: str, written: Any) -> None:
+    path = written.exported[name]
+    scenario = format_of(path).scenario(path, Catalog())
+    for tick in (0, 70, 150):  # in each phase
+        again = recorded_tick(path, scenario, "qp", tick)
+        assert again == recorded_tick(written.trace_csv, scenario, "qp", tick)
+    said = typed("replay", path, "--tick", 150, "--solver", "daqp", "--json")
+    assert '"difference": 0.0' in said.stdout
+    assert not said.stderr  # it comes out as recorded
+
+
+@every_format
+def test_runs_are_explained_alike(name: str, written: Any) -> None:
+    own = typed("explain", written.trace_csv, "--controller", "qp")
+    assert own.exit_code == 0
+    assert typed("explain", written.exported[name]).stdout == own.stdout
+
+
+@every_format
+def test_a_damaged_file_is_refused_in_one_line(name: str, written: Any, tmp_path: Path) -> None:
+    path = written.exported[name]
+    damaged = tmp_path / path.name
+    if path.is_dir():
+        damaged.mkdir()
+        for part in path.iterdir():
+            content = part.read_bytes()
+            cut = len(content) if part.suffix == ".yaml" else len(content) // 2
+            (damaged / part.name).write_bytes(content[:cut])
+    else:
+        damaged.write_bytes(path.read_bytes()[:-100])
+    result = typed("explain", damaged)
+    assert result.exit_code == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert str(damaged) in result.stderr
+
+
+@every_format
+def test_a_missing_package_is_named_with_its_extra(
+    name: str, written: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in [m for m in sys.modules if m.split(".")[0] == PACKAGES[name]]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, PACKAGES[name], None)
+    if name == "mcap":
+        monkeypatch.setitem(sys.modules, "foxglove", None)
+    for arguments in (
+        ["export", written.trace_csv, "--to", name, "--controller", "qp", "--out", tmp_path / "x"],
+        ["explain", written.exported[name]],
+    ):
+        result = typed(*arguments)
+        assert result.exit_code == 2
+        assert "needs: pip install 'coopqp[recordings]'" in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_all_controllers_are_exported_a_file_each(written: Any, tmp_path: Path) -> None:
+    for name in ("trace.csv", "scenario.yaml"):
+        (tmp_path / name).write_bytes((written.trace_csv.parent / name).read_bytes())
+    assert typed("export", tmp_path, "--to", "parquet").exit_code == 0
+    assert typed("export", tmp_path, "--to", "parquet").exit_code == 0  # once more
+    assert {p.name for p in tmp_path.glob("*.parquet")} == {"qp.parquet", "pseudoinverse.parquet"}
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "x.mcap"], "--out is one file, but"),
+        (["--controller", "qpp"], "did you mean 'qp'?"),
+        (["--controller", "qp", "--out", "{folder}"], "is a folder"),
+        (["--controller", "qp", "--out", "{folder}/trace.csv"], "is what is read"),
+        (["--controller", "qp", "--out", "{folder}/trace.csv/x"], "cannot write"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused_in_one_line(
+    arguments: list[str], words: str, written: Any
+) -> None:
+    folder = written.trace_csv.parent
+    filled = [argument.format(folder=folder) for argument in arguments]
+    result = typed("export", folder, "--to", "mcap", *filled)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not list(folder.glob(".*mcap*"))

@@ -1,0 +1,76 @@
+"""References and margins in trace.csv."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coopqp
+from coopqp.comparison import Comparison
+from coopqp.report import files
+from coopqp.study.recorded_tick import recorded_tick
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return coopqp.compare(coopqp.load("point_on_point"), controllers=["qp", "pseudoinverse"])
+
+
+@pytest.fixture(scope="module")
+def rows(comparison: Comparison) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(files.trace_csv(comparison))))
+
+
+def test_references_are_the_quintic_in_closed_form(
+    comparison: Comparison, rows: list[dict[str, str]]
+) -> None:
+    trace = comparison.traces["qp"]
+    goal, s = np.array([0.13, 0.05, 0.03]), np.minimum(trace.t / 2.0, 1.0)[:, None]
+    share, speed = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / 2.0
+    way = goal - trace.position[0]
+    own = [row for row in rows if row["controller"] == "qp"]
+    e = np.array([[float(row[f"e[reach.{axis}]"]) for axis in "xyz"] for row in own])
+    rate = np.array([[float(row[f"rate[reach.{axis}]"]) for axis in "xyz"] for row in own])
+    np.testing.assert_allclose(
+        trace.position - e, trace.position[0] + share * way, rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(rate, speed * way, rtol=0, atol=1e-12)
+
+
+def test_margins_are_those_to_the_nearest_limit(
+    comparison: Comparison, rows: list[dict[str, str]]
+) -> None:
+    for name, trace in comparison.traces.items():
+        own = [row for row in rows if row["controller"] == name][:-1]
+        after, v = trace.q[1:], np.abs(trace.v)
+        sides = np.minimum(after - trace.lower, trace.upper - after)
+        found = [float(row["margin[position].rad"]) for row in own]
+        np.testing.assert_allclose(found, sides.min(axis=1), atol=1e-12)
+        where = [row["nearest[position].rad"].split()[0] for row in own]
+        assert where == [trace.joints[i] for i in sides.argmin(axis=1)]
+        speeds = [float(row["margin[velocity].rad/s"]) for row in own]
+        np.testing.assert_allclose(speeds, (trace.velocity - v).min(axis=1), atol=1e-12)
+    assert min(float(row["margin[position].rad"] or "inf") for row in rows) < -0.1
+
+
+def test_a_trace_without_these_columns_can_still_be_explained(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    """As an earlier version wrote it."""
+    files.write(comparison, tmp_path)
+    new = tmp_path / "trace.csv"
+    added = ("e[", "rate[", "margin[", "nearest[")
+    with new.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    kept = [name for name in rows[0] if not name.startswith(added)]
+    old = tmp_path / "old.csv"
+    with old.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, kept, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    scenario = comparison.scenario
+    assert recorded_tick(old, scenario, "qp", 100) == recorded_tick(new, scenario, "qp", 100)
