@@ -17,21 +17,15 @@ from coopqp.errors import InvalidValueError
 from coopqp.online.loop import OnlineLoop
 from coopqp.recordings.messages import Remark
 from coopqp.ros.clocks import Clocks
-from coopqp.ros.diagnosis import Diagnosis
+from coopqp.ros.diagnosis import HALTS, Diagnosis
 from coopqp.ros.joint_states import JointStates
 from coopqp.ros.settings import Joints, RosSettings
 from coopqp.ros.targets import value_of
 from coopqp.signal import Kind
-from coopqp.solver import Status
 from coopqp.wording import raised
 
 #: Messages that wait for a tick at most; older ones are dropped.
 BOX = 1000
-#: What a tick says where the robot has to come to rest, or its joints are not known.
-HALTS = frozenset({
-    Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
-    Status.NOT_BEGUN, Status.RAISED,
-})  # fmt: skip
 
 
 class Transport(Protocol):
@@ -74,6 +68,7 @@ class Bridge:
         self._box: deque[tuple[str, Any, float]] = deque(maxlen=BOX)
         self._arrived: dict[str, tuple[list[float], float]] = {}
         self._refused: dict[str, str] = {}
+        self._off, self._is_new = np.zeros(loop.problem.chain.n), False
         self._said_at = -np.inf
 
     def take_joint_state(self, message: Any) -> None:
@@ -106,7 +101,9 @@ class Bridge:
                 self._refused[name] = str(error)
             except Exception as error:  # noqa: BLE001 - anything can arrive
                 self._refused[name] = raised(error)
-        return self._states.read()
+        found = self._states.read()
+        self._is_new = found is not None
+        return found
 
     def inputs(self) -> Mapping[str, tuple[list[float], float]]:
         """What has arrived since it was last asked, as a tick of the loop takes it."""
@@ -142,11 +139,14 @@ class Bridge:
     def _held(self, v: Array) -> Array:
         """The velocities, and what brings each joint to where it was commanded to be by now.
 
-        Velocities alone would let every joint drift away by what it does not follow exactly. Where
-        all shall stand still, or nobody knows where the joints are, they are left as they are.
+        Velocities alone would let every joint drift away by what it does not follow exactly. How
+        far it is off is known when it says where it is. Where all shall stand still, or nobody
+        knows where the joints are, the velocities are left as they are.
         """
         loop, gain = self._loop, self._settings.position_gain
         if not v.any() or HALTS.intersection(loop.command.causes):
             return v
+        if self._is_new:
+            np.subtract(loop.state.q, loop.measured, self._off)
         most = loop.problem.chain.velocity
-        return np.clip(v + gain * (loop.state.q - loop.measured), -most, most)
+        return np.clip(v + gain * self._off, -most, most)

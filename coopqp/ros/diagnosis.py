@@ -12,6 +12,12 @@ from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
 from coopqp.row import Row
 from coopqp.solver import Status, written
 
+#: What a tick says where the robot has to come to rest, or its joints are not known.
+HALTS = frozenset({
+    Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
+    Status.NOT_BEGUN, Status.RAISED,
+})  # fmt: skip
+
 
 class Diagnosis:
     """Gathers what became of ticks until it is told.
@@ -47,9 +53,10 @@ class Diagnosis:
         loop, causes = self._loop, list(self._causes)
         if len(causes) > 1:
             causes = [cause for cause in causes if cause is not Status.OPTIMAL]
-        level = max((level_of(cause) for cause in causes), default=0)
+        levels = [2 if cause in HALTS else level_of(cause) for cause in causes]
         stopped = why or loop.stopped
-        said = dict.fromkeys([*(cause.value for cause in causes), self._note, stopped])
+        said = [*(cause.value for cause in causes), self._note, stopped]
+        said = [x for i, x in enumerate(said) if not any(x in other for other in said[i + 1 :])]
         watch = loop.watch
         values = {
             "status": written(causes) if causes else "",
@@ -61,7 +68,7 @@ class Diagnosis:
             "longest [ms]": f"{1e3 * watch.longest:.2f}",
         }
         words = "; ".join(part for part in said if part) or "waits for the robot"
-        return Remark("loop", 2 if stopped else level, words, values)
+        return Remark("loop", 2 if stopped else max(levels, default=0), words, values)
 
 
 def _limits(loop: OnlineLoop) -> Iterator[Remark]:

@@ -164,9 +164,7 @@ def _parameters(node: Any) -> tuple[RosSettings, Mapping[str, list[str]]]:
 
 
 def _parameter(node: Any, name: str) -> Any:
-    from rclpy.parameter import ParameterDescriptor
-
-    free = ParameterDescriptor(dynamic_typing=True, read_only=True)
+    free = _type("rcl_interfaces/msg/ParameterDescriptor")(dynamic_typing=True, read_only=True)
     value = node.declare_parameter(name, None, free).value
     return list(value) if isinstance(value, list | tuple) else value
 
