@@ -1,6 +1,6 @@
 """The node of ROS 2 for real, on this machine: what happens when a robot is killed, or the node.
 
-    python benchmarks/ros_loopback.py [robot|node [SECONDS [PARAMETER:=VALUE ...]]]
+    python benchmarks/ros_loopback.py [robot|node [SECONDS [PERIOD [PARAMETER:=VALUE ...]]]]
 
 needs rclpy. Three processes: ``coopqp ros`` on the scenario of examples/teleoperation; a robot
 whose joints follow velocities with a delay of 20 ms and say 100 times a second where they are; and
@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -127,20 +128,20 @@ class Listener:
         return until()
 
 
-def node(parameters: list[str]) -> subprocess.Popen[str]:
+def node(scenario: Path, parameters: list[str]) -> subprocess.Popen[str]:
     """``coopqp ros``."""
     orders = [f"{arm}_controller.joints:=[{', '.join(joints(arm))}]" for arm in ARMS]
     given = ["controllers:=[left_controller, right_controller]", "patience:=1.0", *orders]
     given += parameters
     words = [word for one in given for word in ("-p", one)]
-    command = [sys.executable, "-c", RUN, "ros", str(SCENARIO), "--ros-args", *words]
+    command = [sys.executable, "-c", RUN, "ros", str(scenario), "--ros-args", *words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
-def main(victim: str, seconds: float, parameters: list[str]) -> None:
+def main(victim: str, seconds: float, scenario: Path, parameters: list[str]) -> None:
     """Move, kill, listen, and print what came of it."""
     heard = Listener(rclpy.create_node("listener"))
-    started, chain = node(parameters), coopqp.load(SCENARIO).chain
+    started, chain = node(scenario, parameters), coopqp.load(SCENARIO).chain
     waits = heard.listen(30.0, lambda: bool(heard.said))
     print(f"before the robot speaks: {worst(heard) if waits else 'nothing was heard'}")
     robot = subprocess.Popen([sys.executable, __file__, "robot"])
@@ -208,5 +209,10 @@ if __name__ == "__main__":
     else:
         words = sys.argv[1:]
         seconds = float(words[1]) if words[1:] else 12.0
-        main(words[0] if words else "robot", seconds, words[2:])
+        text = SCENARIO.read_text(encoding="utf-8")
+        with tempfile.TemporaryDirectory() as folder:
+            scenario = Path(folder) / "nao.yaml"
+            period = float(words[2]) if words[2:] else 0.01
+            scenario.write_text(text.replace("dt: 0.002", f"dt: {period}"), encoding="utf-8")
+            main(words[0] if words else "robot", seconds, scenario, words[3:])
         rclpy.shutdown()
