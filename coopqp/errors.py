@@ -68,8 +68,8 @@ class GraspError(CoopqpError):
 class MissingDependencyError(CoopqpError, ImportError):
     """An optional package is not installed."""
 
-    def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f"{what} needs: pip install 'coopqp[{extra}]'")
+    def __init__(self, what: str, extra: str = "", *, words: str = "") -> None:
+        super().__init__(f"{what} needs: " + (words or f"pip install 'coopqp[{extra}]'"))
 
 
 class UnreadableFileError(CoopqpError):
