@@ -78,7 +78,7 @@ class OnlineLoop:
         history: the last ticks.
         watch: late ticks counted, the longest named.
         ticks, begun: how many there have been; whether the object is held.
-        patience, simulated: as given; simulated without a clock.
+        patience, simulated: as given; simulated without a clock. measured: what was last believed.
 
     Raises:
         CoopqpError: an option is none; the controller cannot be built, or commands torques.
@@ -117,6 +117,7 @@ class OnlineLoop:
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)))
         self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
+        self.measured = self._readings.q
         self.setpoint, self._nothing = chain.q_start.copy(), np.full(chain.n, np.nan)
         self._refusal = Command(chain.n)
         self._keeper = Keeper(self, None if out is None else Path(out), record)

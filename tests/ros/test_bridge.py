@@ -95,8 +95,8 @@ class World:
 
 
 @pytest.fixture
-def scenario(tmp_path: Path) -> Scenario:
-    return follows(tmp_path)
+def scenario() -> Scenario:
+    return follows()
 
 
 def test_the_object_goes_where_targets_say_and_each_joint_gets_its_velocity(
