@@ -35,7 +35,7 @@ from coopqp.scenario.yaml import YamlFile
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
-STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 #: What a file says instead of joint values to have the start solved for.
