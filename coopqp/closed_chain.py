@@ -229,12 +229,12 @@ class ClosedChain:
         """Whether every joint starts within its position limits."""
         return bool(((self.lower <= self.q_start) & (self.q_start <= self.upper)).all())
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
         return joint_units(self.model)
