@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from chains import BOX, HANDS, Hinge, Walk
@@ -21,6 +23,14 @@ from coopqp.tasks import PointOnPoint
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
 CLOSED = 1e-13  # largest loop error after the projection [m, rad]
 SINGULAR = 1e-8  # share of the largest singular value
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
+    """All tests of a file in one process, so that what they share is made once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture
