@@ -6,6 +6,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -127,12 +128,12 @@ class RobotModel:
                 where = f"capsule {capsule.name}: "
                 raise UnknownNameError("joint", capsule.joint, self.joint_names, where)
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names in the order of q."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
         return joint_units(self.model)

@@ -24,7 +24,7 @@ NAMESAKE = "\0namesake"
 def without_locked_joints(
     description: Description, moving: set[str], locked: Mapping[str, float | None]
 ) -> pin.Model:
-    """The model of the joints that move.
+    """The model of the joints that move, a copy.
 
     Args:
         description: of the whole robot.
@@ -34,7 +34,7 @@ def without_locked_joints(
     Raises:
         InvalidValueError: a value outside the limits, or for a joint of several coordinates.
     """
-    model = description.model
+    model = description.model.copy()  # for its names are changed for a moment
     q = np.array(pin.neutral(model))
     for joint in range(1, model.njoints):
         name, kind = model.names[joint], model.joints[joint]

@@ -174,6 +174,15 @@ def test_a_users_task_is_one_file(tmp_path: Path) -> None:
     assert abs(trace.position[-1, 2] - 0.06) < 1e-4
 
 
+def test_catalogues_share_a_form_where_they_can_name_the_same(tmp_path: Path) -> None:
+    file = tmp_path / "hold_height.py"
+    file.write_text(USERS_TASK, encoding="utf-8")
+    assert file_model(Catalog()) is file_model(Catalog())
+    mine = file_model(Catalog((tmp_path,)))
+    assert mine is file_model(Catalog((tmp_path,)))
+    assert mine is not file_model(Catalog())
+
+
 def test_a_users_task_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CoopqpError, match="no task files"):
         Catalog((tmp_path,))
