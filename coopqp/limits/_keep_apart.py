@@ -18,6 +18,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
 from coopqp.limits._corners import ROWS, Corners
 from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.limits._look_ahead import LookAhead
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -44,16 +45,26 @@ def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
 
 
 def keep_apart(
-    chain: ClosedChain, pairs: Sequence[Pair], *, distance: float, gain: float, within: float
+    chain: ClosedChain,
+    pairs: Sequence[Pair],
+    dt: float,
+    *,
+    distance: float,
+    gain: float,
+    within: float,
 ) -> Tighten:
     """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
+
+    Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row there
+    if it could come closer than ``distance`` before the next one (:class:`LookAhead`).
 
     Args:
         chain: that carries the bodies.
         pairs: of bodies.
+        dt: control period [s].
         distance: kept free [m].
         gain: of the damper [1/s].
-        within: pairs farther apart than this are not bounded [m].
+        within: pairs farther apart than this are not slowed down before they are so near [m].
     """
     found, count = Distances(pairs), len(pairs)
     corners = Corners(pairs, found, distance)
@@ -61,16 +72,22 @@ def keep_apart(
     gains, free = np.full(count + ROWS, gain), np.array(distance)
     shallow = max(distance, SHALLOW)
     room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
+    ahead, beyond = LookAhead(chain, pairs, distance, within, dt), np.zeros(count)
 
     def tighten(state: State, rows: LimitRows) -> None:
         state.place(found.geometry, found.placed)
-        found.update(within)
+        ahead.update(rows)
+        found.update(ahead.far)
         corners.update()
         np.subtract(found.d, free, room[:count])
         room[count:] = corners.room
         damp(room, gains, deep, rows.h, shallow)
+        np.subtract(found.d, within, beyond)
+        np.maximum(beyond, 0.0, out=beyond)
+        np.multiply(beyond, 1.0 / dt - gain, beyond)
+        np.add(rows.h[:count], beyond, rows.h[:count])
         rates.fill(state, found, corners, rows.G)
-        np.greater_equal(found.d, within, deep[:count])  # as far for what reads the rows
+        np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
         rows.G[:count][deep[:count]] = 0.0
         for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
             rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))

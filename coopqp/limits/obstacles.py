@@ -111,7 +111,9 @@ class Obstacles(Limit):
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"obstacles: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
+        return keep_apart(
+            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
+        )
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""

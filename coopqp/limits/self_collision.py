@@ -66,7 +66,9 @@ class SelfCollision(Limit):
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"self_collision: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
+        return keep_apart(
+            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
+        )
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
