@@ -178,14 +178,19 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, command.note))
 
-    def _margins(self) -> dict[Row, Array]:
+    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
         """What every limit had left after each tick."""
         problem = self._law.problem
         found: dict[Row, Array] = {}
         for limit in problem.limits:
             with suppress(Exception):  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
+                found |= limit.margins(problem.chain, q, v, problem.dt)
         return found
+
+    def _starts(self) -> dict[Row, float]:
+        """What it had left before the first."""
+        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
+        return {row: float(margin[0]) for row, margin in found.items()}
 
     def _leverage(self) -> Array:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
@@ -231,7 +236,8 @@ class _Recorder:
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(),
+            margins=self._margins(self.q, self.v),
+            starts=self._starts(),
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             heeds=heeds,

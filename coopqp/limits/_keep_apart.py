@@ -9,12 +9,14 @@ not go deeper and is not asked apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
 from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
 from coopqp.limits._corners import ROWS, Corners
 from coopqp.limits._distances import Body, Distances, Pair
@@ -25,14 +27,38 @@ from coopqp.state import State
 #: Speed of the joints that suffices for what is asked back [rad/s, m/s].
 BACK = 0.1
 
+#: Pairs that one limit watches at most: a tick with so many takes some milliseconds.
+MOST_PAIRS = 2500
+#: Bodies that start nearer than asked by less are not worth a word [m].
+WORTH_SAYING = 1e-5
+#: How many of those that do are named.
+SHOWN = 3
 
-def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
-    """A row a pair, then those of corners of whichever pairs are closest."""
-    named = [(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}") for a, b in pairs]
-    for i in range(1, ROWS + 1):
-        named.append((f".corner[{i}]", f"the distance at corner {i} of the closest bodies"))
-    return tuple(
-        Row(
+
+def check_count(name: str, count: int) -> None:
+    """Refuse more pairs than can be watched.
+
+    Raises:
+        InvalidValueError: with what to do.
+    """
+    if count > MOST_PAIRS:
+        raise InvalidValueError(
+            f"{name}: watches {count} pairs, at most {MOST_PAIRS} can be; name the bodies that "
+            "can meet, or make several things one"
+        )
+
+
+def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
+    """A row a pair, then those of corners of whichever pairs are closest.
+
+    Args:
+        owner: name of the limit.
+        pairs: of bodies.
+        distance: kept free [m].
+    """
+
+    def row(name: str, label: str) -> Row:
+        return Row(
             name=f"limit.{owner}{name}",
             kind="limit",
             owner=owner,
@@ -40,8 +66,20 @@ def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
             label=label,
             of_place=True,
         )
-        for name, label in named
+
+    of_pairs = (
+        replace(
+            row(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
+            bodies=(a.name, b.name),
+            kept=distance,
+        )
+        for a, b in pairs
     )
+    of_corners = (
+        row(f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
+        for i in range(1, ROWS + 1)
+    )
+    return (*of_pairs, *of_corners)
 
 
 def keep_apart(
@@ -150,7 +188,7 @@ def margins_along(
 ) -> dict[Row, Array]:
     """Distance of each pair after each tick, less what is kept free [m], however far they are."""
     d = distances_along(chain, pairs, q[1:]) - distance
-    return dict(zip(pair_rows(owner, pairs), d.T, strict=False))  # without corners
+    return dict(zip(pair_rows(owner, pairs, distance), d.T, strict=False))  # without corners
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
@@ -168,3 +206,24 @@ def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, 
     """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
     d = distances_along(chain, pairs, chain.q_start[None, :])[0]
     return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
+
+
+def nearer_at_start(
+    name: str, chain: ClosedChain, pairs: Sequence[Pair], distance: float
+) -> Iterator[str]:
+    """A sentence on pairs that are nearer than asked where the chain starts."""
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
+    found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
+    if not found:
+        return
+    told = ", ".join(
+        f"{a.name} and {b.name} start {1e3 * (distance - left):.2g} mm nearer than distance "
+        f"({_left(left)} of {1e3 * distance:g} mm)"
+        for (a, b), left in ((pairs[i], float(d[i])) for i in found[:SHOWN])
+    )
+    more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
+    yield f"{name}: {told}{more}"
+
+
+def _left(left: float) -> str:
+    return f"{1e3 * left:.3g}" if left >= 0.0 else f"{-1e3 * left:.3g} mm in each other, instead"

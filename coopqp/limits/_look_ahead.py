@@ -77,7 +77,7 @@ def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
 
 
 def _levers_of(chain: ClosedChain, body: Body) -> Array:
-    """Longest way from each joint to the far end of a body, 1 where the joint slides, shape (n,)."""
+    """Longest way from each joint to a body's far end, 1 where the joint slides, shape (n,)."""
     model, found = chain.model, np.zeros(chain.n)
     way = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
     for joint in reversed([j for j in model.supports[body.joint] if j]):

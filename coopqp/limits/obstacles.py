@@ -26,7 +26,15 @@ from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
+from coopqp.limits._keep_apart import (
+    check_count,
+    inside,
+    keep_apart,
+    margins_along,
+    nearer_at_start,
+    pair_rows,
+    room_left,
+)
 from coopqp.mark import Mark, SolidMark
 from coopqp.robot import Shape
 from coopqp.robot_files.keys import FilePath
@@ -65,6 +73,8 @@ class Obstacle(Pose):
         if len(given) != 1:
             found = " and ".join(given) or "none"
             raise ValueError(f"needs one of {', '.join(kinds)}; found {found}")
+        if self.mesh is None and self.scale != (1.0, 1.0, 1.0):
+            raise ValueError(f"scale: is of a mesh; give the {given[0]} the size it shall have")
 
     @property
     def shape(self) -> Shape:
@@ -87,6 +97,8 @@ class Obstacle(Pose):
 class Obstacles(Limit):
     """Arms and object keep a distance from things in the world."""
 
+    name: str = "obstacles"
+    """Your name for it in rows and tables; give it when there are several."""
     shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
     """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
     distance: NonNegative = 0.01
@@ -104,12 +116,12 @@ class Obstacles(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row for each body and thing, and some for corners of the closest ones."""
-        return pair_rows("obstacles", self._pairs(chain))
+        return pair_rows(self.name, self._pairs(chain), self.distance)
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"obstacles: {wrong}")
+            raise InvalidValueError(f"{self.name}: {wrong}")
         pairs = self._pairs(chain)
         return keep_apart(
             chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
@@ -117,7 +129,7 @@ class Obstacles(Limit):
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
-        return margins_along("obstacles", chain, self._pairs(chain), q, self.distance)
+        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
 
     def room(self, chain: ClosedChain) -> RoomLeft:
         """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
@@ -130,14 +142,16 @@ class Obstacles(Limit):
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing."""
         return tuple(
-            f"obstacles: {body.name} is {1e3 * depth:.1f} mm in {thing.name} at the start; move "
+            f"{self.name}: {body.name} is {1e3 * depth:.1f} mm in {thing.name} at the start; move "
             "one of them"
             for body, thing, depth in inside(chain, self._pairs(chain))
         )
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Parts of the robot that are no bodies."""
-        return tuple(f"obstacles does not see {fault}" for fault in bodies_of(chain)[1])
+        """Parts of the robot that are no bodies, and bodies that start too near."""
+        unseen = (f"{self.name} does not see {fault}" for fault in bodies_of(chain)[1])
+        near = nearer_at_start(self.name, chain, self._pairs(chain), self.distance)
+        return (*unseen, *near)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The things."""
@@ -157,19 +171,25 @@ class Obstacles(Limit):
         """All bodies that move, or those named, with all things.
 
         Raises:
-            InvalidValueError: the robot has no bodies, or a mesh cannot be used.
+            InvalidValueError: the robot has no bodies, none of those named moves, there are too
+                many pairs, or a mesh cannot be used.
             UnknownNameError: no body has the name given.
         """
         bodies, _ = bodies_of(chain)
         if self.bodies is not None:
-            named = (named_bodies("obstacles.bodies: ", name, bodies) for name in self.bodies)
+            named = (named_bodies(f"{self.name}.bodies: ", name, bodies) for name in self.bodies)
             bodies = list(dict.fromkeys(body for found in named for body in found))
-        things = [_thing(name, thing) for name, thing in self.shapes.items()]
-        return [(body, thing) for body in bodies if body.joint for thing in things]
+        moved = [body for body in bodies if body.joint]
+        if not moved:
+            words = "no body that moves is named, so that nothing is watched"
+            raise InvalidValueError(f"{self.name}.bodies: {words}")
+        check_count(self.name, len(moved) * len(self.shapes))
+        things = [_thing(f"{self.name}.shapes", *thing) for thing in self.shapes.items()]
+        return [(body, thing) for body in moved for thing in things]
 
 
-def _thing(name: str, thing: Obstacle) -> Body:
+def _thing(where: str, name: str, thing: Obstacle) -> Body:
     try:
         return Body(name, 0, of_shape(thing.shape))
     except InvalidValueError as error:
-        raise InvalidValueError(f"obstacles.shapes.{name}: {error}") from None
+        raise InvalidValueError(f"{where}.{name}: {error}") from None

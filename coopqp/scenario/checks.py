@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import TELL_APART
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.hold import arm_weights
 from coopqp.limits import JointAcceleration, JointPosition
@@ -130,7 +131,8 @@ def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[F
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
+            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            words = f"another limit has a row '{twice[0]}' too; {cure}"
             faults.append(Fault(file.place(["limits", i]), words))
         taken |= rows
     return [*faults, *_late_brakes(file, scenario)]

@@ -118,11 +118,11 @@ class Room:
 def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:
     """How the rooms that a limit leaves change with the joints, shape (count, n)."""
     tighten, p = limit.bind(chain, dt), len(limit.rows(chain))
-    G, h, still = np.zeros((p, chain.n)), np.zeros(p), np.zeros((2, chain.n))
+    G, h, (lb, ub) = np.zeros((p, chain.n)), np.zeros(p), np.zeros((2, chain.n))
 
     def slope(state: State) -> Array:
-        still[:] = 0.0  # where nothing moves, limits look no farther than their room does
-        tighten(state, LimitRows(*still, G, h))
+        lb[:] = ub[:] = 0.0  # where nothing moves, limits look no farther than their room does
+        tighten(state, LimitRows(lb, ub, G, h))
         return -G[:count]
 
     return slope
