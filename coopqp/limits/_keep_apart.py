@@ -30,7 +30,7 @@ BACK = 0.1
 #: Pairs that one limit watches at most: a tick with so many takes some milliseconds.
 MOST_PAIRS = 2500
 #: Bodies that start nearer than asked by less are not worth a word [m].
-WORTH_SAYING = 1e-5
+WORTH_SAYING = 5e-5
 #: How many of those that do are named.
 SHOWN = 3
 
@@ -216,14 +216,13 @@ def nearer_at_start(
     found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
     if not found:
         return
-    told = ", ".join(
-        f"{a.name} and {b.name} start {1e3 * (distance - left):.2g} mm nearer than distance "
-        f"({_left(left)} of {1e3 * distance:g} mm)"
-        for (a, b), left in ((pairs[i], float(d[i])) for i in found[:SHOWN])
-    )
+    told = ", ".join(_nearer(*pairs[i], float(d[i]), distance) for i in found[:SHOWN])
     more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
     yield f"{name}: {told}{more}"
 
 
-def _left(left: float) -> str:
-    return f"{1e3 * left:.3g}" if left >= 0.0 else f"{-1e3 * left:.3g} mm in each other, instead"
+def _nearer(one: Body, other: Body, d: float, distance: float) -> str:
+    if d < 0.0:
+        return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
+    nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
+    return f"{nearer} ({1e3 * d:.1f} of {1e3 * distance:g} mm)"

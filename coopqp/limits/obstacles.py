@@ -140,11 +140,14 @@ class Obstacles(Limit):
         return replace(self, distance=self.distance - room) if room <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Bodies that are in a thing."""
+        """Bodies that are in a thing, a sentence for each thing."""
+        depths: dict[str, list[str]] = {}
+        for body, thing, depth in inside(chain, self._pairs(chain)):
+            found = depths.setdefault(thing.name, [])
+            found.append(f"{body.name} {'' if found else 'is '}{1e3 * depth:.1f} mm")
         return tuple(
-            f"{self.name}: {body.name} is {1e3 * depth:.1f} mm in {thing.name} at the start; move "
-            "one of them"
-            for body, thing, depth in inside(chain, self._pairs(chain))
+            f"{self.name}: {', '.join(found)} in {thing} at the start; move one of them"
+            for thing, found in depths.items()
         )
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
