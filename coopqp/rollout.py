@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +19,7 @@ from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace
+from coopqp.wording import suppressed
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
@@ -138,7 +138,9 @@ class _Recorder:
         for stack, error in self._stacks:
             try:
                 stack.update(true)
-            except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
                 error[k] = np.nan
                 continue
             for i, (_, part) in enumerate(self._parts):
@@ -183,7 +185,7 @@ class _Recorder:
         problem = self._law.problem
         found: dict[Row, Array] = {}
         for limit in problem.limits:
-            with suppress(Exception):  # a tick that met the same error names it
+            with suppressed():  # a tick that met the same error names it
                 found |= limit.margins(problem.chain, q, v, problem.dt)
         return found
 
@@ -198,7 +200,7 @@ class _Recorder:
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
-        with suppress(Exception):  # a tick that met the same error names it
+        with suppressed():  # a tick that met the same error names it
             return leverage(self._stacks[0][0], parts, self._velocities, start, end)
         return np.ones(len(parts))
 

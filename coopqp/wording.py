@@ -6,7 +6,8 @@ import json
 import traceback
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
@@ -14,12 +15,14 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ArgsKwargs, ErrorDetails
 
-from coopqp.errors import unknown_name
+from coopqp.errors import one_line, unknown_name
 
 Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
 LONGEST = 60  # characters of what was found
+MOST_SAID = 300  # characters of what an error says of itself
+USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
 
 
 def dotted(location: Location) -> str:
@@ -48,11 +51,22 @@ def faults(
     return list(dict.fromkeys(kept))
 
 
-def raised(error: Exception, file: str | None = None) -> str:
+def said(error: BaseException) -> str:
+    """What an error says of itself, in one line; empty where it cannot even do that."""
+    try:
+        words = " ".join(str(error).split())
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - an error may be of a user's class
+        return ""
+    return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
+
+
+def raised(error: BaseException, file: str | None = None) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``.
 
     Args:
-        error: caught.
+        error: caught; what ends Python, such as SystemExit, counts too.
         file: whose line counts; the last that is no library if omitted.
     """
     frames = traceback.extract_tb(error.__traceback__)
@@ -60,10 +74,28 @@ def raised(error: Exception, file: str | None = None) -> str:
     if file is None:  # who called a library tells more than where in it that ended
         own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
-    return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
+    words = said(error)
+    return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
 
 
-def culprit(error: Exception, plugins: Sequence[tuple[str, object]]) -> str:
+@contextmanager
+def suppressed() -> Iterator[None]:
+    """Go on after whatever a user's code raises, but for Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - it may raise anything
+        return
+
+
+def by_user(error: BaseException) -> bool:
+    """Whether code in a user's folder has raised it, or has called what did."""
+    frames = traceback.walk_tb(error.__traceback__)
+    return any(str(frame.f_globals.get("__name__")).startswith(USERS) for frame, _ in frames)
+
+
+def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
     """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
 
     Args:

@@ -216,12 +216,14 @@ def nearer_at_start(
     found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
     if not found:
         return
-    told = ", ".join(_nearer(*pairs[i], float(d[i]), distance) for i in found[:SHOWN])
+    nearest = (int(i) for i in found[:SHOWN])
+    told = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
     more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
     yield f"{name}: {told}{more}"
 
 
-def _nearer(one: Body, other: Body, d: float, distance: float) -> str:
+def _nearer(pair: Pair, d: float, distance: float) -> str:
+    one, other = pair
     if d < 0.0:
         return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
     nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
