@@ -94,6 +94,20 @@ class Room:
             self._state.q[:] = q
             self._state.update()
 
+    def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
+        """The pair of bodies with least room, and its distance [m]; None where there are none.
+
+        Args:
+            owner: name of a limit.
+            q: configuration, shape (n,).
+        """
+        left = zip(self.rows, self.at(q).tolist(), strict=True)
+        found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
+        if not found:
+            return None
+        distance, row = min(found, key=lambda pair: pair[0] - pair[1].kept)
+        return row, distance
+
     def overrun(self, q: Array) -> float:
         """By how much a configuration is outside [rad, m]."""
         joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
