@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import traceback
 import types
 import typing
@@ -15,12 +16,25 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ArgsKwargs, ErrorDetails
 
-from coopqp.errors import one_line, unknown_name
+from coopqp.errors import one_line, short, unknown_name
 
 Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
-LONGEST = 60  # characters of what was found
+#: What pydantic says, and what is said instead, one after the other.
+WORDS = {
+    r"^Input should (be )?": "needs ",
+    r"^needs a valid (array|list|tuple)": "needs a list",
+    r"^needs (an object|a valid dictionary)": "needs a mapping, such as {key: value}",
+    r"^needs a valid (number|integer|boolean|string), unable to .*": r"needs a valid \1",
+    r"^needs a valid string": "needs a text",
+    r"^needs a valid integer": "needs a whole number",
+    r"^needs a valid boolean": "needs true or false",
+    r"^needs a valid number": "needs a number",
+    r"^(Dictionary|List|Tuple) should have (at (?:least|most) \d+) items? after validation, not.*":
+        r"needs \2 in it",
+    r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
+}  # fmt: skip
 MOST_SAID = 300  # characters of what an error says of itself
 USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
 
@@ -29,7 +43,7 @@ def dotted(location: Location) -> str:
     """``tasks[0].point_on_plane.normal`` from its parts."""
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+        text += f"[{part}]" if isinstance(part, int) else f".{short(part)}"
     return text.removeprefix(".")
 
 
@@ -144,11 +158,13 @@ def _fault(
         return (), f"found {found} without a key; needs every value as KEY=VALUE"
     if kind.startswith("missing"):
         needed = detail["loc"][-1]
+        if isinstance(needed, int):
+            return location, f"found {found}; needs at least {needed + 1} in it"
         there = location and location[-1] == needed
         return location, "is missing" if there else f"needs the key '{needed}'"
     needs = detail["msg"].removeprefix("Value error, ")
-    for wordy in ("Input should be ", "Input should "):
-        needs = needs.replace(wordy, "needs ")
+    for theirs, ours in WORDS.items():
+        needs = re.sub(theirs, ours, needs)
     if needs.startswith("unknown "):
         return location, needs
     return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
@@ -162,7 +178,7 @@ def _shown(found: Any) -> str:
         text = json.dumps(found, default=_plain)
     except (TypeError, ValueError):
         text = repr(found)
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    return short(text)
 
 
 def _plain(value: Any) -> Any:

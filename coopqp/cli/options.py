@@ -9,7 +9,21 @@ from typing import Any
 
 import click
 
+from coopqp.errors import one_line
+
 SCENARIO = click.argument("scenario")
+
+
+class _Written(click.Path):
+    """A path that is written to; an empty one would be the folder one is in."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "":
+            self.fail("is empty; needs a name", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+WRITTEN = _Written(path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
@@ -50,7 +64,7 @@ def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
 
     loaded = load(name, catalog)
     for line in loaded.robot_model.warnings:
-        click.echo(f"warning: {line}", err=True)
+        say(f"warning: {line}")
     return with_solver(loaded, solver) if solver else loaded
 
 
@@ -63,6 +77,16 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
     return path, read_scenario(str(path.parent / "scenario.yaml"), catalog)
 
 
+def say(line: str, *, aside: bool = True) -> None:
+    """Print one line, whatever the names in it hold.
+
+    Args:
+        line: of text.
+        aside: whether beside what a command is asked for.
+    """
+    click.echo(one_line(line), err=aside)
+
+
 def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
     """Say which parts of a scenario have no effect on which of the controllers that are to run."""
     from coopqp.controller_run import controller_of
@@ -70,4 +94,4 @@ def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
 
     chosen = controllers or list(scenario.controllers)
     for line in notes(scenario, {name: controller_of(scenario, name) for name in chosen}):
-        click.echo(f"note: {line}", err=True)
+        say(f"note: {line}")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, catalogued, read_trace
+from coopqp.cli.options import JSON, WRITTEN, catalogued, read_trace, say
 
 
 @click.command()
@@ -16,7 +16,7 @@ from coopqp.cli.options import JSON, catalogued, read_trace
 @click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
 @click.option(
     "--save",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     help="Keep a tick in this file; if --tick is omitted, the "
     "first that gave something up, else the last.",
 )
@@ -47,7 +47,7 @@ def explain(
         click.echo(explained.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
-            click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
+            say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
         return
     own = scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]

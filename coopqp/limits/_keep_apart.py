@@ -208,6 +208,15 @@ def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, 
     return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
 
 
+def nearest_of_each(chain: ClosedChain, pairs: Sequence[Pair]) -> dict[str, float]:
+    """Where the chain starts, how near the nearest body is to each second one [m]."""
+    found: dict[str, float] = {}
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0].tolist()
+    for (_, second), distance in zip(pairs, d, strict=True):
+        found[second.name] = min(distance, found.get(second.name, math.inf))
+    return found
+
+
 def nearer_at_start(
     name: str, chain: ClosedChain, pairs: Sequence[Pair], distance: float
 ) -> Iterator[str]:

@@ -18,7 +18,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coopqp.checked import Array, Lengths3, NonNegative, Pose, Positive, overshoot, spec
+from coopqp.checked import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import pose_matrix
@@ -27,11 +27,13 @@ from coopqp.limits._bodies import bodies_of, named_bodies
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import (
+    SHOWN,
     check_count,
     inside,
     keep_apart,
     margins_along,
     nearer_at_start,
+    nearest_of_each,
     pair_rows,
     room_left,
 )
@@ -39,6 +41,10 @@ from coopqp.mark import Mark, SolidMark
 from coopqp.robot import Shape
 from coopqp.robot_files.keys import FilePath
 from coopqp.row import Row
+
+#: A thing this many times the arms' reach away is never met [-].
+FAR = 3.0
+METRES = "; lengths are metres"
 
 
 @spec
@@ -97,7 +103,7 @@ class Obstacle(Pose):
 class Obstacles(Limit):
     """Arms and object keep a distance from things in the world."""
 
-    name: str = "obstacles"
+    name: Name = "obstacles"
     """Your name for it in rows and tables; give it when there are several."""
     shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
     """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
@@ -141,20 +147,27 @@ class Obstacles(Limit):
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing, a sentence for each thing."""
-        depths: dict[str, list[str]] = {}
+        by_thing: dict[str, list[tuple[str, float]]] = {}
         for body, thing, depth in inside(chain, self._pairs(chain)):
-            found = depths.setdefault(thing.name, [])
-            found.append(f"{body.name} {'' if found else 'is '}{1e3 * depth:.1f} mm")
+            by_thing.setdefault(thing.name, []).append((body.name, depth))
         return tuple(
-            f"{self.name}: {', '.join(found)} in {thing} at the start; move one of them"
-            for thing, found in depths.items()
+            f"{self.name}: {_inside(thing, found)}; move one of them"
+            f"{METRES if found[0][1] > chain.reach else ''}"
+            for thing, found in by_thing.items()
         )
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies, and bodies that start too near."""
         unseen = (f"{self.name} does not see {fault}" for fault in bodies_of(chain)[1])
-        near = nearer_at_start(self.name, chain, self._pairs(chain), self.distance)
-        return (*unseen, *near)
+        pairs = self._pairs(chain)
+        near = nearer_at_start(self.name, chain, pairs, self.distance)
+        far = (
+            f"{self.name}: {thing} is {d:.3g} m from all bodies, but the arms reach "
+            f"{chain.reach:.2g} m{METRES}"
+            for thing, d in nearest_of_each(chain, pairs).items()
+            if d > FAR * chain.reach
+        )
+        return (*unseen, *near, *far)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The things."""
@@ -189,6 +202,14 @@ class Obstacles(Limit):
         check_count(self.name, len(moved) * len(self.shapes))
         things = [_thing(f"{self.name}.shapes", *thing) for thing in self.shapes.items()]
         return [(body, thing) for body in moved for thing in things]
+
+
+def _inside(thing: str, found: list[tuple[str, float]]) -> str:
+    """Bodies in a thing, the deepest first, with their depths [m]."""
+    (body, depth), *others = found
+    more = [f", {name} {1e3 * d:.1f} mm" for name, d in others[: SHOWN - 1]]
+    end = ", ..." if len(found) > SHOWN else ""
+    return f"{body} is {1e3 * depth:.1f} mm in {thing} at the start{''.join(more)}{end}"
 
 
 def _thing(where: str, name: str, thing: Obstacle) -> Body:

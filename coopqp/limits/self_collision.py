@@ -17,7 +17,7 @@ import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
-from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
+from coopqp.checked import Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.limit import Limit, RoomLeft, Tighten
@@ -44,7 +44,7 @@ SHOWN = 3
 class SelfCollision(Limit):
     """Arms, torso and object keep a distance from each other."""
 
-    name: str = "self_collision"
+    name: Name = "self_collision"
     """Your name for it in rows and tables; give it when there are several."""
     distance: NonNegative = 0.01
     """Kept free between two bodies [m]."""

@@ -17,6 +17,7 @@ from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import YamlFile
 from coopqp.task import Task
 from coopqp.wording import Location
@@ -64,6 +65,8 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         grasp = "grasps" if "grasps" in file.data else "grasp"
         location: Location = [key, name] if name in passive else [grasp]
         raise ScenarioError([Fault(file.place(location), str(error))]) from None
+    if wrong := too_large(chain):
+        raise ScenarioError([Fault(file.place(["object", "size"]), wrong)])
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
@@ -170,6 +173,9 @@ def outside_limits(
     robot: RobotModel, start: Start, q: Array, key: str
 ) -> list[tuple[Location, str]]:
     """Where a start leaves the position limits, and by how much."""
+    if key == "start" and like_degrees(robot, q):
+        words = "found angles of more than a turn, which are inside the limits in degrees"
+        return [([key], f"{words}; did you mean start_deg?")]
     faults: list[tuple[Location, str]] = []
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from coopqp.controller import Controller
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.unit_hints import far_goals
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
@@ -15,7 +16,7 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    What limits cannot bound comes after it.
+    What limits cannot bound comes after it, and goals that nothing can reach.
 
     Args:
         scenario: what is to be run.
@@ -27,7 +28,8 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
-    return [*deaf_to, *(line for k in scenario.limits for line in k.notes(scenario.chain))]
+    of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
+    return [*deaf_to, *of_limits, *far_goals(scenario)]
 
 
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
