@@ -208,7 +208,9 @@ class Law(ABC):
             wrong.append(Status.INPUT_REFUSED)
         try:
             command = self.decide(state)
-        except Exception as error:  # noqa: BLE001 - code of plug-ins may raise anything
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
             command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
             self.hold_still(state)
         if wrong:
