@@ -65,9 +65,7 @@ def explain(
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--to", required=True, type=click.Choice(FORMATS), help="Format.")
 @click.option("--controller", help="Whose; all of them, a file each, if omitted.")
-@click.option(
-    "--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted."
-)
+@click.option("--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
 @catalogued
 def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
     """Write a recorded run for Foxglove, ROS 2, PlotJuggler or pandas.

@@ -145,7 +145,9 @@ class SelfCollision(Limit):
                 raise InvalidValueError(
                     f"{self.name}.pairs: these bodies are fixed to each other"
                 ).at("pairs")
-        ignored = {_names(pair) for pair in _named(self.name, "ignore", self.ignore, bodies, faults)}
+        ignored = {
+            _names(pair) for pair in _named(self.name, "ignore", self.ignore, bodies, faults)
+        }
         kept = [pair for pair in found if _names(pair) not in ignored]
         if found and not kept:
             raise InvalidValueError(

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import TELL_APART
-from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition

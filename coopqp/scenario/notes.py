@@ -34,7 +34,13 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
-    return [*deaf_to, *of_limits, *_coarse_steps(scenario), *far_goals(scenario), *_of_inputs(scenario)]
+    return [
+        *deaf_to,
+        *of_limits,
+        *_coarse_steps(scenario),
+        *far_goals(scenario),
+        *_of_inputs(scenario),
+    ]
 
 
 def _of_inputs(scenario: Scenario) -> Iterator[str]:
@@ -49,7 +55,6 @@ def _of_inputs(scenario: Scenario) -> Iterator[str]:
                 f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
                 "give it feed or feed_file"
             )
-
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:

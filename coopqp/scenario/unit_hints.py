@@ -22,6 +22,7 @@ from coopqp.mark import (
 )
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Moment
 
 #: A goal this many times the arms' reach from where the object starts cannot be meant [-].
 FAR = 3.0
@@ -59,7 +60,7 @@ def far_goals(scenario: Scenario) -> Iterator[str]:
     chain = scenario.chain
     for phase in scenario.schedule:
         for task in phase.tasks:
-            marks = asked(task.name, partial(task.marks, phase.duration), [])
+            marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
             if far > FAR * chain.reach:
                 yield (
