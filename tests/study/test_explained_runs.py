@@ -149,7 +149,7 @@ def test_joint_values_that_are_told_close_the_loops() -> None:
     """To two digits the hands were 13 mm apart."""
     scenario = load("point_on_point")
     leg = next(legs(scenario, recording_of(run(scenario, controller="qp"))))
-    said = words.start(leg.q[-1], leg)
+    said = words.start(leg.q[-1], leg.problem.chain)
     arms = dict(part.split(" ", 1) for part in said.split("; "))
     values = {arm: [float(x) for x in text.strip("[]").split(",")] for arm, text in arms.items()}
     q = scenario.robot_model.configuration(values)
