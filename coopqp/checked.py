@@ -181,11 +181,16 @@ def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Positive = Annotated[float, Field(gt=0.0)]
+Name = Annotated[str, Field(min_length=1)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_three)]
 Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 """A vector of any length but zero; only its direction counts."""
+
+
+TWO_TURNS = 4.0 * math.pi
+"""Nobody writes larger angles [rad]."""
 
 
 @spec
@@ -203,6 +208,8 @@ class Pose:
         one_angle("rpy", self.rpy, self.rpy_deg)
         if (away := math.hypot(*self.position)) > FARTHEST:
             raise ValueError(f"position: found {away:g} m, needs at most {FARTHEST:g} m")
+        if self.rpy and max(map(abs, self.rpy)) > TWO_TURNS:
+            raise ValueError(f"rpy: found {max(self.rpy, key=abs):g} rad; did you mean rpy_deg?")
 
     @property
     def angles(self) -> tuple[float, ...]:

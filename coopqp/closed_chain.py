@@ -130,6 +130,11 @@ class ClosedChain:
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
         self.loops = self._independent_rows()
+        for kept in (
+            self.alpha, self.mixing, self.q_start, self.start_position,
+            self.lower, self.upper, self.velocity, self.passive,
+        ):  # fmt: skip
+            kept.flags.writeable = False  # a chain never changes, whatever a plug-in writes to
 
     @classmethod
     def take_hold(

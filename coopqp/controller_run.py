@@ -15,7 +15,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
-from coopqp.wording import raised
+from coopqp.wording import by_user, raised
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
@@ -60,14 +60,16 @@ def _own_words(controller: str) -> Iterator[None]:
     """One line for what nobody foresaw, so that other controllers can be run all the same.
 
     Raises:
-        InternalError: with what was raised, and where.
+        InvalidValueError: a user's code has raised something.
+        InternalError: ours has.
     """
     try:
         yield
-    except CoopqpError:
+    except (CoopqpError, KeyboardInterrupt):
         raise
-    except Exception as error:
-        raise InternalError(f"{controller}: {raised(error)}") from error
+    except BaseException as error:
+        kind = InvalidValueError if by_user(error) else InternalError
+        raise kind(f"{controller}: {raised(error)}") from error
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:

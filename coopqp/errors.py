@@ -22,6 +22,9 @@ from dataclasses import dataclass
 
 from typing_extensions import Self
 
+LONGEST = 60  # characters of what was found
+MOST_NAMES = 100  # that are listed where none is near
+
 
 class CoopqpError(Exception):
     """Base of all errors raised by coopqp.
@@ -82,7 +85,7 @@ class UnreadableFileError(CoopqpError):
 
     def __init__(self, place: object, why: str) -> None:
         self.place, self.why = str(place), why
-        super().__init__(f"{place}: {why}")
+        super().__init__(one_line(f"{place}: {why}"))
 
 
 class InternalError(CoopqpError):
@@ -114,11 +117,17 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in joined)
 
 
+def short(text: str) -> str:
+    """A text of a file, of which no more than the beginning is shown."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     """Sentence for a name that does not exist, with the nearest ones that do."""
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    names, shown = sorted(known), short(name)
+    near = difflib.get_close_matches(shown, names, n=3, cutoff=0.5)
     if near:
-        return f"unknown {kind} '{name}'; did you mean {' or '.join(repr(n) for n in near)}?"
-    listed = ", ".join(names) if names else "none"
-    return f"unknown {kind} '{name}'; known: {listed}"
+        return f"unknown {kind} '{shown}'; did you mean {' or '.join(repr(n) for n in near)}?"
+    listed = ", ".join(names[:MOST_NAMES]) if names else "none"
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"unknown {kind} '{shown}'; known: {listed}{more}"

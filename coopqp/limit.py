@@ -102,7 +102,8 @@ class Limit(ABC):
     def room(self, chain: ClosedChain) -> RoomLeft | None:
         """How far what it bounds is from it, for limits in space; None for all others.
 
-        Its :meth:`rows` are then velocity dampers: G = -d room/dq.
+        Its :meth:`rows` are then velocity dampers: G = -d room/dq. Of what is far, room and rows
+        may say nothing; rows may look farther where joints are fast.
 
         Args:
             chain: what is limited.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +20,7 @@ from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace, no_input
+from coopqp.wording import suppressed
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
@@ -157,7 +157,9 @@ class _Recorder:
         for stack, error in self._stacks:
             try:
                 stack.update(true)
-            except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
                 error[k] = np.nan
                 continue
             for i, (_, part) in enumerate(self._parts):
@@ -204,14 +206,19 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, command.note))
 
-    def _margins(self) -> dict[Row, Array]:
+    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
         """What every limit had left after each tick."""
         problem = self._law.problem
         found: dict[Row, Array] = {}
         for limit in problem.limits:
-            with suppress(Exception):  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
+            with suppressed():  # a tick that met the same error names it
+                found |= limit.margins(problem.chain, q, v, problem.dt)
         return found
+
+    def _starts(self) -> dict[Row, float]:
+        """What it had left before the first."""
+        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
+        return {row: float(margin[0]) for row, margin in found.items()}
 
     def _leverage(self) -> Array:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
@@ -220,7 +227,7 @@ class _Recorder:
         start.inputs = end.inputs = self._inputs_at_end
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
-        with suppress(Exception):  # a tick that met the same error names it
+        with suppressed():  # a tick that met the same error names it
             return leverage(self._stacks[0][0], parts, self._velocities, start, end)
         return np.ones(len(parts))
 
@@ -261,7 +268,8 @@ class _Recorder:
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(),
+            margins=self._margins(self.q, self.v),
+            starts=self._starts(),
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             heeds=heeds,

@@ -107,6 +107,7 @@ class State:
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
+        self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
         self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
@@ -125,6 +126,20 @@ class State:
 
     def __repr__(self) -> str:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
+
+    def lock(self) -> None:
+        """Let nobody write to q and v, while code of tasks and limits looks at them."""
+        q, v = self._unlocked
+        if self.q is not q or self.v is not v:
+            self._unlocked = self.q, self.v
+            self._locked = self.q.view(), self.v.view()
+            for shown in self._locked:
+                shown.flags.writeable = False
+        self.q, self.v = self._locked
+
+    def unlock(self) -> None:
+        """Let them be written to again."""
+        self.q, self.v = self._unlocked
 
     def update(self) -> None:
         """Compute everything that follows from q; a law does it at the start of each tick."""

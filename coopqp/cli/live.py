@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import SCENARIO, SOLVER, catalogued, print_notes, read_scenario
+from coopqp.cli.options import (
+    SCENARIO,
+    SOLVER,
+    WRITTEN,
+    catalogued,
+    print_notes,
+    read_scenario,
+    say,
+)
 
 
 @click.command()
@@ -22,7 +30,7 @@ from coopqp.cli.options import SCENARIO, SOLVER, catalogued, print_notes, read_s
     "--speed", type=click.FloatRange(0.05, 4.0), default=1.0, help="Times real time, at first."
 )
 @click.option(
-    "--record", type=click.Path(path_type=Path),
+    "--record", type=WRITTEN,
     help="Folder for a recording, which coopqp compare replays; written at the end too.",
 )  # fmt: skip
 @SOLVER
@@ -53,9 +61,9 @@ def play(
     player = Player(loaded, controllers, record)
     player.speed = speed
     for name, why in player.refused.items():
-        click.echo(f"warning: {name} is left out: {why}", err=True)
+        say(f"warning: {name} is left out: {why}")
     for fault in player.faults:
-        click.echo(f"warning: {fault}", err=True)
+        say(f"warning: {fault}")
     try:
         viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
     except CoopqpError:

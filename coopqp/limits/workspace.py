@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Positive, Vector3, overshoot, spec, unit
+from coopqp.checked import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
@@ -30,7 +30,7 @@ from coopqp.state import State
 class Workspace(Limit):
     """A half-space that the object, hands or elbows must not leave."""
 
-    name: str = "workspace"
+    name: Name = "workspace"
     """Your name for it in rows and tables, such as "table"; give it when there are several."""
     normal: Direction
     """Of the plane, in the world, into the side that is allowed; any length."""

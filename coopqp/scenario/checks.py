@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import TELL_APART
 from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import wanted
@@ -19,6 +20,7 @@ from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import YamlFile
 from coopqp.state import State
 from coopqp.task import Task
@@ -67,6 +69,8 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise ScenarioError([Fault(file.place(where), str(error))]) from None
+    if wrong := too_large(chain):
+        raise ScenarioError([Fault(file.place(["object", "size"]), wrong)])
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
@@ -174,7 +178,8 @@ def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[F
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
+            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            words = f"another limit has a row '{twice[0]}' too; {cure}"
             faults.append(Fault(file.place(["limits", i]), words))
         taken |= rows
     return [*faults, *_late_brakes(file, scenario)]
@@ -212,6 +217,9 @@ def outside_limits(
     robot: RobotModel, start: Start, q: Array, key: str
 ) -> list[tuple[Location, str]]:
     """Where a start leaves the position limits, and by how much."""
+    if key == "start" and like_degrees(robot, q):
+        words = "found angles of more than a turn, which are inside the limits in degrees"
+        return [([key], f"{words}; did you mean start_deg?")]
     faults: list[tuple[Location, str]] = []
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}

@@ -331,9 +331,9 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
             {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")},
         )
         faults += [Fault(file.place(location), message) for location, message in found]
-    except CoopqpError:
+    except (CoopqpError, KeyboardInterrupt):
         raise
-    except Exception as error:  # from the __post_init__ of a plug-in
+    except BaseException as error:  # from the __post_init__ of a plug-in
         raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
     if faults:
         raise ScenarioError(faults)

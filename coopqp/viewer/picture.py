@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.mark import SolidMark
+from coopqp.mark import SolidMark, asked
 from coopqp.report.scene.bodies import robot_bodies, solid_body
 from coopqp.report.scene.marks import Place
 from coopqp.robot import RobotModel
@@ -93,8 +94,8 @@ def outlines(lane: Lane, place: Place) -> Array:
     """What the tasks ask for, as line segments, shape (s, 2, 3) [m]."""
     state, found = lane.state, [np.zeros((0, 2, 3))]
     for task in lane.begun.problem.tasks:
-        for mark in task.marks(state):
-            kind, values = place.drawn(mark, task.name)
+        for mark in asked(task.name, partial(task.marks, state), []):
+            kind, values = place.drawn(mark)
             if kind == "planes":
                 found.append(_closed(np.array(values["corners"])))
             elif kind == "lines":

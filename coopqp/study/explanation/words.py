@@ -8,6 +8,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit
+from coopqp.overrun import matters
 from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
@@ -119,11 +121,11 @@ def elsewhere(place: Place, chain: ClosedChain) -> str:
 
 
 def start(q: Array, chain: ClosedChain) -> str:
-    """A configuration by arm, as a scenario's start has it."""
+    """A configuration by arm, as a scenario's start has it; the digits close its loops."""
     at = dict(zip(chain.joint_names, q.tolist(), strict=True))
     arms = []
     for arm in chain.arms:
-        numbers = ", ".join(f"{at[joint]:.2f}" for joint in chain.robot.arm_joints(arm))
+        numbers = ", ".join(f"{at[joint]:.5f}" for joint in chain.robot.arm_joints(arm))
         arms.append(f"{arm.name} [{numbers}]")
     return "; ".join(arms)
 
@@ -208,6 +210,27 @@ def freedoms(found: TooFewFreedoms) -> str:
     """How many motions are asked for and left."""
     name = found.goal.tasks[0].name
     return f"{name} asks for {found.asked} motions, the loops leave {found.left}"
+
+
+def broken(limits: Sequence[Limit], phases: Sequence[Leg]) -> str:
+    """Limits that a run went beyond, each by its worst row; empty where there are none."""
+    worst: dict[str, tuple[float, Row]] = {}
+    for leg in phases:
+        chain, dt = leg.problem.chain, leg.problem.dt
+        for limit in limits:
+            begun = limit.margins(chain, leg.q[[0, 0]], np.zeros_like(leg.q[:1]), dt)
+            for row, margin in limit.margins(chain, leg.q, leg.v, dt).items():
+                before = max(0.0, -float(begun[row][0])) if row in begun else 0.0
+                by = -float(margin.min(initial=0.0)) - before
+                name = row.joint or row.owner
+                if matters(by, row.unit) and by > worst.get(name, (0.0, row))[0]:
+                    worst[name] = by, row
+    if not worst:
+        return ""
+    found = sorted(worst.values(), key=lambda entry: -entry[0])
+    said = [f"{row.words} by {size(by, row.unit)}" for by, row in found[:MOST]]
+    more = [f"{len(found) - MOST} more"] if len(found) > MOST else []
+    return f"beyond limits: {listed([*said, *more])}"
 
 
 def slow(shares: Sequence[Share]) -> str:
