@@ -10,7 +10,7 @@ default 500 goals and 1,000 poses a robot:
   arms that hold nothing, driven at full speed straight to random joint values; "holding" are runs
   of the QP controller with random goals for the object, most of them out of reach. Of each run the
   deepest tick is measured again by coal alone;
-- what the limits cost a tick, as a ratio of the same runs with and without them.
+- what the limits cost a tick, as a ratio of the same runs with and without them, which take turns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import itertools
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,8 +50,12 @@ from coopqp.tasks import Pose as PoseTask
 
 DT, TICKS = 0.01, 100
 GAINS = {10.0: 1, 50.0: 5}  # 1/s; one of so many goals
+TURNS = 21  # of runs whose ticks are compared
 PULL = 5.0  # 1/s, of free arms towards their goal
 REACH, TURN = 0.5, 1.5  # of the object's goals: standard deviations [m, rad]
+
+#: What is asked for, and for how many ticks.
+Run = tuple[ControlProblem, int]
 
 #: In reach of the arms of each robot, clear of where they start.
 THINGS = {
@@ -259,17 +263,29 @@ def poses(name: str, count: int) -> str:
     )
 
 
-def tick_us(law_of: Callable[[], tuple[ControlProblem, int]], rounds: int = 7) -> float:
-    """A tick of a run, the fastest of some runs [us]."""
-    best = np.inf
-    for _ in range(rounds):
-        asked, ticks = law_of()
-        law = QPController().build(asked)
-        plant, state = Kinematic().build(asked, 0, Disturbance()), law.start()
-        begun = time.process_time()
-        deque(drive(law, plant, state, ticks), maxlen=0)
-        best = min(best, (time.process_time() - begun) / ticks)
-    return 1e6 * best
+def tick_us(run: Run) -> float:
+    """A tick of a run [us]."""
+    asked, ticks = run
+    law = QPController().build(asked)
+    plant, state = Kinematic().build(asked, 0, Disturbance()), law.start()
+    begun = time.process_time()
+    deque(drive(law, plant, state, ticks), maxlen=0)
+    return 1e6 * (time.process_time() - begun) / ticks
+
+
+def compared(plain: Run, limited: Mapping[str, Run]) -> str:
+    """What ticks of some runs cost, those of the first as one.
+
+    All take turns, so that a busy machine slows all of them: of a ratio the median of the turns,
+    and the span in which nine of ten lie.
+    """
+    runs = (plain, *limited.values())
+    us = np.array([[tick_us(run) for run in runs] for _ in range(TURNS)])
+    said = [f"without {np.median(us[:, 0]):.0f} us"]
+    for i, name in enumerate(limited, 1):
+        low, middle, high = np.quantile(us[:, i] / us[:, 0], (0.05, 0.5, 0.95))
+        said.append(f"{name} x {middle:.2f} ({low:.2f} to {high:.2f})")
+    return ", ".join(said)
 
 
 def cost(name: str) -> str:
@@ -277,13 +293,12 @@ def cost(name: str) -> str:
     case = CASES[name]
     chain = case.chain()
     goal = goals_of(chain, 1)[0]
-    both = limits_of(name, 10.0, holding=True)
-    us = [tick_us(lambda k=k: (problem(case, chain, goal, k), TICKS)) for k in ((), *zip(both))]  # type: ignore[misc]
-    rows = [len(limit.rows(chain)) for limit in both]
-    return (
-        f"without {us[0]:.0f} us, self_collision ({rows[0]} rows) x {us[1] / us[0]:.2f}, "
-        f"obstacles ({rows[1]} rows) x {us[2] / us[0]:.2f}"
-    )
+    limits = limits_of(name, 10.0, holding=True)
+    limited = {
+        f"{owner} ({len(limit.rows(chain))} rows)": (problem(case, chain, goal, (limit,)), TICKS)
+        for owner, limit in zip(("self_collision", "obstacles"), limits, strict=True)
+    }
+    return compared((problem(case, chain, goal, ()), TICKS), limited)
 
 
 def cost_of_scenario(name: str) -> str:
@@ -291,9 +306,10 @@ def cost_of_scenario(name: str) -> str:
     plain = (JointPosition(), JointVelocity())
     scenario, limit = replace(load(name), limits=plain), SelfCollision()
     with_it = replace(scenario, limits=(*plain, limit))
-    us = [tick_us(lambda s=s: (s.problem(), s.ticks)) for s in (scenario, with_it)]  # type: ignore[misc]
-    rows = len(limit.rows(scenario.chain))
-    return f"without {us[0]:.0f} us, self_collision ({rows} rows) x {us[1] / us[0]:.2f}"
+    owner = f"self_collision ({len(limit.rows(scenario.chain))} rows)"
+    return compared(
+        (scenario.problem(), scenario.ticks), {owner: (with_it.problem(), with_it.ticks)}
+    )
 
 
 def main(goals: int, count: int) -> None:

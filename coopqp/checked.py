@@ -27,6 +27,10 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 """An array of numbers, as all signatures have it."""
 
+FARTHEST = 1e4
+"""No robot is farther from anything than this [m], and no joint has turned more [rad]; rounding
+would be all that is left of a motion."""
+
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
@@ -147,6 +151,18 @@ def finite(name: str, found: Array) -> Array:
     return found
 
 
+def near(name: str, found: Array) -> Array:
+    """The array as it is.
+
+    Raises:
+        InvalidValueError: a number is NaN, infinite, or more than a joint's value can be [rad, m].
+    """
+    if np.abs(finite(name, found)).max(initial=0.0) > FARTHEST:
+        words = f"found {found.tolist()}, needs at most {FARTHEST:g} rad or m"
+        raise InvalidValueError(f"{name}: {words}")
+    return found
+
+
 def seeded(seed: int) -> np.random.Generator:
     """Random numbers that are the same for equal seeds.
 
@@ -165,11 +181,16 @@ def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Positive = Annotated[float, Field(gt=0.0)]
+Name = Annotated[str, Field(min_length=1)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_three)]
 Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 """A vector of any length but zero; only its direction counts."""
+
+
+TWO_TURNS = 4.0 * math.pi
+"""Nobody writes larger angles [rad]."""
 
 
 @spec
@@ -185,6 +206,10 @@ class Pose:
 
     def __post_init__(self) -> None:
         one_angle("rpy", self.rpy, self.rpy_deg)
+        if (away := math.hypot(*self.position)) > FARTHEST:
+            raise ValueError(f"position: found {away:g} m, needs at most {FARTHEST:g} m")
+        if self.rpy and max(map(abs, self.rpy)) > TWO_TURNS:
+            raise ValueError(f"rpy: found {max(self.rpy, key=abs):g} rad; did you mean rpy_deg?")
 
     @property
     def angles(self) -> tuple[float, ...]:

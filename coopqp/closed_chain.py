@@ -130,6 +130,11 @@ class ClosedChain:
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
         self.loops = self._independent_rows()
+        for kept in (
+            self.alpha, self.mixing, self.q_start, self.start_position,
+            self.lower, self.upper, self.velocity, self.passive,
+        ):  # fmt: skip
+            kept.flags.writeable = False  # a chain never changes, whatever a plug-in writes to
 
     @classmethod
     def take_hold(
@@ -229,12 +234,12 @@ class ClosedChain:
         """Whether every joint starts within its position limits."""
         return bool(((self.lower <= self.q_start) & (self.q_start <= self.upper)).all())
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
         return joint_units(self.model)

@@ -118,7 +118,9 @@ def _measured(name: str, metric: Metric, trace: Trace, faults: list[str]) -> Any
     try:
         value = metric.measure(trace)
         json.dumps(value)
-    except Exception as error:  # noqa: BLE001 - a metric may be the user's
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a metric may be the user's
         faults.append(f"metric '{name}': {raised(error)}")
         return None
     return value

@@ -17,8 +17,9 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.loop_observer import LoopObserver
+from coopqp.memory import Memory
 from coopqp.solver import Budget, Solver, Status
-from coopqp.state import Memory, State
+from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location, culprit, dotted
 
@@ -215,16 +216,23 @@ class Law(ABC):
             wrong.append(Status.INPUT_STALE)
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
-        try:
-            command = self.decide(state)
-        except Exception as error:  # noqa: BLE001 - code of plug-ins may raise anything
-            command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
-            self.hold_still(state)
+        command = self._decided(state)
         if wrong:
             command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command
+
+    def _decided(self, state: State) -> Command:
+        """What :meth:`decide` says; to stand still where a plug-in raises."""
+        try:
+            return self.decide(state)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
+            command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
+            self.hold_still(state)
+            return command
 
     def _fits(self, state: State) -> bool:
         """Whether a state is one of this law's chain."""

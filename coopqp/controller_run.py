@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from coopqp.checked import Array
-from coopqp.controller import Controller
+from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
 from coopqp.plant import PlantModel
 from coopqp.rollout import rollout
@@ -14,7 +15,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
-from coopqp.wording import raised
+from coopqp.wording import by_user, raised
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
@@ -33,11 +34,7 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
         CoopqpError: the controller or the plant cannot be built for this scenario.
     """
     chosen = controller_of(scenario, controller)
-    if chosen.commands_torques and not scenario.plant.takes_torques:
-        raise InvalidValueError(
-            f"controller '{controller}' commands torques, which this plant does not take; use "
-            "plant: rigid_body or plant: mujoco"
-        )
+    check_plant(scenario, chosen, controller)
     scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
     with _own_words(controller):
@@ -45,19 +42,34 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
         return join(legs) if scenario.phases else legs[0][1]
 
 
+def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
+    """Refuse a controller by torques where the plant takes none.
+
+    Raises:
+        InvalidValueError: that is so.
+    """
+    if chosen.commands_torques and not scenario.plant.takes_torques:
+        raise InvalidValueError(
+            f"controller '{name}' commands torques, which this plant does not take; use "
+            "plant: rigid_body or plant: mujoco"
+        )
+
+
 @contextmanager
 def _own_words(controller: str) -> Iterator[None]:
     """One line for what nobody foresaw, so that other controllers can be run all the same.
 
     Raises:
-        InternalError: with what was raised, and where.
+        InvalidValueError: a user's code has raised something.
+        InternalError: ours has.
     """
     try:
         yield
-    except CoopqpError:
+    except (CoopqpError, KeyboardInterrupt):
         raise
-    except Exception as error:
-        raise InternalError(f"{controller}: {raised(error)}") from error
+    except BaseException as error:
+        kind = InvalidValueError if by_user(error) else InternalError
+        raise kind(f"{controller}: {raised(error)}") from error
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:
@@ -80,6 +92,54 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     return chosen
 
 
+@dataclass(frozen=True)
+class BegunPhase:
+    """A phase that is about to be run.
+
+    Attributes:
+        problem: what the law was built for.
+        law, plant: built.
+        state: in which it begins; whoever runs the phase leaves it where that ends.
+    """
+
+    problem: ControlProblem
+    law: Law
+    plant: PlantModel
+    state: State
+
+    @property
+    def q(self) -> Array:
+        """Where the joints are, by the sensors where there are any, shape (n,) [rad, m]."""
+        return self.state.q if self.plant.measured is None else self.plant.measured
+
+
+def begin_phase(
+    scenario: Scenario, chosen: Controller, phase: int, before: BegunPhase | None
+) -> BegunPhase:
+    """Build what a phase needs.
+
+    Args:
+        scenario: as the controller holds it, :meth:`Scenario.held_by`.
+        chosen: the controller.
+        phase: index into the schedule.
+        before: the phase before, which has been run; None for the first.
+
+    Raises:
+        CoopqpError: the controller or the plant cannot be built.
+    """
+    asked = scenario.schedule[phase]
+    chain = before.problem.chain.handed_over(before.q, asked.released) if before else None
+    problem = scenario.problem(asked, chain)
+    law = chosen.build(problem)
+    plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+    if before:
+        plant.resume(before.plant)
+    state = law.start(q_measured=plant.measured)
+    if before:
+        state.v[:] = before.state.v
+    return BegunPhase(problem, law, plant, state)
+
+
 def _legs(
     scenario: Scenario,
     chosen: Controller,
@@ -88,41 +148,26 @@ def _legs(
     progress: Progress | None,
 ) -> Iterator[tuple[PhaseInfo, Trace]]:
     """Run the phases one after the other, each from where the one before has ended."""
-    ended: tuple[PlantModel, State] | None = None
-
-    def where(_: int) -> Array:
-        assert ended
-        before, state = ended
-        return state.q if before.measured is None else before.measured
-
-    problems = scenario.problems(where)
-    for phase, first in zip(scenario.schedule, scenario.first_ticks, strict=True):
-        problem = next(problems)
-        law = chosen.build(problem)
-        plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
-        if ended:
-            plant.resume(ended[0])
-        state = law.start(q_measured=plant.measured)
-        if ended:
-            state.v[:] = ended[1].v
-        feed = scenario.feed(problem, state, first)
+    begun: BegunPhase | None = None
+    spans = zip(scenario.schedule, scenario.first_ticks, strict=True)
+    for i, (phase, first) in enumerate(spans):
+        begun = begin_phase(scenario, chosen, i, begun)
         leg = rollout(
-            law,
-            plant,
+            begun.law,
+            begun.plant,
             phase.ticks(scenario.dt),
             controller=name,
             solver=solver,
             heeds=chosen.heeds,
             progress=_shifted(progress, name, first),
-            state=state,
-            feed=feed,
+            state=begun.state,
+            feed=scenario.feed(begun.problem, begun.state, first),
         )
         yield PhaseInfo(phase.name, first, phase.released), leg
         last = first == scenario.first_ticks[-1]
         if not last and leg.failures and leg.failures[-1].cause == Status.PLANT_FAILED.value:
             words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
             raise InvalidValueError(f"{name}: {words}")
-        ended = plant, state
 
 
 def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:

@@ -16,12 +16,40 @@ what goes wrong there is a :class:`coopqp.solver.Status`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+from typing_extensions import Self
+
+LONGEST = 60  # characters of what was found
+MOST_NAMES = 100  # that are listed where none is near
 
 
 class CoopqpError(Exception):
-    """Base of all errors raised by coopqp."""
+    """Base of all errors raised by coopqp.
+
+    Attributes:
+        keys: the way from what was to be built to the value that is wrong, as far as it is known:
+            names of fields, keys and indices.
+    """
+
+    keys: tuple[str | int, ...] = ()
+
+    def at(self, *keys: str | int) -> Self:
+        """The same error, with its way told from farther outside."""
+        self.keys = (*keys, *self.keys)
+        return self
+
+
+@contextmanager
+def under(*keys: str | int) -> Iterator[None]:
+    """Tell of an error that it is of what is under these keys."""
+    try:
+        yield
+    except CoopqpError as error:
+        error.at(*keys)
+        raise
 
 
 class InvalidValueError(CoopqpError, ValueError):
@@ -43,8 +71,8 @@ class GraspError(CoopqpError):
 class MissingDependencyError(CoopqpError, ImportError):
     """An optional package is not installed."""
 
-    def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f"{what} needs: pip install 'coopqp[{extra}]'")
+    def __init__(self, what: str, extra: str = "", *, words: str = "") -> None:
+        super().__init__(f"{what} needs: " + (words or f"pip install 'coopqp[{extra}]'"))
 
 
 class UnreadableFileError(CoopqpError):
@@ -57,7 +85,7 @@ class UnreadableFileError(CoopqpError):
 
     def __init__(self, place: object, why: str) -> None:
         self.place, self.why = str(place), why
-        super().__init__(f"{place}: {why}")
+        super().__init__(one_line(f"{place}: {why}"))
 
 
 class InternalError(CoopqpError):
@@ -89,11 +117,17 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in joined)
 
 
+def short(text: str) -> str:
+    """A text of a file, of which no more than the beginning is shown."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     """Sentence for a name that does not exist, with the nearest ones that do."""
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    names, shown = sorted(known), short(name)
+    near = difflib.get_close_matches(shown, names, n=3, cutoff=0.5)
     if near:
-        return f"unknown {kind} '{name}'; did you mean {' or '.join(repr(n) for n in near)}?"
-    listed = ", ".join(names) if names else "none"
-    return f"unknown {kind} '{name}'; known: {listed}"
+        return f"unknown {kind} '{shown}'; did you mean {' or '.join(repr(n) for n in near)}?"
+    listed = ", ".join(names[:MOST_NAMES]) if names else "none"
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"unknown {kind} '{shown}'; known: {listed}{more}"

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, finite, vector
+from coopqp.checked import FARTHEST, Array, finite, vector
 from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.held_object import HeldObject
@@ -154,7 +154,8 @@ def take_hold(
     """
     by_arm = grasp_of_each(robot, grasps)
     if len(robot.arms) < 2:
-        raise GraspError(f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two")
+        words = f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two"
+        raise GraspError(words).at("robot")
     start = finite("q_start", vector("q_start", q_start, robot.model.nq))
     check_released(robot, released)
     data = robot.model.createData()
@@ -206,7 +207,8 @@ def _with_passive_start(
     strangers = [name for name in model.names[1:] if name not in robot.joint_names]
     for name in passive_start:
         if name not in strangers:
-            raise UnknownNameError("passive joint", name, strangers)
+            unknown = UnknownNameError("passive joint", name, strangers)
+            raise unknown.at("passive_start", name)
     extended = np.zeros(model.nq)
     values = {**dict(zip(robot.joint_names, q, strict=True)), **passive_start}
     for name, value in values.items():
@@ -228,11 +230,22 @@ def _object_at_start(hold: Hold) -> tuple[Array, dict[str, pin.SE3]]:
         if grasp.object_in_hand:
             end = model.getFrameId(ends[arm])
             given[arm] = data.oMf[end] * object_at_end(model, end, tips[arm], grasp)
+    _check_reach(hold, model, data)
     held_at = _agreed_pose(hold, {arm: X for arm, X in given.items() if arm in hold.holders})
     if held_at is None:
         middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
         held_at = pin.SE3(np.eye(3), middle)
     return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
+
+
+def _check_reach(hold: Hold, model: pin.Model, data: pin.Data) -> None:
+    """Refuse joints that are where no robot is; rounding would be all that is left of a motion."""
+    for name, X_WJ in list(zip(model.names, data.oMi, strict=True))[1:]:
+        away = float(np.linalg.norm(X_WJ.translation))
+        if not away <= FARTHEST:
+            words = f"joint {name} is {away:g} m from the origin; needs at most {FARTHEST:g} m"
+            own = name in hold.robot.joint_names
+            raise GraspError(words).at(*(["robot"] if own else ["grasps", name.rpartition(".")[0]]))
 
 
 def _agreed_pose(hold: Hold, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
@@ -339,9 +352,10 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
         return np.full(len(names), 1.0 / len(names))
     for name, weight in alpha.items():
         if name not in names:
-            raise UnknownNameError("arm", name, names)
+            raise UnknownNameError("arm", name, names).at(name)
         if not 0.0 <= weight < np.inf:
-            raise InvalidValueError(f"weight of arm {name}: found {weight:g}, needs at least 0")
+            words = f"weight of arm {name}: found {weight:g}, needs at least 0"
+            raise InvalidValueError(words).at(name)
     total = sum(alpha.values())
     if abs(total - 1.0) > WEIGHT_SUM:
         raise InvalidValueError(f"the weights of the arms sum to {total:g}, need 1")
@@ -364,7 +378,7 @@ def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dic
         return dict.fromkeys(names, grasps)
     for name in grasps:
         if name not in names:
-            raise UnknownNameError("arm", name, names, "grasp: ")
+            raise UnknownNameError("arm", name, names, "grasp: ").at(name)
     missing = [name for name in names if name not in grasps]
     if missing:
         raise GraspError(f"grasp: no grasp for arm {', '.join(missing)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -126,7 +127,8 @@ class Limit(ABC):
     def room(self, chain: ClosedChain) -> RoomLeft | None:
         """How far what it bounds is from it, for limits in space; None for all others.
 
-        Its :meth:`rows` are then velocity dampers: G = -d room/dq.
+        Its :meth:`rows` are then velocity dampers: G = -d room/dq. Of what is far, room and rows
+        may say nothing; rows may look farther where joints are fast.
 
         Args:
             chain: what is limited.
@@ -215,7 +217,12 @@ def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str 
         side: lower or upper.
         per: what the joint's unit is divided by, such as "/s".
     """
-    name, unit = chain.joint_names[joint], chain.joint_units[joint]
+    return _joint_row(kind, chain.joint_names[joint], chain.joint_units[joint], side, per)
+
+
+@lru_cache(maxsize=1024)
+def _joint_row(kind: str, name: str, unit: str, side: Side, per: str) -> Row:
+    """Margins of a run that goes on are asked for ten times a second."""
     of = "" if kind == "position" else f"{kind.replace('_', ' ')} of "
     return Row(
         name=f"limit.{kind}[{name}].{side}",

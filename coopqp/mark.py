@@ -6,13 +6,15 @@ Arrays, lists and tuples may be given; they are kept as arrays.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import PlainValidator
 
 from coopqp.checked import Array, Positive, Vector3, spec
+from coopqp.wording import raised
 
 #: How far R R' may be from the identity.
 ORTHONORMAL = 1e-6
@@ -170,3 +172,36 @@ Mark = (
     | PostureMark
     | RelativeMark
 )
+
+
+def marks_fault(marks: object) -> str:
+    """What of something given as marks is none; empty where all are."""
+    *others, last = (kind.__name__ for kind in get_args(Mark))
+    if not isinstance(marks, tuple | list):
+        return f"{type(marks).__name__}, needs a tuple of marks"
+    strange = [mark for mark in marks if not isinstance(mark, Mark)]
+    if not strange:
+        return ""
+    return f"{type(strange[0]).__name__} among its marks, needs {', '.join(others)} or {last}"
+
+
+def asked(name: str, marks: Callable[[], Sequence[Mark]], faults: list[str]) -> tuple[Mark, ...]:
+    """The marks of a task or a limit; none where its code raises or gives something else.
+
+    Args:
+        name: of the task or the limit.
+        marks: asks for them.
+        faults: to which a sentence is added on what went wrong.
+    """
+    try:
+        found = marks()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
+        wrong = raised(error)
+    else:
+        wrong = marks_fault(found)
+    if not wrong:
+        return tuple(found)
+    faults.append(f"{name}.marks: {wrong}")
+    return ()

@@ -54,10 +54,11 @@ def broken(trace: Trace) -> list[Overrun]:
     """One overrun for each limit that the run was beyond by more than is negligible."""
     worst: dict[str, Overrun] = {}
     for row, margin in trace.margins.items():
-        if row.owner in JUDGED_OTHERWISE or not margin.size:
+        if (row.joint and row.owner in JUDGED_OTHERWISE) or not margin.size:
             continue
-        at_start, at_end = (max(0.0, float(-margin[i])) for i in (0, -1))
-        found = Overrun(row, float(-margin.min()), at_start, at_end)
+        begun = -trace.starts.get(row, float(margin[0]))
+        at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
+        found = Overrun(row, max(begun, float(-margin.min())), at_start, at_end)
         known = worst.get(row.owner)
         if matters(found.by, row.unit) and (not known or _worse(found, known)):
             worst[row.owner] = found

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from coopqp.errors import UnreadableFileError
+
+_DECODER = json.JSONDecoder()
+
+
+def absolute(path: Path) -> Path:
+    """The path from the root on; of links in a circle, which ``Path.resolve`` raises at, as it is.
+
+    Raises:
+        ValueError: a name that no file can have.
+    """
+    return Path(os.path.realpath(path))
 
 
 @contextmanager
@@ -72,6 +84,45 @@ def read_text(path: Path, most: int) -> str:
         line = content.count(b"\n", 0, error.start) + 1
         words = f"is not a text file in UTF-8: has the byte 0x{content[error.start]:02x}"
         raise UnreadableFileError(f"{path}:{line}", words) from None
+
+
+def line_in_json(text: str, location: Sequence[str | int]) -> int:
+    """The line of a value, or of what is nearest to it on the way there.
+
+    Args:
+        text: JSON that can be read.
+        location: keys and indices from the outermost value on.
+    """
+    at = _skip(text, 0)
+    for key in location:
+        members = dict(_members(text, at))  # of a key that is there twice the last counts
+        if key not in members:
+            break
+        at = members[key]
+    return text.count("\n", 0, at) + 1
+
+
+def _members(text: str, at: int) -> Iterator[tuple[str | int, int]]:
+    """Key or index, and place, of what is in the mapping or list at a place."""
+    if text[at] not in "{[":
+        return
+    mapping, index = text[at] == "{", 0
+    at = _skip(text, at + 1)
+    while text[at] not in "}]":
+        key: str | int = index
+        if mapping:
+            key, at = _DECODER.raw_decode(text, at)
+            at = _skip(text, at)
+        yield key, at
+        _, at = _DECODER.raw_decode(text, at)
+        at, index = _skip(text, at), index + 1
+
+
+def _skip(text: str, at: int) -> int:
+    """The place of the next sign that is neither space nor between values."""
+    while text[at] in " \t\n\r,:":
+        at += 1
+    return at
 
 
 def _size(count: int) -> str:

@@ -6,13 +6,14 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, array, finite
+from coopqp.checked import Array, array, near
 from coopqp.errors import InvalidValueError, UnknownNameError
 
 
@@ -127,12 +128,12 @@ class RobotModel:
                 where = f"capsule {capsule.name}: "
                 raise UnknownNameError("joint", capsule.joint, self.joint_names, where)
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names in the order of q."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
         return joint_units(self.model)
@@ -162,20 +163,21 @@ class RobotModel:
         arms = {arm.name: self.arm_joints(arm) for arm in self.arms}
         for key, value in values.items():
             if key not in arms and key not in self.joint_names:
-                raise UnknownNameError("arm or joint", key, [*arms, *self.joint_names])
+                known = [*arms, *self.joint_names]
+                raise UnknownNameError("arm or joint", key, known).at(key)
             joints = arms.get(key, (key,))
-            numbers = np.atleast_1d(finite(key, array(key, value)))
+            numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
                     f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
-                )
+                ).at(key)
             for joint, number in zip(joints, numbers, strict=True):
                 other, same = by_arm.get(joint, (key, number))
                 if number != same:
                     raise InvalidValueError(
                         f"{key}: found {number:g} for {joint}, which {other} shares and puts at "
                         f"{same:g}; give both the same value"
-                    )
+                    ).at(key)
                 if key in arms:
                     by_arm[joint] = (key, number)
                 q[self.model.idx_qs[self.model.getJointId(joint)]] = number

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +12,7 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.leverage import leverage
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
-from coopqp.input import Feed
+from coopqp.input import Sender
 from coopqp.plant import PlantModel
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.row import Row
@@ -21,6 +20,7 @@ from coopqp.solver import Status, written
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.trace import Failure, TaskInfo, Trace, no_input
+from coopqp.wording import suppressed
 
 Progress = Callable[[int], None]
 """Called now and then with the number of ticks done."""
@@ -38,7 +38,7 @@ def rollout(
     heeds: Heeds = HEEDS_NOTHING,
     progress: Progress | None = None,
     state: State | None = None,
-    feed: Feed | None = None,
+    feed: Sender | None = None,
 ) -> Trace:
     """Run a law on a plant.
 
@@ -72,7 +72,11 @@ def rollout(
 
 
 def drive(
-    law: Law, plant: PlantModel, state: State, ticks: int, feed: Feed | None = None
+    law: Law,
+    plant: PlantModel,
+    state: State,
+    ticks: int | Iterable[object],
+    feed: Sender | None = None,
 ) -> Iterator[tuple[Command, float]]:
     """The control loop: take what has arrived, decide, hand over the command, let the plant move.
 
@@ -80,14 +84,14 @@ def drive(
         law: the controller, built.
         plant: where the state is.
         state: written; after the last step its kinematics are up to date.
-        ticks: how many.
+        ticks: how many, or as many as there are items.
         feed: who sends to the inputs; nothing arrives when omitted.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
     """
     guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
-    for _ in range(ticks):
+    for _ in range(ticks) if isinstance(ticks, int) else ticks:
         if feed:
             feed.step(state)
         before = time.perf_counter_ns()
@@ -153,7 +157,9 @@ class _Recorder:
         for stack, error in self._stacks:
             try:
                 stack.update(true)
-            except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
                 error[k] = np.nan
                 continue
             for i, (_, part) in enumerate(self._parts):
@@ -201,14 +207,19 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, command.note))
 
-    def _margins(self) -> dict[Row, Array]:
+    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
         """What every limit had left after each tick."""
         problem = self._law.problem
         found: dict[Row, Array] = {}
         for limit in problem.limits:
-            with suppress(Exception):  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, self.q, self.v, problem.dt)
+            with suppressed():  # a tick that met the same error names it
+                found |= limit.margins(problem.chain, q, v, problem.dt)
         return found
+
+    def _starts(self) -> dict[Row, float]:
+        """What it had left before the first."""
+        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
+        return {row: float(margin[0]) for row, margin in found.items()}
 
     def _leverage(self) -> Array:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
@@ -217,7 +228,7 @@ class _Recorder:
         start.inputs = end.inputs = self._inputs_at_end
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         parts = [part for _, part in self._parts]
-        with suppress(Exception):  # a tick that met the same error names it
+        with suppressed():  # a tick that met the same error names it
             return leverage(self._stacks[0][0], parts, self._velocities, start, end)
         return np.ones(len(parts))
 
@@ -259,7 +270,8 @@ class _Recorder:
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(),
+            margins=self._margins(self.q, self.v),
+            starts=self._starts(),
             compiled=self.compiled,
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),

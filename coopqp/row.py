@@ -7,7 +7,7 @@ name again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Kind = Literal["joint", "share", "loop", "task", "limit", "decided", "dynamics", "motor"]
@@ -28,6 +28,8 @@ class Row:
         label: what a sentence calls it, such as "RElbowRoll (upper)"; the name when empty.
         of_place: whether it bounds a place, so that its excess in a QP of velocities, times dt,
             has the unit given.
+        bodies: the two whose distance it is; none for other rows.
+        kept: distance that is kept free between them [m]; rows that differ in it alone are equal.
     """
 
     name: str
@@ -38,6 +40,8 @@ class Row:
     side: Side | None = None
     label: str = ""
     of_place: bool = False
+    bodies: tuple[str, ...] = ()
+    kept: float = field(default=0.0, compare=False)
 
     def __str__(self) -> str:
         return self.name

@@ -6,9 +6,7 @@ with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,36 +16,9 @@ from scipy.linalg import lapack
 
 from coopqp.checked import Array, vector
 from coopqp.closed_chain import ClosedChain
+from coopqp.memory import Memory
 from coopqp.rank import independent_rows, least_squares
 from coopqp.signal import Followed
-
-
-class Memory:
-    """What a law remembers from tick to tick, by name, in one array that can be recorded.
-
-    Args:
-        sizes: how many numbers go by each name.
-
-    Attributes:
-        numbers: all of them, zero at first.
-    """
-
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self.sizes = dict(sizes)
-        ends = list(itertools.accumulate(self.sizes.values(), initial=0))
-        self.numbers = np.zeros(ends[-1])
-        self._of = {
-            name: self.numbers[a:b]
-            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Copies of views are no views: a copy is made anew.
-        return _memory, (self.sizes, self.numbers)
-
-    def __getitem__(self, name: str) -> Array:
-        """The numbers of one name; a view, to be written to."""
-        return self._of[name]
 
 
 class State:
@@ -101,6 +72,7 @@ class State:
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
+        self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
         self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
@@ -119,6 +91,20 @@ class State:
 
     def __repr__(self) -> str:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
+
+    def lock(self) -> None:
+        """Let nobody write to q and v, while code of tasks and limits looks at them."""
+        q, v = self._unlocked
+        if self.q is not q or self.v is not v:
+            self._unlocked = self.q, self.v
+            self._locked = self.q.view(), self.v.view()
+            for shown in self._locked:
+                shown.flags.writeable = False
+        self.q, self.v = self._locked
+
+    def unlock(self) -> None:
+        """Let them be written to again."""
+        self.q, self.v = self._unlocked
 
     def update(self) -> None:
         """Compute everything that follows from q; a law does it at the start of each tick."""
@@ -347,13 +333,6 @@ class State:
             self._J_loop[:], self._e_loop[:] = 0.0, 0.0
         self._J_loop[: len(rows)] = self._J_rel[rows]
         self._e_loop[: len(rows)] = self.drift[rows]
-
-
-def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    """A memory from what a copy is made of."""
-    memory = Memory(sizes)
-    memory.numbers[:] = numbers
-    return memory
 
 
 def _state(

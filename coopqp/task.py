@@ -200,8 +200,12 @@ class TaskStack:
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
-        for evaluate, block in self._evaluate:
-            evaluate(state, block)
+        state.lock()
+        try:
+            for evaluate, block in self._evaluate:
+                evaluate(state, block)
+        finally:
+            state.unlock()
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 

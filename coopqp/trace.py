@@ -177,6 +177,11 @@ def _margins(legs: Legs, name: str) -> dict[Row, Array]:
     }
 
 
+def _starts(legs: Legs, name: str) -> dict[Row, float]:
+    """By limit, from the first phase that has it."""
+    return {row: left for _, leg in reversed(legs) for row, left in getattr(leg, name).items()}
+
+
 def _points(legs: Legs, name: str) -> dict[str, Array]:
     return {
         arm: _chained([getattr(leg, name)[arm] for _, leg in legs])
@@ -272,6 +277,7 @@ class Trace:
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
         scale: least share of its speed at which a scaled task ran, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
+        starts: the same before the first tick, at rest.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
@@ -316,6 +322,7 @@ class Trace:
     status: tuple[str, ...] = field(metadata={"join": _statuses})
     scale: Array = field(metadata={"join": _ticks})
     margins: dict[Row, Array] = field(metadata={"join": _margins})
+    starts: dict[Row, float] = field(metadata={"join": _starts})
     compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
     tick_us: Array = field(metadata={"join": _ticks})
     points: dict[str, Array] = field(metadata={"join": _points})

@@ -111,11 +111,29 @@ def _beyond(overrun: Overrun) -> str:
     row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
     if row.unit not in ("m", "rad"):
         return f"exceeds the {row.words} by {far}"
+    if row.bodies:
+        return _too_near(overrun)
     if not overrun.farther:
         out = matters(overrun.at_end, row.unit)
         return f"starts {far} beyond {row.words} and {'ends outside' if out else 'comes back'}"
     start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
     return f"goes {far} beyond {row.words}{start}"
+
+
+def _too_near(overrun: Overrun) -> str:
+    """Two bodies that were nearer to each other than asked."""
+    row, far = overrun.row, _amount(overrun.by, "m")
+    one, other = row.bodies
+    left = row.kept - overrun.by
+    what = f"{one} {far} nearer to {other} than asked"
+    if left > 0.0:
+        what += f" ({_round(1e3 * left)} of {_round(1e3 * row.kept)} mm left)"
+    elif left < 0.0:
+        what += f", {_amount(-left, 'm')} deep in it"
+    if not overrun.farther:
+        return f"starts with {what} and {'ends so' if matters(overrun.at_end, 'm') else 'parts'}"
+    start = f", {_amount(overrun.at_start, 'm')} at the start" if overrun.at_start else ""
+    return f"brings {what}{start}"
 
 
 def _way_back(trace: Trace, outside: Array, worst: int) -> str:

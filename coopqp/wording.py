@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import traceback
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
@@ -14,19 +16,34 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ArgsKwargs, ErrorDetails
 
-from coopqp.errors import unknown_name
+from coopqp.errors import one_line, short, unknown_name
 
 Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
-LONGEST = 60  # characters of what was found
+#: What pydantic says, and what is said instead, one after the other.
+WORDS = {
+    r"^Input should (be )?": "needs ",
+    r"^needs a valid (array|list|tuple)": "needs a list",
+    r"^needs (an object|a valid dictionary)": "needs a mapping, such as {key: value}",
+    r"^needs a valid (number|integer|boolean|string), unable to .*": r"needs a valid \1",
+    r"^needs a valid string": "needs a text",
+    r"^needs a valid integer": "needs a whole number",
+    r"^needs a valid boolean": "needs true or false",
+    r"^needs a valid number": "needs a number",
+    r"^(Dictionary|List|Tuple) should have (at (?:least|most) \d+) items? after validation, not.*":
+        r"needs \2 in it",
+    r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
+}  # fmt: skip
+MOST_SAID = 300  # characters of what an error says of itself
+USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
 
 
 def dotted(location: Location) -> str:
     """``tasks[0].point_on_plane.normal`` from its parts."""
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+        text += f"[{part}]" if isinstance(part, int) else f".{short(part)}"
     return text.removeprefix(".")
 
 
@@ -48,11 +65,22 @@ def faults(
     return list(dict.fromkeys(kept))
 
 
-def raised(error: Exception, file: str | None = None) -> str:
+def said(error: BaseException) -> str:
+    """What an error says of itself, in one line; empty where it cannot even do that."""
+    try:
+        words = " ".join(str(error).split())
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - an error may be of a user's class
+        return ""
+    return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
+
+
+def raised(error: BaseException, file: str | None = None) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``.
 
     Args:
-        error: caught.
+        error: caught; what ends Python, such as SystemExit, counts too.
         file: whose line counts; the last that is no library if omitted.
     """
     frames = traceback.extract_tb(error.__traceback__)
@@ -60,10 +88,28 @@ def raised(error: Exception, file: str | None = None) -> str:
     if file is None:  # who called a library tells more than where in it that ended
         own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
-    return f"{place}: raises {type(error).__name__}: {' '.join(str(error).split())}"
+    words = said(error)
+    return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
 
 
-def culprit(error: Exception, plugins: Sequence[tuple[str, object]]) -> str:
+@contextmanager
+def suppressed() -> Iterator[None]:
+    """Go on after whatever a user's code raises, but for Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - it may raise anything
+        return
+
+
+def by_user(error: BaseException) -> bool:
+    """Whether code in a user's folder has raised it, or has called what did."""
+    frames = traceback.walk_tb(error.__traceback__)
+    return any(str(frame.f_globals.get("__name__")).startswith(USERS) for frame, _ in frames)
+
+
+def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
     """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
 
     Args:
@@ -112,11 +158,13 @@ def _fault(
         return (), f"found {found} without a key; needs every value as KEY=VALUE"
     if kind.startswith("missing"):
         needed = detail["loc"][-1]
+        if isinstance(needed, int):
+            return location, f"found {found}; needs at least {needed + 1} in it"
         there = location and location[-1] == needed
         return location, "is missing" if there else f"needs the key '{needed}'"
     needs = detail["msg"].removeprefix("Value error, ")
-    for wordy in ("Input should be ", "Input should "):
-        needs = needs.replace(wordy, "needs ")
+    for theirs, ours in WORDS.items():
+        needs = re.sub(theirs, ours, needs)
     if needs.startswith("unknown "):
         return location, needs
     return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
@@ -130,7 +178,7 @@ def _shown(found: Any) -> str:
         text = json.dumps(found, default=_plain)
     except (TypeError, ValueError):
         text = repr(found)
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    return short(text)
 
 
 def _plain(value: Any) -> Any:

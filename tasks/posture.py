@@ -16,7 +16,7 @@ import numpy as np
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import InvalidValueError, UnknownNameError, under
 from coopqp.geometry import Approach, last_end
 from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
@@ -145,18 +145,23 @@ def _given(
     """Joints, and what is given for them."""
     names, robot = chain.joint_names, chain.robot
     if not isinstance(goal, Mapping):
-        goal = {"goal": goal}
-        joints_of: dict[str, tuple[str, ...]] = {"goal": names}
-    else:
-        joints_of = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-        joints_of |= {name: (name,) for name in names}
+        with under("goal"):
+            yield names, _counted("goal", goal, names)
+        return
+    joints_of = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    joints_of |= {name: (name,) for name in names}
     for key, value in goal.items():
-        if key not in joints_of:
-            raise UnknownNameError("arm or joint", key, joints_of, "posture.goal: ")
-        joints = joints_of[key]
-        if not isinstance(value, Signal) and np.size(value) != len(joints):
-            raise InvalidValueError(
-                f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "
-                f"{', '.join(joints)}"
-            )
-        yield joints, value
+        with under("goal", key):
+            if key not in joints_of:
+                raise UnknownNameError("arm or joint", key, joints_of, "posture.goal: ")
+            yield joints_of[key], _counted(key, value, joints_of[key])
+
+
+def _counted(key: str, value: JointValues, joints: tuple[str, ...]) -> JointValues:
+    """A number a joint, or a signal."""
+    if not isinstance(value, Signal) and np.size(value) != len(joints):
+        raise InvalidValueError(
+            f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "
+            f"{', '.join(joints)}"
+        )
+    return value

@@ -115,5 +115,5 @@ class RelativeMotion(Task):
         if self.arm is None:
             return 0
         if self.arm not in others:
-            raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ")
+            raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ").at("arm")
         return others.index(self.arm)

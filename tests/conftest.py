@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 import pytest
 from chains import BOX, HANDS, Hinge, Walk
@@ -18,15 +21,24 @@ from coopqp.robots import NaoT14
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
+SEED = 2014
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
 CLOSED = 1e-13  # largest loop error after the projection [m, rad]
 SINGULAR = 1e-8  # share of the largest singular value
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
+    """All tests of a file in one process, so that what they share is made once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """The same chance in every run."""
-    return np.random.default_rng(2014)
+    return np.random.default_rng(SEED)
 
 
 @pytest.fixture(scope="session")
@@ -52,16 +64,21 @@ def hinged_box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     return ClosedChain.take_hold(nao, chain.q_start, Hinge(), BOX)
 
 
-@pytest.fixture
-def closed_loop_walk(rng: np.random.Generator) -> Walk:
-    """A function that gives random configurations with all loops closed, inside the limits."""
+@pytest.fixture(scope="session")
+def closed_loop_walk() -> Walk:
+    """A function that gives random configurations with all loops closed, inside the limits.
 
+    The same ones for the same chain and count, to be read only.
+    """
+
+    @cache
     def walk(chain: ClosedChain, count: int) -> list[Array]:
-        state, found = State(chain), []
+        rng, state, found = np.random.default_rng(SEED), State(chain), []
         for _ in range(count):
             for _ in range(STEPS):
                 _random_self_motion(state, rng)
             found.append(state.q.copy())
+            found[-1].flags.writeable = False
         return found
 
     return walk

@@ -15,14 +15,22 @@ from coopqp.scenario.loader import shipped
 from coopqp.study.stress.ending import OUTCOMES
 
 
-@pytest.fixture
-def short(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scenario of a tenth of a second."""
     text = shipped()["point_on_point"].read_text(encoding="utf-8")
-    path = tmp_path / "short.yaml"
+    path = tmp_path_factory.mktemp("short") / "short.yaml"
     text = text.replace("duration: 3.0", "duration: 0.1").replace("duration: 2.0", "duration: 0.1")
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="module")
+def written(short: Path) -> Path:
+    """The folder of its report."""
+    out = short.parent / "out"
+    assert typed("compare", short, "--out", out).exit_code == 0
+    return out
 
 
 def test_compare_prints_a_table_and_writes_the_report(short: Path, tmp_path: Path) -> None:
@@ -136,22 +144,20 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
     ],
 )
 def test_explain_replay_and_stress_refuse_in_words(
-    short: Path, tmp_path: Path, words: list[str], message: str
+    written: Path, words: list[str], message: str
 ) -> None:
-    out = tmp_path / "out"
-    typed("compare", short, "--out", out)
-    result = typed(*[word.replace("OUT", str(out)) for word in words])
+    result = typed(*[word.replace("OUT", str(written)) for word in words])
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
 
 
 def test_a_small_stress_breaks_no_promise() -> None:
-    result = typed("stress", "--rollouts", "8", "--jobs", "1", "--json")
+    result = typed("stress", "--rollouts", "3", "--jobs", "1", "--json")
     assert result.exit_code == 0
     data = json.loads(result.stdout)
     assert data["broken"] == []
     everything = data["lines"][-1]
-    assert everything["count"] == 8
+    assert everything["count"] == 3
     assert everything["position_excess"] <= 1e-9
     assert everything["velocity_excess"] <= 1e-9
     assert set(everything["outcomes"]) <= set(OUTCOMES)

@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import example_controllers
@@ -28,6 +29,7 @@ from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.loader import load, with_solver
 from coopqp.scenario.scenario import Scenario
 from coopqp.solvers import qpsolvers
+from coopqp.trace import Trace
 
 CATALOG = Catalog()
 ENTRIES = [
@@ -110,13 +112,17 @@ def test_every_controller_moves_the_object_towards_the_goal(controller: str) -> 
     assert distance[-1] < 0.6 * distance[0]
 
 
+@cache
+def by_the_default() -> Trace:
+    return run(load("point_on_point"), controller="qp")
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate(
     solver: str,
 ) -> None:
-    scenario = load("point_on_point")
-    exact = run(scenario, controller="qp")
-    other = run(with_solver(scenario, solver), controller="qp")
+    exact = by_the_default()
+    other = run(with_solver(load("point_on_point"), solver), controller="qp")
     assert other.usable.all()
     # Until the first inaccurate tick both runs are in the same state.
     same = int(np.argmax(other.inaccurate)) if other.inaccurate.any() else other.ticks

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import traceback
 import warnings
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
 
 import click
 
-from coopqp.errors import CoopqpError, InternalError
+from coopqp.errors import CoopqpError, InternalError, one_line
 
-BAD_INPUT = 2  # exit code, the same that click uses for wrong options
-OUR_FAULT = 70  # exit code, EX_SOFTWARE of sysexits.h
+# Exit codes; docs/files.md has the list.
+BAD_INPUT = 2  # the same that click uses for wrong options
+OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
+INTERRUPTED, TERMINATED = 130, 143  # 128 and the signal's number, as shells have it
 REPORT = (
     "this is a fault of coopqp, please report it with the command and its files; "
     "'coopqp --debug COMMAND ...' shows where it happened"
 )
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM; it goes the way of Ctrl-C, past all that catches what users' code raises."""
 
 
 class Group(click.Group):
@@ -27,30 +37,61 @@ class Group(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         debug = ctx.params["debug"]
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _terminable():
                 if not debug:  # numpy's on what overflows; what comes of it is checked and said
                     warnings.simplefilter("ignore", RuntimeWarning)
                 return super().invoke(ctx)
-        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+        except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
-        except InternalError as error:
-            fault, told = error.__cause__ or error, str(error)
-        except CoopqpError as error:
-            for line in str(error).splitlines():
-                click.echo(f"error: {line}", err=True)
-            ctx.exit(BAD_INPUT)
-        except Exception as error:  # noqa: BLE001 - the last resort
-            fault, told = error, _said(error)
-        if debug:
-            traceback.print_exception(fault)
-        click.echo(f"error: {' '.join(told.split())}; {REPORT}", err=True)
-        return ctx.exit(OUR_FAULT)
+        except BaseException as error:  # noqa: BLE001 - the last resort; code of users may exit
+            code, told = _ending(error)
+            if debug and code == OUR_FAULT:
+                traceback.print_exception(error.__cause__ or error)
+        for line in told.splitlines():
+            click.echo(one_line(line), err=True)
+        return ctx.exit(code)
 
 
-def _said(error: Exception) -> str:
+def _ending(error: BaseException) -> tuple[int, str]:
+    """The exit code, and what is said."""
+    if isinstance(error, _Terminated):
+        return TERMINATED, "terminated"
+    if isinstance(error, KeyboardInterrupt | click.Abort):
+        return INTERRUPTED, "interrupted"
+    if isinstance(error, CoopqpError) and not isinstance(error, InternalError):
+        return BAD_INPUT, "\n".join(f"error: {line}" for line in str(error).splitlines())
+    told = str(error) if isinstance(error, InternalError) else _said(error)
+    line = f"error: {' '.join(told.split())}"
+    return (BAD_INPUT, line) if _by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does, with what it holds open put away."""
+
+    def end(*_: object) -> NoReturn:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _by_user(error: BaseException) -> bool:
+    from coopqp.wording import by_user  # brings in numpy, for which --help does not wait
+
+    return by_user(error)
+
+
+def _said(error: BaseException) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``."""
     if isinstance(error, MemoryError):
         return "out of memory"
-    from coopqp.wording import raised  # brings in numpy, for which --help does not wait
+    from coopqp.wording import raised
 
     return raised(error)

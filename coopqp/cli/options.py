@@ -9,7 +9,21 @@ from typing import Any
 
 import click
 
+from coopqp.errors import one_line
+
 SCENARIO = click.argument("scenario")
+
+
+class _Written(click.Path):
+    """A path that is written to; an empty one would be the folder one is in."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "":
+            self.fail("is empty; needs a name", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+WRITTEN = _Written(path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
 SAME = 1e-6  # velocities of a tick that is done again [rad/s, m/s]
@@ -62,7 +76,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
     controllers_of(path)  # a trace that is missing is said before its scenario is
     if format_of(path).cut_short(path):
         words = "was cut short, as by a kill; what follows is of what had been written"
-        click.echo(f"warning: {path}: {words}", err=True)
+        say(f"warning: {path}: {words}")
     loaded = format_of(path).scenario(path, catalog)
     _warn(loaded)
     return path, loaded
@@ -78,14 +92,24 @@ def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | Non
     if off > SAME:
         words = "done again it commands another velocity than recorded, by up to"
         why = "its scenario or the code is another than when it was run"
-        click.echo(f"warning: tick {record.tick}: {words} {off:.2g}; {why}", err=True)
+        say(f"warning: tick {record.tick}: {words} {off:.2g}; {why}")
     return record
 
 
 def _warn(scenario: Any) -> None:
     """Say what a scenario's robot leaves out."""
     for line in scenario.robot_model.warnings:
-        click.echo(f"warning: {line}", err=True)
+        say(f"warning: {line}")
+
+
+def say(line: str, *, aside: bool = True) -> None:
+    """Print one line, whatever the names in it hold.
+
+    Args:
+        line: of text.
+        aside: whether beside what a command is asked for.
+    """
+    click.echo(one_line(line), err=aside)
 
 
 def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
@@ -95,4 +119,4 @@ def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
 
     chosen = controllers or list(scenario.controllers)
     for line in notes(scenario, {name: controller_of(scenario, name) for name in chosen}):
-        click.echo(f"note: {line}", err=True)
+        say(f"note: {line}")

@@ -8,7 +8,16 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, SCENARIO, SOLVER, catalogued, print_notes, read_scenario
+from coopqp.cli.options import (
+    JSON,
+    SCENARIO,
+    SOLVER,
+    WRITTEN,
+    catalogued,
+    print_notes,
+    read_scenario,
+    say,
+)
 
 COLLECTIONS = (
     "robots", "grasps", "tasks", "signals", "limits", "controllers", "solvers", "plants", "metrics",
@@ -18,7 +27,7 @@ COLLECTIONS = (
 
 @click.command()
 @SCENARIO
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@click.option("--out", type=WRITTEN, help="Folder for the report and the data.")
 @click.option("--controllers", default="", help="Comma-separated, instead of the scenario's.")
 @SOLVER
 @catalogued
@@ -43,7 +52,7 @@ def compare(
 @click.command()
 @SCENARIO
 @click.option("--controller", required=True, help="Which one.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the report and the data.")
+@click.option("--out", type=WRITTEN, help="Folder for the report and the data.")
 @SOLVER
 @catalogued
 @JSON
@@ -63,7 +72,7 @@ def run(
 @SCENARIO
 @click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
 @click.option("--phase", help="Which phase of the scenario; the first if omitted.")
-@click.option("--html", "page", type=click.Path(path_type=Path), help="Write a page to this file.")
+@click.option("--html", "page", type=WRITTEN, help="Write a page to this file.")
 @catalogued
 @JSON
 def mobility(
@@ -90,7 +99,7 @@ def mobility(
         console().print(table)
     console().print(study.mobility.verdict(), markup=False, highlight=False)
     if page:
-        click.echo(f"wrote {page}")
+        say(f"wrote {page}", aside=False)
 
 
 @click.command(name="solve-start")
@@ -132,7 +141,7 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
         except ScenarioError as error:
             faults.extend(error.faults)
         else:
-            click.echo(f"{name}: ok")
+            say(f"{name}: ok", aside=False)
     if faults:
         raise ScenarioError(faults)
 
@@ -174,9 +183,9 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
     for name, why in comparison.refused.items():
-        click.echo(f"warning: {name} is left out: {why}", err=True)
+        say(f"warning: {name} is left out: {why}")
     for fault in comparison.faults:
-        click.echo(f"warning: {fault}", err=True)
+        say(f"warning: {fault}")
     if as_json:
         click.echo(files.metrics_json(comparison), nl=False)
     else:
@@ -184,4 +193,4 @@ def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: b
     # Written last: what goes wrong here takes nothing away from what the run has shown.
     written = files.write(comparison, out) if out else []
     for path in written if not as_json else ():
-        click.echo(f"wrote {path}")
+        say(f"wrote {path}", aside=False)

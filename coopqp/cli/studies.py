@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, catalogued, read_tick, read_trace
+from coopqp.cli.options import JSON, WRITTEN, catalogued, read_tick, read_trace, say
+from coopqp.reading import absolute
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -18,7 +19,7 @@ FORMATS = ("mcap", "rosbag2", "parquet")
 @click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
 @click.option(
     "--save",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     help="Keep a tick in this file; if --tick is omitted, the "
     "first that gave something up, else the last.",
 )
@@ -48,7 +49,7 @@ def explain(
         click.echo(explained.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
-            click.echo(f"wrote {save}", err=as_json)  # what machines read is JSON alone
+            say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
         return
     path, scenario = read_trace(trace, catalog)
     known, own = controllers_of(path), scenario.controllers
@@ -57,16 +58,14 @@ def explain(
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recording, report)
-    click.echo(explained.run_text(found, path.parent.resolve().name, as_json=as_json))
+    click.echo(explained.run_text(found, absolute(path.parent).name, as_json=as_json))
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--to", required=True, type=click.Choice(FORMATS), help="Format.")
 @click.option("--controller", help="Whose; all of them, a file each, if omitted.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="File; CONTROLLER.FORMAT beside RUN if omitted."
-)
+@click.option("--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
 @catalogued
 def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
     """Write a recorded run for Foxglove, ROS 2, PlotJuggler or pandas.
@@ -89,7 +88,7 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
             raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
         file = out or path.parent / f"{name}{suffix}"
         write(path, scenario, to, name, file)
-        click.echo(f"wrote {file}")
+        say(f"wrote {file}", aside=False)
 
 
 @click.command()

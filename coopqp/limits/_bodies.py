@@ -116,19 +116,26 @@ def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
     return tuple(f"{kind} does not see {fault}" for fault in bodies_of(chain)[1])
 
 
-def named_bodies(where: str, name: str, bodies: Sequence[Body]) -> list[Body]:
+def named_bodies(
+    where: str, name: str, bodies: Sequence[Body], faults: Sequence[str]
+) -> list[Body]:
     """Those of a link, or of this very name, or else that a pattern fits.
 
     Args:
         where: before the message.
         name: of a body or a link, or a pattern.
         bodies: to choose from.
+        faults: what else of the robot there is, and why it cannot be watched.
 
     Raises:
         UnknownNameError: there is none.
+        InvalidValueError: there is a link of this name, but nothing of it can be watched.
     """
     found = [body for body in bodies if name in (body.name, body.link)]
     found = found or [body for body in bodies if fnmatch.fnmatchcase(body.name, name)]
+    for fault in faults if not found else ():
+        if fault.startswith(f"{name}: "):
+            raise InvalidValueError(f"{where}nothing of {fault}")
     if not found:
         raise UnknownNameError("body", name, [body.name for body in bodies], where)
     return found

@@ -21,9 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError
 from coopqp.robot import Capsule, Shape
-
-#: Largest file of a mesh that is read [bytes].
-LARGEST = 100_000_000
+from coopqp.robot_files.meshes import read_mesh
 
 #: Points of a cylinder's rim.
 RIM = 12
@@ -144,29 +142,16 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
 def _version(path: Path) -> tuple[Path, int, int]:
     """The file and what tells that it is still the same."""
     try:
-        found = path.stat() if path.is_file() else None
-    except OSError as error:
-        raise InvalidValueError(f"mesh {path}: cannot be read: {error.strerror}") from None
-    if found is None:
-        raise InvalidValueError(f"mesh {path}: there is no such file")
-    if found.st_size > LARGEST:
-        raise InvalidValueError(
-            f"mesh {path}: has {found.st_size / 1e6:.0f} MB, at most {LARGEST / 1e6:.0f} MB are "
-            "read; make it coarser"
-        )
+        found = path.stat()
+    except (OSError, ValueError):
+        return path, 0, 0  # reading says why
     return path, found.st_mtime_ns, found.st_size
 
 
 @lru_cache(maxsize=512)
 def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Array:
     """The outermost vertices of a mesh; what has changed in the file is read anew."""
-    try:
-        mesh = coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), np.array(scale))
-        vertices = np.array(mesh.vertices())
-    except (ValueError, RuntimeError):
-        raise InvalidValueError(f"mesh {path}: cannot be read") from None
-    if not len(vertices) or not np.isfinite(vertices).all():
-        raise InvalidValueError(f"mesh {path}: has no surface")
+    vertices = read_mesh(path, scale).vertices
     try:
         return np.asarray(vertices[ConvexHull(vertices).vertices])
     except (QhullError, ValueError):

@@ -92,8 +92,8 @@ class Distances:
         # Columns x y z x y, so that slices give the shifted columns of a cross product.
         self.n, self.p = np.zeros((2, len(pairs), 5))
 
-    def update(self, within: float) -> None:
-        """Find the distances of pairs that may be closer than ``within`` [m]."""
+    def update(self, within: float | Array) -> None:
+        """Find the distances of pairs that may be closer than ``within`` [m], each or all."""
         n, p = self.n, self.p
         self._bounds.update(self.d)
         np.less(self.d, within, self._is_near)

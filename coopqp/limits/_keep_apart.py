@@ -9,29 +9,56 @@ not go deeper and is not asked apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
 from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
 from coopqp.limits._corners import ROWS, Corners
 from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.limits._look_ahead import LookAhead
 from coopqp.row import Row
 from coopqp.state import State
 
 #: Speed of the joints that suffices for what is asked back [rad/s, m/s].
 BACK = 0.1
 
+#: Pairs that one limit watches at most: a tick with so many takes some milliseconds.
+MOST_PAIRS = 2500
+#: Bodies that start nearer than asked by less are not worth a word [m].
+WORTH_SAYING = 5e-5
+#: How many of those that do are named.
+SHOWN = 3
 
-def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
-    """A row a pair, then those of corners of whichever pairs are closest."""
-    named = [(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}") for a, b in pairs]
-    for i in range(1, ROWS + 1):
-        named.append((f".corner[{i}]", f"the distance at corner {i} of the closest bodies"))
-    return tuple(
-        Row(
+
+def check_count(name: str, count: int) -> None:
+    """Refuse more pairs than can be watched.
+
+    Raises:
+        InvalidValueError: with what to do.
+    """
+    if count > MOST_PAIRS:
+        raise InvalidValueError(
+            f"{name}: watches {count} pairs, at most {MOST_PAIRS} can be; name the bodies that "
+            "can meet, or make several things one"
+        )
+
+
+def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
+    """A row a pair, then those of corners of whichever pairs are closest.
+
+    Args:
+        owner: name of the limit.
+        pairs: of bodies.
+        distance: kept free [m].
+    """
+
+    def row(name: str, label: str) -> Row:
+        return Row(
             name=f"limit.{owner}{name}",
             kind="limit",
             owner=owner,
@@ -39,21 +66,43 @@ def pair_rows(owner: str, pairs: Sequence[Pair]) -> tuple[Row, ...]:
             label=label,
             of_place=True,
         )
-        for name, label in named
+
+    of_pairs = (
+        replace(
+            row(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
+            bodies=(a.name, b.name),
+            kept=distance,
+        )
+        for a, b in pairs
     )
+    of_corners = (
+        row(f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
+        for i in range(1, ROWS + 1)
+    )
+    return (*of_pairs, *of_corners)
 
 
 def keep_apart(
-    chain: ClosedChain, pairs: Sequence[Pair], *, distance: float, gain: float, within: float
+    chain: ClosedChain,
+    pairs: Sequence[Pair],
+    dt: float,
+    *,
+    distance: float,
+    gain: float,
+    within: float,
 ) -> Tighten:
     """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
+
+    Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row there
+    if it could come closer than ``distance`` before the next one (:class:`LookAhead`).
 
     Args:
         chain: that carries the bodies.
         pairs: of bodies.
+        dt: control period [s].
         distance: kept free [m].
         gain: of the damper [1/s].
-        within: pairs farther apart than this are not bounded [m].
+        within: pairs farther apart than this are not slowed down before they are so near [m].
     """
     found, count = Distances(pairs), len(pairs)
     corners = Corners(pairs, found, distance)
@@ -61,16 +110,22 @@ def keep_apart(
     gains, free = np.full(count + ROWS, gain), np.array(distance)
     shallow = max(distance, SHALLOW)
     room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
+    ahead, beyond = LookAhead(chain, pairs, distance, within, dt), np.zeros(count)
 
     def tighten(state: State, rows: LimitRows) -> None:
         state.place(found.geometry, found.placed)
-        found.update(within)
+        ahead.update(rows)
+        found.update(ahead.far)
         corners.update()
         np.subtract(found.d, free, room[:count])
         room[count:] = corners.room
         damp(room, gains, deep, rows.h, shallow)
+        np.subtract(found.d, within, beyond)
+        np.maximum(beyond, 0.0, out=beyond)
+        np.multiply(beyond, 1.0 / dt - gain, beyond)
+        np.add(rows.h[:count], beyond, rows.h[:count])
         rates.fill(state, found, corners, rows.G)
-        np.greater_equal(found.d, within, deep[:count])  # as far for what reads the rows
+        np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
         rows.G[:count][deep[:count]] = 0.0
         for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
             rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
@@ -133,7 +188,7 @@ def margins_along(
 ) -> dict[Row, Array]:
     """Distance of each pair after each tick, less what is kept free [m], however far they are."""
     d = distances_along(chain, pairs, q[1:]) - distance
-    return dict(zip(pair_rows(owner, pairs), d.T, strict=False))  # without corners
+    return dict(zip(pair_rows(owner, pairs, distance), d.T, strict=False))  # without corners
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
@@ -151,3 +206,34 @@ def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, 
     """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
     d = distances_along(chain, pairs, chain.q_start[None, :])[0]
     return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
+
+
+def nearest_of_each(chain: ClosedChain, pairs: Sequence[Pair]) -> dict[str, float]:
+    """Where the chain starts, how near the nearest body is to each second one [m]."""
+    found: dict[str, float] = {}
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0].tolist()
+    for (_, second), distance in zip(pairs, d, strict=True):
+        found[second.name] = min(distance, found.get(second.name, math.inf))
+    return found
+
+
+def nearer_at_start(
+    name: str, chain: ClosedChain, pairs: Sequence[Pair], distance: float
+) -> Iterator[str]:
+    """A sentence on pairs that are nearer than asked where the chain starts."""
+    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
+    found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
+    if not found:
+        return
+    nearest = (int(i) for i in found[:SHOWN])
+    told = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
+    more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
+    yield f"{name}: {told}{more}"
+
+
+def _nearer(pair: Pair, d: float, distance: float) -> str:
+    one, other = pair
+    if d < 0.0:
+        return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
+    nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
+    return f"{nearer} ({1e3 * d:.1f} of {1e3 * distance:g} mm)"

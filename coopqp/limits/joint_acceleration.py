@@ -86,7 +86,8 @@ class JointAcceleration(Limit):
         for name in self.joints:
             if name not in chain.joint_names:
                 where = "joint_acceleration.joints: "
-                raise UnknownNameError("joint", name, chain.joint_names, where)
+                unknown = UnknownNameError("joint", name, chain.joint_names, where)
+                raise unknown.at("joints", name)
         return np.array([self.joints.get(name, self.max) for name in chain.joint_names])
 
     def _ends(self, chain: ClosedChain) -> Array:

@@ -18,19 +18,33 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coopqp.checked import Array, Lengths3, NonNegative, Pose, Positive, overshoot, spec
+from coopqp.checked import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, under
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
+from coopqp.limits._keep_apart import (
+    SHOWN,
+    check_count,
+    inside,
+    keep_apart,
+    margins_along,
+    nearer_at_start,
+    nearest_of_each,
+    pair_rows,
+    room_left,
+)
 from coopqp.mark import Mark, SolidMark
 from coopqp.robot import Shape
 from coopqp.robot_files.keys import FilePath
 from coopqp.row import Row
+
+#: A thing this many times the arms' reach away is never met [-].
+FAR = 3.0
+METRES = "; lengths are metres"
 
 
 @spec
@@ -65,6 +79,8 @@ class Obstacle(Pose):
         if len(given) != 1:
             found = " and ".join(given) or "none"
             raise ValueError(f"needs one of {', '.join(kinds)}; found {found}")
+        if self.mesh is None and self.scale != (1.0, 1.0, 1.0):
+            raise ValueError(f"scale: is of a mesh; give the {given[0]} the size it shall have")
 
     @property
     def shape(self) -> Shape:
@@ -87,6 +103,8 @@ class Obstacle(Pose):
 class Obstacles(Limit):
     """Arms and object keep a distance from things in the world."""
 
+    name: Name = "obstacles"
+    """Your name for it in rows and tables; give it when there are several."""
     shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
     """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
     distance: NonNegative = 0.01
@@ -104,18 +122,20 @@ class Obstacles(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row for each body and thing, and some for corners of the closest ones."""
-        return pair_rows("obstacles", self._pairs(chain))
+        return pair_rows(self.name, self._pairs(chain), self.distance)
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"obstacles: {wrong}")
+            raise InvalidValueError(f"{self.name}: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
+        return keep_apart(
+            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
+        )
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
-        return margins_along("obstacles", chain, self._pairs(chain), q, self.distance)
+        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
 
     def room(self, chain: ClosedChain) -> RoomLeft:
         """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
@@ -126,16 +146,31 @@ class Obstacles(Limit):
         return replace(self, distance=self.distance - room) if room <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Bodies that are in a thing."""
+        """Bodies that are in a thing, a sentence for each thing."""
+        by_thing: dict[str, list[tuple[str, float]]] = {}
+        for body, thing, depth in inside(chain, self._pairs(chain)):
+            by_thing.setdefault(thing.name, []).append((body.name, depth))
         return tuple(
-            f"obstacles: {body.name} is {1e3 * depth:.1f} mm in {thing.name} at the start; move "
-            "one of them"
-            for body, thing, depth in inside(chain, self._pairs(chain))
+            f"{self.name}: {_inside(thing, found)}; move one of them"
+            f"{METRES if found[0][1] > chain.reach else ''}"
+            for thing, found in by_thing.items()
         )
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies."""
-        return unseen("obstacles", chain)
+        return unseen(self.name, chain)
+
+    def notes(self, chain: ClosedChain) -> tuple[str, ...]:
+        """Parts of the robot that are no bodies, and bodies that start too near."""
+        pairs = self._pairs(chain)
+        near = nearer_at_start(self.name, chain, pairs, self.distance)
+        far = (
+            f"{self.name}: {thing} is {d:.3g} m from all bodies, but the arms reach "
+            f"{chain.reach:.2g} m{METRES}"
+            for thing, d in nearest_of_each(chain, pairs).items()
+            if d > FAR * chain.reach
+        )
+        return (*self.unseen(chain), *near, *far)
 
     def marks(self, t: float) -> tuple[Mark, ...]:
         """The things."""
@@ -155,19 +190,38 @@ class Obstacles(Limit):
         """All bodies that move, or those named, with all things.
 
         Raises:
-            InvalidValueError: the robot has no bodies, or a mesh cannot be used.
+            InvalidValueError: the robot has no bodies, none of those named moves, there are too
+                many pairs, or a mesh cannot be used.
             UnknownNameError: no body has the name given.
         """
-        bodies, _ = bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.bodies is not None:
-            named = (named_bodies("obstacles.bodies: ", name, bodies) for name in self.bodies)
-            bodies = list(dict.fromkeys(body for found in named for body in found))
-        things = [_thing(name, thing) for name, thing in self.shapes.items()]
-        return [(body, thing) for body in bodies if body.joint for thing in things]
+            named = list[Body]()
+            for i, name in enumerate(self.bodies):
+                with under("bodies", i):
+                    named += named_bodies(f"{self.name}.bodies: ", name, bodies, faults)
+            bodies = list(dict.fromkeys(named))
+        moved = [body for body in bodies if body.joint]
+        if not moved:
+            words = "no body that moves is named, so that nothing is watched"
+            raise InvalidValueError(f"{self.name}.bodies: {words}").at("bodies")
+        check_count(self.name, len(moved) * len(self.shapes))
+        things = [_thing(self.name, *thing) for thing in self.shapes.items()]
+        return [(body, thing) for body in moved for thing in things]
 
 
-def _thing(name: str, thing: Obstacle) -> Body:
+def _inside(thing: str, found: list[tuple[str, float]]) -> str:
+    """Bodies in a thing, the deepest first, with their depths [m]."""
+    (body, depth), *others = found
+    more = [f", {name} {1e3 * d:.1f} mm" for name, d in others[: SHOWN - 1]]
+    end = ", ..." if len(found) > SHOWN else ""
+    return f"{body} is {1e3 * depth:.1f} mm in {thing} at the start{''.join(more)}{end}"
+
+
+def _thing(owner: str, name: str, thing: Obstacle) -> Body:
     try:
         return Body(name, 0, of_shape(thing.shape))
     except InvalidValueError as error:
-        raise InvalidValueError(f"obstacles.shapes.{name}: {error}") from None
+        words = f"{owner}.shapes.{name}: {error}"
+        key = ("mesh",) if thing.mesh else ()
+        raise InvalidValueError(words).at("shapes", name, *key) from None

@@ -17,9 +17,9 @@ import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
-from coopqp.checked import Array, NonNegative, Positive, overshoot, spec
+from coopqp.checked import Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.errors import InvalidValueError, under
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
@@ -29,7 +29,15 @@ from coopqp.limits._bodies import (
     unseen,
 )
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import inside, keep_apart, margins_along, pair_rows, room_left
+from coopqp.limits._keep_apart import (
+    check_count,
+    inside,
+    keep_apart,
+    margins_along,
+    nearer_at_start,
+    pair_rows,
+    room_left,
+)
 from coopqp.row import Row
 
 NamePair = tuple[str, str]
@@ -42,6 +50,8 @@ SHOWN = 3
 class SelfCollision(Limit):
     """Arms, torso and object keep a distance from each other."""
 
+    name: Name = "self_collision"
+    """Your name for it in rows and tables; give it when there are several."""
     distance: NonNegative = 0.01
     """Kept free between two bodies [m]."""
     gain: Positive = 10.0
@@ -65,18 +75,20 @@ class SelfCollision(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row a pair, and some for corners of the closest ones."""
-        return pair_rows("self_collision", self._pairs(chain))
+        return pair_rows(self.name, self._pairs(chain), self.distance)
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"self_collision: {wrong}")
+            raise InvalidValueError(f"{self.name}: {wrong}")
         pairs = self._pairs(chain)
-        return keep_apart(chain, pairs, distance=self.distance, gain=self.gain, within=self.within)
+        return keep_apart(
+            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
+        )
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
-        return margins_along("self_collision", chain, self._pairs(chain), q, self.distance)
+        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
 
     def room(self, chain: ClosedChain) -> RoomLeft:
         """Distance of each pair less what is kept free, at most of ``within`` [m]."""
@@ -94,7 +106,7 @@ class SelfCollision(Limit):
         told = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
         pairs = ", ".join(f"[{a.name}, {b.name}]" for a, b, _ in found)
         return (
-            f"self_collision: bodies start in each other, {told}; move them apart, or if they "
+            f"{self.name}: bodies start in each other, {told}; move them apart, or if they "
             f"always are, add 'ignore: [{pairs}]'",
         )
 
@@ -104,13 +116,16 @@ class SelfCollision(Limit):
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
+        pairs = self._pairs(chain)
         found = [*self.unseen(chain)]
+        if not pairs:
+            found.append(f"{self.name} watches nothing: no two bodies can meet")
+        found += nearer_at_start(self.name, chain, pairs, self.distance)
         joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
             found.append(
-                f"self_collision leaves out {len(joined)} pairs that touch by construction "
-                f"({shown})"
+                f"{self.name} leaves out {len(joined)} pairs that touch by construction ({shown})"
             )
         return tuple(found)
 
@@ -118,20 +133,28 @@ class SelfCollision(Limit):
         """Those given, or those that can meet, without those to be ignored.
 
         Raises:
-            InvalidValueError: the robot has no bodies.
+            InvalidValueError: the robot has no bodies, or one that is named cannot be watched.
             UnknownNameError: no body has the name given.
         """
-        bodies, _ = bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.pairs is None:
             found = pairs_that_can_meet(chain)
         else:
-            found = list(_named("pairs", self.pairs, bodies))
+            found = list(_named(self.name, "pairs", self.pairs, bodies, faults))
             if not found:
                 raise InvalidValueError(
-                    "self_collision.pairs: these bodies are fixed to each other"
-                )
-        ignored = {_names(pair) for pair in _named("ignore", self.ignore, bodies)}
-        return [pair for pair in found if _names(pair) not in ignored]
+                    f"{self.name}.pairs: these bodies are fixed to each other"
+                ).at("pairs")
+        ignored = {
+            _names(pair) for pair in _named(self.name, "ignore", self.ignore, bodies, faults)
+        }
+        kept = [pair for pair in found if _names(pair) not in ignored]
+        if found and not kept:
+            raise InvalidValueError(
+                f"{self.name}.ignore: leaves no pair to watch; name fewer, or leave the limit out"
+            ).at("ignore")
+        check_count(self.name, len(kept))
+        return kept
 
 
 def _is_pattern(name: str) -> bool:
@@ -142,16 +165,31 @@ def _names(pair: Pair) -> frozenset[str]:
     return frozenset(body.name for body in pair)
 
 
-def _named(key: str, names: Collection[NamePair], bodies: Sequence[Body]) -> Iterator[Pair]:
+def _named(
+    owner: str,
+    key: str,
+    names: Collection[NamePair],
+    bodies: Sequence[Body],
+    faults: Sequence[str],
+) -> Iterator[Pair]:
     """Pairs of bodies by names and patterns, each once.
+
+    Args:
+        owner: name of the limit.
+        key: under which the names are.
+        names: of both bodies of each pair, or patterns.
+        bodies: to choose from.
+        faults: what else of the robot there is, and why it cannot be watched.
 
     Raises:
         UnknownNameError: no body has the name given.
+        InvalidValueError: nothing of what has it can be watched.
     """
     seen = set[frozenset[Body]]()
-    for first, second in names:
-        where = f"self_collision.{key}: "
-        ones, others = (named_bodies(where, name, bodies) for name in (first, second))
+    where = f"{owner}.{key}: "
+    for i, pair_of_names in enumerate(names):
+        with under(key, i):
+            ones, others = (named_bodies(where, name, bodies, faults) for name in pair_of_names)
         for pair in itertools.product(ones, others):
             if pair[0].joint != pair[1].joint and frozenset(pair) not in seen:
                 seen.add(frozenset(pair))

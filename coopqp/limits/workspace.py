@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Positive, Vector3, overshoot, spec, unit
+from coopqp.checked import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
@@ -30,7 +30,7 @@ from coopqp.state import State
 class Workspace(Limit):
     """A half-space that the object, hands or elbows must not leave."""
 
-    name: str = "workspace"
+    name: Name = "workspace"
     """Your name for it in rows and tables, such as "table"; give it when there are several."""
     normal: Direction
     """Of the plane, in the world, into the side that is allowed; any length."""
@@ -50,9 +50,9 @@ class Workspace(Limit):
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """Points of the object, then frames."""
         known = [frame.name for frame in chain.model.frames]
-        for frame in self.frames:
+        for i, frame in enumerate(self.frames):
             if frame not in known:
-                raise UnknownNameError("frame", frame, known, f"{self.name}: ")
+                raise UnknownNameError("frame", frame, known, f"{self.name}: ").at("frames", i)
         points = {
             f"object[{i}]": f"{self._words(point)} of the object"
             for i, point in enumerate(self._points(chain))

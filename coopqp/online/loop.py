@@ -65,8 +65,8 @@ class OnlineLoop:
             acceleration limit where the scenario has none; None for none.
         clock: of ticks and of what is sent to inputs; None counts ticks, as in simulation, where
             none is late.
-        patience: time without a usable measurement, or without a tick, after which the loop stops
-            until :meth:`resume` [s].
+        silent_after: how long the last word of a robot counts that speaks less often [s].
+        patience: time without measurement or tick after which it stops until :meth:`resume` [s].
         keep: how much of the past is kept in memory [s].
         phases: "by_time": as the scenario says; "asked": when :meth:`next_phase` says.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
@@ -77,9 +77,8 @@ class OnlineLoop:
         setpoint: where the joints shall be at the end of the period, shape (n,) [rad, m].
         history: the last ticks.
         watch: late ticks counted, the longest named.
-        ticks: how many there have been.
-        begun: whether the object is held.
-        patience, simulated: as given; simulated without a clock.
+        ticks, begun: how many there have been; whether the object is held.
+        patience, simulated: as given; simulated without a clock. measured: what was last believed.
 
     Raises:
         CoopqpError: an option is none; the controller cannot be built, or commands torques.
@@ -94,6 +93,7 @@ class OnlineLoop:
         grasp: HowHeld = "as_held",
         speed_up: float | None = SPEED_UP,
         clock: Clock | None = time.monotonic,
+        silent_after: float = 0.0,
         patience: float = 0.25,
         keep: float = 30.0,
         phases: PhasesEnd = "by_time",
@@ -116,7 +116,8 @@ class OnlineLoop:
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)))
-        self._readings, self._stops = Readings(chain), Stops(patience)
+        self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
+        self.measured = self._readings.q
         self.setpoint, self._nothing = chain.q_start.copy(), np.full(chain.n, np.nan)
         self._refusal = Command(chain.n)
         self._keeper = Keeper(self, None if out is None else Path(out), record)

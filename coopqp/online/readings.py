@@ -22,6 +22,7 @@ class Readings:
 
     Args:
         chain: whose joints.
+        silent_after: how long the last reading counts where there is no new one [s].
 
     Attributes:
         q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that the robot
@@ -29,8 +30,8 @@ class Readings:
         note: what was wrong with the last reading; empty if nothing was.
     """
 
-    def __init__(self, chain: ClosedChain) -> None:
-        n = chain.n
+    def __init__(self, chain: ClosedChain, silent_after: float = 0.0) -> None:
+        n, self._silent_after = chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
         self._found, self._step = np.zeros((2, n))
         self._passive = chain.passive
@@ -38,10 +39,12 @@ class Readings:
         self._names, self._units = chain.joint_names, chain.joint_units
         self._most = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
+        self._heard = -np.inf
+        self._judged: Status | None = None
 
     def forget(self) -> None:
         """Believe the next reading wherever it is."""
-        self.q[:] = np.nan
+        self.q[:], self._heard = np.nan, -np.inf
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
         """Look at a reading.
@@ -54,9 +57,15 @@ class Readings:
         Returns:
             What is wrong with it; None if nothing is, and then :attr:`q` is this reading.
         """
+        if q is None and now - self._heard < self._silent_after:
+            return self._judged
         self.note = ""
         if q is None:
             return Status.ROBOT_SILENT
+        self._heard, self._judged = now, self._judge(q, commanded, now)
+        return self._judged
+
+    def _judge(self, q: Any, commanded: Array, now: float) -> Status | None:
         if not self._read(q, commanded):
             return Status.NOT_MEASURED
         np.subtract(self._found, self.q, self._step)

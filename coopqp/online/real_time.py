@@ -56,6 +56,8 @@ class Ended:
 
     def __str__(self) -> str:
         """One sentence."""
+        if not self.ticks:
+            return self.why
         slow = f"the longest wait was {1e3 * self.longest:.2f} ms, before tick {self.longest_tick}"
         return f"{self.why}; {self.late} of {self.ticks} ticks late, {slow}"
 

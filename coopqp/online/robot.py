@@ -16,7 +16,9 @@ class Robot(Protocol):
         """Where the joints are now, shape (n,) [rad, m]; None where the robot says nothing.
 
         In the order of the chain's joints; without the grasps' passive joints it is taken for the
-        robot's own. It returns what came last and does not wait.
+        robot's own. It returns what came last and does not wait. Where that came before the tick
+        before, None is the better answer, with ``silent_after`` of the loop: a joint may have gone
+        farther in many ticks than in one.
         """
 
     def write(self, q: Array, v: Array) -> None:

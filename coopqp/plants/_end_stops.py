@@ -38,16 +38,27 @@ class EndStops:
         self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
         self._most = (STABLE / h) ** 2
+        self._A, self._J = np.zeros((0, 0)), np.zeros((0, 0))
+        self._follows = True
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
         """Follow the inertia that the joints see, after ``dynamics.update``."""
-        W = inertia_seen(dynamics)
+        # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
+        self._A, self._J, self._follows = dynamics.A.copy(), dynamics.J.copy(), False
+
+    def _follow(self) -> None:
+        W = inertia_seen(self._A, self._J)
         self._k = np.minimum(self._firm, W * self._most)
         self._d = 2.0 * np.sqrt(self._k * W)
+        self._follows = True
 
     def torque(self, q: Array, v: Array) -> Array:
         """What the stops do to the joints, shape (n,) [N m]."""
         above, below = q - self._upper, self._lower - q
+        if not (above > 0.0).any() and not (below > 0.0).any():
+            return np.zeros(len(q))
+        if not self._follows:
+            self._follow()
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)
         return push

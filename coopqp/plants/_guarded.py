@@ -42,7 +42,9 @@ class GuardedPlant(PlantModel):
                 _check(state)
                 if self.truth(state) is not state:
                     _check(self.truth(state))
-        except Exception as error:  # noqa: BLE001 - a plant may be the user's, or blow up
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a plant may be the user's, or blow up
             words = str(error) if isinstance(error, _BreakdownError) else raised(error)
             self.broken = f"the plant: {words}"
             for kept in before:

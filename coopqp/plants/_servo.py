@@ -22,7 +22,7 @@ from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command
-from coopqp.rank import least_squares
+from coopqp.rank import least_squares, null_space
 
 
 @spec
@@ -100,7 +100,7 @@ class ServoLaw:
         return Gamma
 
     def _update_damping(self) -> None:
-        np.sqrt(self.stiffness * inertia_seen(self._model), out=self._damping)
+        np.sqrt(self.stiffness * inertia_seen(self._model.A, self._model.J), out=self._damping)
         self._damping *= 2.0 * self._ratio
 
     def advance(self, h: float) -> None:
@@ -135,11 +135,15 @@ def full_effort(chain: ClosedChain) -> Array:
     return np.where(np.isfinite(effort), effort, UNLIMITED_EFFORT)
 
 
-def inertia_seen(model: ClosedLoopDynamics) -> Array:
-    """Inertia that each joint sees where the model was updated, the loops closed, shape (n,).
+def inertia_seen(A: Array, J: Array) -> Array:
+    """Inertia that each joint sees, the loops closed, shape (n,).
 
     Zero at a joint that the loops hold fast: it is infinitely heavy and needs no damping.
+
+    Args:
+        A: inertia of the tree, shape (n, n).
+        J: independent rows that closed loops make zero, shape (m, n).
     """
-    N = model.null_space()
-    mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ model.A @ N), N)
+    N = null_space(J)
+    mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ A @ N), N)
     return np.where(mobility > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)

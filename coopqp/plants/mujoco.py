@@ -100,7 +100,7 @@ class MujocoModel(DynamicModel):
         if push is not None:
             lever = data.xipos[self._object] - data.xpos[self._object]
             data.xfrc_applied[self._object, :3] = push[:3]
-            data.xfrc_applied[self._object, 3:] = push[3:] - np.cross(lever, push[:3])
+            data.xfrc_applied[self._object, 3:] = push[3:] - pin.skew(lever) @ push[:3]
         self._mujoco.mj_step(self._model, data)
         true.t += self.h
         true.q[:], true.v[:] = data.qpos[self._q], data.qvel[self._v]

@@ -79,10 +79,10 @@ class RigidBodyModel(DynamicModel):
         """One step of the Runge-Kutta method, then back on the loops."""
         h, true = self.h, self.true
         q, v, t = true.q, true.v, true.t
+        self._dynamics.update(q, v)
         if self._stops:
-            self._dynamics.update(q, v)
             self._stops.update(self._dynamics)
-        a1 = self._acceleration(q, v, t)
+        a1 = self._accelerated(q, v, t)
         v2 = v + 0.5 * h * a1
         a2 = self._acceleration(q + 0.5 * h * v, v2, t)
         v3 = v + 0.5 * h * a2
@@ -105,8 +105,12 @@ class RigidBodyModel(DynamicModel):
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
+        self._dynamics.update(q, v)
+        return self._accelerated(q, v, t)
+
+    def _accelerated(self, q: Array, v: Array, t: float) -> Array:
+        """The acceleration in a state that the dynamics are up to date with."""
         dynamics = self._dynamics
-        dynamics.update(q, v)
         tau = self.servo.torque(q, v)
         if self._stops:
             tau = tau + self._stops.torque(q, v)

@@ -56,5 +56,9 @@ class Bounds:
     def update(self, state: State) -> None:
         """Ask the limits that change."""
         self.lb[:], self.ub[:] = self._constant_lb, self._constant_ub
-        for tighten, block in self._each_tick:
-            tighten(state, block)
+        state.lock()
+        try:
+            for tighten, block in self._each_tick:
+                tighten(state, block)
+        finally:
+            state.unlock()

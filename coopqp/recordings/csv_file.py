@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from coopqp.errors import CoopqpError
@@ -24,23 +25,37 @@ class CsvFile(Format):
         return True
 
     def rows(self, path: Path) -> Iterator[Cells]:
-        reader = csv.reader(_lines(path), strict=True)
+        reader, ticks = csv.reader(_lines(path), strict=True), Counter[str]()
         try:
             header = next(reader, [])
             if not set(header) >= NEEDED:
                 words = "is not a trace.csv written by 'coopqp compare --out'"
                 raise CoopqpError(f"{path}:1: {words}")
+            if twice := [name for name, count in Counter(header).items() if count > 1]:
+                words = f"two columns are called '{twice[0][:40]}'; the trace is damaged"
+                raise CoopqpError(f"{path}:1: {words}")
             for cells in reader:
                 place = f"{path}:{reader.line_num}"
                 if len(cells) != len(header):
-                    words = f"found {len(cells)} cells, needs {len(header)}; the trace is damaged"
+                    words = f"found {len(cells)} cells, but line 1 {len(header)}; it is damaged"
                     raise CoopqpError(f"{place}: {words}")
-                yield Cells(place, dict(zip(header, cells, strict=True)))
+                texts = dict(zip(header, cells, strict=True))
+                _check_tick(place, texts, ticks)
+                yield Cells(place, texts, f"{path}:1")
         except csv.Error as error:
             raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         return load(path.parent / "scenario.yaml", catalog)
+
+
+def _check_tick(place: str, texts: Mapping[str, str], ticks: Counter[str]) -> None:
+    """Refuse a row that does not follow the one before of its controller; counts it."""
+    name = texts["controller"]
+    if texts["tick"] != str(ticks[name]):
+        words = f"tick: found {texts['tick'][:40]}, needs {ticks[name]}; the trace is damaged"
+        raise CoopqpError(f"{place}: {words}")
+    ticks[name] += 1
 
 
 def _lines(path: Path) -> Iterator[str]:

@@ -27,10 +27,12 @@ class Cells:
     Attributes:
         place: file and line, or message, for faults.
         texts: by column; empty where there is nothing to say.
+        header: file and line of the columns' names, if they have one.
     """
 
     place: str
     texts: Mapping[str, str]
+    header: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

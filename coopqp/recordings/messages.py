@@ -217,7 +217,7 @@ class _Row:
         except KeyError:
             words = f"status: no status '{word[:40]}'; the trace is damaged"
             raise CoopqpError(f"{self._cells.place}: {words}") from None
-        level = max((_level(cause) for cause in causes), default=0)
+        level = max((level_of(cause) for cause in causes), default=0)
         said = "; ".join(cause.value for cause in causes) or "the end"
         return Remark("law", level, said, self._values(["status", "scale", "tick_us"]))
 
@@ -246,7 +246,8 @@ class _Row:
         return found
 
 
-def _level(cause: Status) -> int:
+def level_of(cause: Status) -> int:
+    """0 all is well, 1 something was given up or is to be known, 2 the arms stood still."""
     if not cause.usable:
         return 2
     return 0 if cause is Status.OPTIMAL else 1

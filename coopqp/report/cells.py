@@ -96,7 +96,7 @@ def _solver(metrics: Mapping[str, Any]) -> str:
 def _limit(trace: Trace, overrun: float, unit: str) -> Cell:
     """Joints first, then all other limits of place; what a start is beyond is nobody's fault."""
     others = [found for found in broken(trace) if found.row.unit in ("m", "rad")]
-    lines = [_quantity(overrun, unit)]
+    lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)
         lines.append(f"{found.row.owner}: {number(value)}\N{NO-BREAK SPACE}{of}")

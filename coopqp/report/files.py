@@ -21,7 +21,7 @@ from coopqp.report.page import render
 from coopqp.report.trace_columns import Beside
 from coopqp.signal import TURN_COLUMNS, TURN_RATES
 from coopqp.trace import InputTrace, Trace
-from coopqp.wording import raised
+from coopqp.wording import by_user, raised
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
 
@@ -39,16 +39,19 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         What was written.
 
     Raises:
-        CoopqpError: the folder cannot be made or written to.
+        CoopqpError: the folder cannot be made or written to; a user's code keeps the page from
+            being drawn, and all else is written.
         InternalError: the page could not be drawn; all else is written.
     """
     contents = {"metrics.json": metrics_json(comparison), "trace.csv": trace_csv(comparison)}
     if comparison.scenario.source:
         contents["scenario.yaml"] = comparison.scenario.portable  # for explain and replay
-    fault: Exception | None = None
+    fault: BaseException | None = None
     try:
         contents["report.html"] = render(comparison)
-    except Exception as error:  # noqa: BLE001 - a finished run is not lost for its pictures
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a finished run is not lost for its pictures
         fault = error
     try:
         written = publish(contents, folder)
@@ -58,7 +61,8 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
     if fault:
         kept = ", ".join(path.name for path in written)
         words = f"the page cannot be drawn: {raised(fault)}; {kept} are written to '{folder}'"
-        raise InternalError(words) from fault
+        theirs = isinstance(fault, CoopqpError) or by_user(fault)
+        raise (CoopqpError if theirs else InternalError)(words) from fault
     return [folder / name for name in NAMES if name in contents]
 
 

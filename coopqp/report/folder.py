@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, one_line
 
 POINTER = ".report"
 PREFIX = ".report-"
@@ -80,9 +80,10 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
         if os.path.lexists(folder / POINTER) and not (folder / POINTER).is_symlink():
             raise CoopqpError(f"'{folder / POINTER}' is in the way; remove it")
     except FileExistsError:
-        raise CoopqpError(f"'{folder}' is not a folder") from None
+        raise CoopqpError(one_line(f"'{folder}' is not a folder")) from None
     except OSError as error:
-        raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
+        words = f"cannot write to '{folder}': {error.strerror or error}"
+        raise CoopqpError(one_line(words)) from error
 
 
 def replace_file(path: Path, content: str) -> None:

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp.comparison import Comparison
+from coopqp.errors import one_line
 from coopqp.report.cells import Cell, cells
 from coopqp.study.replay import Replay
 from coopqp.study.stress import Summary
@@ -50,7 +51,7 @@ def summary(comparison: Comparison) -> Table:
     """One row a controller; fits 100 columns."""
     # A Text shows what it is given; a plain string would read [brackets] in names as markup.
     table = Table(
-        title=Text(comparison.scenario.name, style="bold"),
+        title=Text(one_line(comparison.scenario.name), style="bold"),
         title_justify="left",
         box=box.HORIZONTALS,
         show_lines=True,

@@ -14,13 +14,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from coopqp.checked import FARTHEST
 from coopqp.errors import InvalidValueError
 from coopqp.inertia import inertia_matrix
 from coopqp.robot_files.schema import nearest
 from coopqp.robot_files.xml import place_of
 
 #: Largest size of a number of each kind; what is beyond it nobody has built.
-LARGEST = {"length": 1e4, "mass": 1e6, "other": 1e12, "limit": math.inf}
+LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
 #: What rounding may make a principal moment negative by [kg m2].
 ROUNDING = 1e-6
 

@@ -33,6 +33,7 @@ class Description:
         floating: joints that the model leaves out because they are free in space, each with the
             frames that they would move.
         shapes, collision_shapes, unseen, warnings: as in :class:`coopqp.robot.RobotModel`.
+        places: file and line of joints, by name.
     """
 
     name: str
@@ -43,8 +44,14 @@ class Description:
     collision_shapes: tuple[Shape, ...] = ()
     unseen: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    places: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def joint_names(self) -> list[str]:
         """Of the model's joints and of those left out."""
         return [*list(self.model.names)[1:], *self.floating]
+
+    def joint(self, name: str) -> str:
+        """``FILE:LINE: joint r1``, or without its place where it has none."""
+        place = self.places.get(name)
+        return f"{place}: joint {name}" if place else f"joint {name}"

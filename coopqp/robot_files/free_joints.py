@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from coopqp.errors import InvalidValueError, UnknownNameError
+import pinocchio as pin
+
+from coopqp.errors import InvalidValueError, UnknownNameError, under
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import ArmJoints
 
@@ -47,21 +49,22 @@ def free_joints(
     known = description.joint_names
     for name in locked:
         if name not in known and name != FIXED_BASE:
-            raise UnknownNameError("joint", name, known, "locked: ")
-    for name in free:
+            raise UnknownNameError("joint", name, known, "locked: ").at("locked", name)
+    for i, name in enumerate(free):
         if name not in known:
-            raise UnknownNameError("joint", name, known, "free: ")
+            raise UnknownNameError("joint", name, known, "free: ").at("free", i)
     wanted = dict.fromkeys(free, "free")
     moving = set(free)
     for name, arm in arms.items():
-        way = _way_to_tip(description, name, arm.tip, locked)
-        moving.update(way if arm.joints is None else _named(name, arm, way, known))
+        with under("arms", name):
+            way = _way_to_tip(description, name, arm.tip, locked)
+            moving.update(way if arm.joints is None else _named(name, arm, way, known))
         wanted.update(dict.fromkeys(arm.joints or (), f"arm {name}"))
     for joint in locked:
         if joint in wanted:
             raise InvalidValueError(
                 f"joint {joint}: is listed under {wanted[joint]} and under locked; choose one"
-            )
+            ).at("locked", joint)
     moving -= set(locked)
     for joint in sorted(moving):
         _check_free(description, joint)
@@ -74,12 +77,13 @@ def _way_to_tip(
     """Joints between base and tip, base first."""
     model = description.model
     found = [frame for frame in model.frames if frame.name == tip]
+    found.sort(key=lambda frame: frame.type != pin.FrameType.BODY)  # of namesakes the link counts
     if not found:
         frames = [frame.name for frame in model.frames]
         raise UnknownNameError("frame", tip, frames, f"arm {name}: ")
     for joint, moved in description.floating.items():
         if tip in moved and joint not in locked:
-            raise _cannot_move(joint, "is floating")
+            raise _cannot_move(description, joint, "is floating")
     return [model.names[j] for j in model.supports[found[0].parentJoint] if j > 0]
 
 
@@ -102,20 +106,20 @@ def _check_free(description: Description, joint: str) -> None:
     follower = description.followers.get(joint)
     if follower:
         leader = follower.leader or "a fixed value"
-        raise _cannot_move(joint, f"follows {leader} (mimic)")
+        raise _cannot_move(description, joint, f"follows {leader} (mimic)")
     if joint in description.floating:
-        raise _cannot_move(joint, "is floating")
+        raise _cannot_move(description, joint, "is floating")
     model = description.model
     kind = model.joints[model.getJointId(joint)]
     if kind.nv != 1:
         word = KINDS.get(kind.shortname(), "spherical")
-        raise _cannot_move(joint, f"is {word}, with {kind.nv} coordinates,")
+        words = f"is {word}, with {kind.nv} coordinates,"
+        raise _cannot_move(description, joint, words)
 
 
-def _cannot_move(joint: str, why: str) -> InvalidValueError:
-    return InvalidValueError(
-        f"joint {joint}: {why} and cannot be a joint of an arm; list it under locked"
-    )
+def _cannot_move(description: Description, joint: str, why: str) -> InvalidValueError:
+    words = f"{why} and cannot be a joint of an arm; list it under locked"
+    return InvalidValueError(f"{description.joint(joint)}: {words}")
 
 
 def still_followers(

@@ -9,11 +9,12 @@ from pydantic import AfterValidator, BeforeValidator, ValidationInfo
 
 from coopqp.checked import NonNegative, Positive, spec
 from coopqp.grasp import range_fault
+from coopqp.reading import absolute
 
 
 def _beside_the_scenario(path: Path, info: ValidationInfo) -> Path:
     folder = (info.context or {}).get("folder")
-    return path if folder is None else (folder / path).resolve()
+    return path if folder is None else absolute(folder / path)
 
 
 def _path(value: Any) -> Any:

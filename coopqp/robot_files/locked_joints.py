@@ -24,7 +24,7 @@ NAMESAKE = "\0namesake"
 def without_locked_joints(
     description: Description, moving: set[str], locked: Mapping[str, float | None]
 ) -> pin.Model:
-    """The model of the joints that move.
+    """The model of the joints that move, a copy.
 
     Args:
         description: of the whole robot.
@@ -34,7 +34,7 @@ def without_locked_joints(
     Raises:
         InvalidValueError: a value outside the limits, or for a joint of several coordinates.
     """
-    model = description.model
+    model = description.model.copy()  # for its names are changed for a moment
     q = np.array(pin.neutral(model))
     for joint in range(1, model.njoints):
         name, kind = model.names[joint], model.joints[joint]
@@ -47,7 +47,7 @@ def without_locked_joints(
         elif locked.get(name) is not None:
             raise InvalidValueError(
                 f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
-            )
+            ).at("locked", name)
     still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
     if not still:
         return model
@@ -93,5 +93,5 @@ def _locked_value(description: Description, name: str, locked: Mapping[str, floa
     if not lower <= given <= upper:
         raise InvalidValueError(
             f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
-        )
+        ).at("locked", name)
     return given

@@ -182,12 +182,14 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     model.name = name
     joint_of: dict[str | None, int] = {None: 0}
     frame_in_joint: dict[str | None, pin.SE3] = {None: pin.SE3.Identity()}
-    for row in rows:
+    for i, row in enumerate(rows):
         if row.name in joint_of:
-            raise InvalidValueError(f"MDH table {name}: two rows are called '{row.name}'")
+            words = f"MDH table {name}: two rows are called '{row.name}'"
+            raise InvalidValueError(words).at("rows", i)
         if row.antecedent not in joint_of:
             known = [str(n) for n in joint_of if n is not None]
-            raise UnknownNameError("antecedent", str(row.antecedent), known, f"row {row.name}: ")
+            where = f"row {row.name}: "
+            raise UnknownNameError("antecedent", str(row.antecedent), known, where).at("rows", i)
         parent, X = joint_of[row.antecedent], frame_in_joint[row.antecedent]
         placement = X * transform(row.parameters)
         if row.kind == "fixed":
@@ -197,7 +199,8 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
             joint_of[row.name] = _add_joint(model, parent, placement, row)
             frame_in_joint[row.name] = pin.SE3.Identity()
     if not model.check(model.createData()):
-        raise InvalidValueError(f"MDH table {name}: list the rows arm by arm (depth first)")
+        words = f"MDH table {name}: list the rows arm by arm (depth first)"
+        raise InvalidValueError(words).at("rows")
     _add_links(model, rows, joint_of, frame_in_joint)
     _add_tips(model, tips, joint_of, frame_in_joint)
     return model
@@ -248,10 +251,10 @@ def _add_tips(
     data = _zero_pose(model)
     for name, tip in tips.items():
         if name in joint_of:
-            raise InvalidValueError(f"tip {name}: a row has this name already")
+            raise InvalidValueError(f"tip {name}: a row has this name already").at("tips", name)
         if tip.parent not in joint_of:
             known = [str(n) for n in joint_of if n is not None]
-            raise UnknownNameError("row", tip.parent, known, f"tip {name}: ")
+            raise UnknownNameError("row", tip.parent, known, f"tip {name}: ").at("tips", name)
         joint, X = joint_of[tip.parent], frame_in_joint[tip.parent]
         X_WJ = data.oMi[joint]
         X_WT = pin.SE3(np.eye(3), (X_WJ * X).translation + np.asarray(tip.offset))

@@ -19,17 +19,24 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
+from coopqp.reading import absolute
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check
 from coopqp.robot_files.mjcf_defaults import all_given
 from coopqp.robot_files.mjcf_geoms import without_unread
-from coopqp.robot_files.shapes import hidden, read_collision_shapes, read_shapes
+from coopqp.robot_files.shapes import (
+    hidden,
+    read_collision_shapes,
+    read_shapes,
+    with_numbered_meshes,
+)
 from coopqp.robot_files.xml import (
     DEEPEST,
     MOST_ELEMENTS,
     numbers_of,
     pinocchio_says,
     place_of,
+    places,
     read_xml,
 )
 
@@ -47,18 +54,19 @@ def read_mjcf(path: Path) -> Description:
         InvalidValueError: no such file, or not an MJCF file.
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
-    _Includes(path.resolve()).fill_in(xml)
+    _Includes(absolute(path)).fill_in(xml)
     check(xml)
+    _without_looks(xml)
     if not xml.findall("worldbody/body"):
-        raise InvalidValueError(f"{path}: is not a robot: has no <body>")
-    folder = _absolute_folders(xml, path.resolve().parent)
+        raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
+    folder = _absolute_folders(xml, absolute(path).parent)
     floating = _prepare(xml)
     unseen = without_unread(xml)
     try:
         model, followers = _parsed(xml), _followers(xml)
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         raise InvalidValueError(
-            f"{path}: is not a robot that can be read: {pinocchio_says(error)}"
+            f"{place_of(xml)}: is not a robot that can be read: {pinocchio_says(error)}"
         ) from None
     shapes, warnings = read_shapes(xml, model, folder, path.name)
     collide, lost = read_collision_shapes(xml, model, folder)
@@ -71,11 +79,12 @@ def read_mjcf(path: Path) -> Description:
         collision_shapes=collide,
         unseen=(*unseen, *lost),
         warnings=(*warnings, *hidden(collide, shapes, path.name)),
+        places=places(xml.iter("joint")),
     )
 
 
 def _parsed(xml: ET.Element) -> pin.Model:
-    model = _pinocchio(xml)
+    model = _pinocchio(with_numbered_meshes(xml))
     compiler = xml.find("compiler")
     in_degrees = compiler is None or compiler.get("angle", "degree") == "degree"
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
@@ -145,7 +154,7 @@ class _Includes:
         element[:] = _merged(children) if element.tag == "mujoco" else children
 
     def _included(self, include: ET.Element, depth: int) -> ET.Element:
-        path = (self._folder / include.get("file", "")).resolve()
+        path = absolute(self._folder / include.get("file", ""))
         if path in self._seen:  # as MuJoCo has it; else ten small files can be ten billion
             name = include.get("file")
             raise InvalidValueError(f"{place_of(include)}: file '{name}' is included already")
@@ -171,6 +180,14 @@ def _merged(sections: list[ET.Element]) -> list[ET.Element]:
             same.attrib.update(section.attrib)
             same.extend(list(section))
     return list(first.values())
+
+
+def _without_looks(xml: ET.Element) -> None:
+    """Take out colours, which nothing here shows, so that none can be wrong."""
+    for asset in xml.findall("asset"):
+        asset[:] = [part for part in asset if part.tag == "mesh"]
+    for geom in xml.iter("geom"):
+        geom.attrib.pop("material", None)
 
 
 def _absolute_folders(xml: ET.Element, folder: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
@@ -61,7 +62,12 @@ NUMBERS: dict[str, dict[str, Numbers]] = {
         "diaginertia": Numbers(3, 3, positive=True),
         "fullinertia": Numbers(6, 6),
     },
-    "mesh": {"scale": Numbers(3, 3), "refpos": Numbers(3, 3), "refquat": Numbers(4, 4)},
+    "mesh": {
+        "scale": Numbers(3, 3),
+        "refpos": Numbers(3, 3),
+        "refquat": Numbers(4, 4),
+        "vertex": Numbers(12, 10**6, "length"),
+    },
     "option": {"gravity": Numbers(3, 3), "timestep": _NOT_NEGATIVE},
 }
 WORDS = {
@@ -72,6 +78,7 @@ WORDS = {
     ("compiler", "coordinate"): ("local",),
     ("compiler", "autolimits"): ("true", "false"),
 }
+SEQUENCE = re.compile("[xyzXYZ]{3}")
 #: Elements whose names are theirs alone among their like.
 NAMED = ("body", "joint", "site", "geom")
 #: What MuJoCo makes bodies and geoms of, and we do not.
@@ -111,6 +118,7 @@ def _check_one(element: ET.Element) -> None:
     for (tag, key), known in WORDS.items():
         if element.tag == tag:
             check_word(element, key, known, OTHERWISE)
+    _check_needed(element)
     if element.tag in NOT_READ:
         raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
     full = element.get("fullinertia")
@@ -118,6 +126,19 @@ def _check_one(element: ET.Element) -> None:
         xx, yy, zz, xy, xz, yz = map(str, numbers_of(full, ""))
         if wrong := negative_moment(element, (xx, xy, xz, yy, yz, zz)):
             raise InvalidValueError(wrong)
+
+
+def _check_needed(element: ET.Element) -> None:
+    """Refuse what lacks a part, or has a word that stands for three."""
+    if element.tag == "inertial" and element.get("mass") is None:
+        raise InvalidValueError(f"{place_of(element)}: needs a mass")
+    sequence = element.get("eulerseq", "xyz")
+    if not SEQUENCE.fullmatch(sequence):
+        words = f"found '{sequence[:40]}', needs three of x, y, z, X, Y and Z"
+        raise InvalidValueError(f"{place_of(element)} eulerseq: {words}")
+    for inner in element.findall("default") if element.tag == "default" else ():
+        if not inner.get("class"):
+            raise InvalidValueError(f"{place_of(inner)}: needs a class")
 
 
 def _check_classes(xml: ET.Element, world: ET.Element) -> None:

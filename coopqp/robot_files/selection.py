@@ -120,7 +120,8 @@ def _set_limits(
     velocity, effort = _or_infinite(model.velocityLimit), _or_infinite(model.effortLimit)
     for pattern, limits in joint_limits.items():
         if not fnmatch.filter(description.joint_names, pattern):
-            raise UnknownNameError("joint", pattern, names, "joint_limits: ")
+            unknown = UnknownNameError("joint", pattern, names, "joint_limits: ")
+            raise unknown.at("joint_limits", pattern)
         at = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
         for values, given in (
             (lower, limits.lower), (upper, limits.upper),
@@ -131,8 +132,8 @@ def _set_limits(
     for name, low, high in zip(names, lower, upper, strict=True):
         if not low < high:
             raise InvalidValueError(
-                f"joint {name}: limits {low:g} to {high:g} leave it no room; list it under locked "
-                "or give it joint_limits"
+                f"{description.joint(name)}: limits {low:g} to {high:g} leave it no room; list it "
+                "under locked or give it joint_limits"
             )
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     model.velocityLimit, model.effortLimit = velocity, effort
@@ -147,12 +148,14 @@ def _or_infinite(limits: Array) -> Array:
 def _check_arms(robot: RobotModel) -> None:
     """Every arm needs a joint that the other arms do not all have."""
     ways = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    for name, joints in ways.items():
+    for arm in robot.arms:
+        name, joints = arm.name, ways[arm.name]
         if not joints:
-            raise InvalidValueError(f"arm {name}: no free joint between the base and its tip")
+            words = f"arm {name}: no free joint between the base and its tip {arm.tip}"
+            raise InvalidValueError(words).at("arms", name)
         for other, others in ways.items():
             if other != name and set(joints) <= set(others):
                 raise InvalidValueError(
                     f"arm {name}: all its joints ({', '.join(joints)}) also move arm {other}; "
                     "an arm needs joints of its own"
-                )
+                ).at("arms", name)

@@ -8,6 +8,7 @@ the mesh's number. Left out are planes; drawn are no geoms that only collide (gr
 from __future__ import annotations
 
 import copy
+import os
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
@@ -47,7 +48,7 @@ def read_shapes(
     meshes = xml.findall("asset/mesh")
     names = [mesh.get("file", "") for mesh in xml.findall(MESH_FILES)]
     files = [folder / name for name in names]
-    missing = [name for name, file in zip(names, files, strict=True) if not file.is_file()]
+    missing = [name for name, file in zip(names, files, strict=True) if not os.path.isfile(file)]
     missing += [f"{mesh.get('name')}, of vertices" for mesh in meshes if not mesh.get("file")]
     warnings = missing_meshes(source, missing, len(meshes))
     try:
@@ -103,18 +104,25 @@ def hidden(collide: Sequence[Shape], drawn: Sequence[Shape], source: str) -> tup
     )
 
 
+def with_numbered_meshes(xml: ET.Element) -> ET.Element:
+    """A copy in which meshes have their numbers as files, of which none can be wrong."""
+    plain = copy.deepcopy(xml)
+    for i, mesh in enumerate(plain.findall(MESH_FILES)):
+        mesh.set("name", mesh.get("name") or Path(mesh.get("file", "")).stem)
+        mesh.set("file", f"{i}{SUFFIX}")
+    return plain
+
+
 def _is_there(shape: Shape) -> bool:
-    return shape.mesh is None or shape.mesh.is_file()
+    return shape.mesh is None or os.path.isfile(shape.mesh)
 
 
 def _placed(xml: ET.Element, model: pin.Model, kind: pin.GeometryType) -> list[Any]:
     """The geoms as pinocchio has them, with a triangle for each mesh."""
-    plain = copy.deepcopy(xml)
+    plain = with_numbered_meshes(xml)
     with tempfile.TemporaryDirectory() as folder:
-        for i, mesh in enumerate(plain.findall(MESH_FILES)):
-            mesh.set("name", mesh.get("name") or Path(mesh.get("file", "")).stem)
-            mesh.set("file", f"{i}{SUFFIX}")
-            (Path(folder) / f"{i}{SUFFIX}").write_text(TRIANGLE, encoding="utf-8")
+        for mesh in plain.findall(MESH_FILES):
+            (Path(folder) / mesh.get("file", "")).write_text(TRIANGLE, encoding="utf-8")
         for compiler in plain.findall("compiler"):
             compiler.set("meshdir", folder)
         file = Path(folder) / "robot.xml"

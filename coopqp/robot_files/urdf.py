@@ -14,11 +14,20 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidValueError
+from coopqp.reading import absolute
 from coopqp.robot import Shape
 from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.urdf_schema import check_schema
-from coopqp.robot_files.xml import missing_meshes, numbers_of, pinocchio_says, read_xml
+from coopqp.robot_files.urdf_tree import check_circles, told_place
+from coopqp.robot_files.xml import (
+    missing_meshes,
+    numbers_of,
+    pinocchio_says,
+    place_of,
+    places,
+    read_xml,
+)
 
 
 def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
@@ -33,18 +42,22 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
-    if any("xacro" in element.tag for element in xml.iter()):
-        raise InvalidValueError(f"{path}: is a xacro file; make a URDF of it first: xacro FILE")
+    for element in xml.iter():
+        if "xacro" in element.tag:
+            words = "is a xacro file; make a URDF of it first: xacro FILE"
+            raise InvalidValueError(f"{place_of(element)}: {words}")
     if xml.find("link") is None:
-        raise InvalidValueError(f"{path}: is not a URDF file: has no <link>")
+        raise InvalidValueError(f"{place_of(xml)}: is not a URDF file: has no <link>")
     impossible = _check(xml)
     heard: list[str] = []
     try:
         with _stderr_lines(heard):
             model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
-        why = "; ".join(heard) or pinocchio_says(error)
-        raise InvalidValueError(f"{path}: is not a robot that can be read: {why}") from None
+        why = heard or [pinocchio_says(error)]
+        raise InvalidValueError(
+            f"{told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
+        ) from None
     shapes, missing = _urdf_shapes(xml, path, package_dirs)
     collide, unseen = _collision_shapes(xml, path, package_dirs)
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
@@ -55,6 +68,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         shapes=shapes,
         collision_shapes=collide,
         unseen=unseen,
+        places=places(xml.findall("joint")),
         warnings=(
             *impossible,
             *(f"{path.name}: {line}" for line in heard),
@@ -102,7 +116,9 @@ def _check(xml: ET.Element) -> list[str]:
                 check_numbers(element, {"xyz": Numbers(3, 3, direction=True)})
             if element.tag == "inertia":
                 warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
-    return [*(line for line in warnings if line), *check_schema(xml)]
+    strange = check_schema(xml)
+    check_circles(xml)
+    return [*(line for line in warnings if line), *strange]
 
 
 @contextmanager
@@ -214,7 +230,7 @@ def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None
         package_dirs: folders that hold packages.
     """
     scheme, _, rest = uri.rpartition("://")
-    folder = urdf.resolve().parent
+    folder = absolute(urdf).parent
     if scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
         candidates = []
@@ -224,4 +240,4 @@ def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None
                 candidates.append(parent / inside)
     else:
         candidates = [folder / rest]
-    return next((file for file in candidates if file.is_file()), None)
+    return next((file for file in candidates if os.path.isfile(file)), None)

@@ -7,7 +7,7 @@ checked. So no parser behind it meets entities, odd encodings or words where num
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -34,13 +34,20 @@ def place_of(element: ET.Element) -> str:
     return f"{place}: {tag}" if place else tag
 
 
-def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
+def places(elements: Iterable[ET.Element]) -> dict[str, str]:
+    """``FILE:LINE`` of elements, by name; none of those made by us."""
+    found = ((element.get("name", ""), getattr(element, "place", "")) for element in elements)
+    return {name: place for name, place in found if place}
+
+
+def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
     """Read an XML file of a robot.
 
     Args:
         path: of the file.
         roots: names that its outermost element may have.
         kind: of file, for messages.
+        texts: whether what stands between the elements is wanted too.
 
     Raises:
         InvalidValueError: no such file, or no such kind of file.
@@ -49,7 +56,7 @@ def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
         content = read_bytes(path, MOST_BYTES)
     except UnreadableFileError as error:
         raise InvalidValueError(str(error)) from None
-    element = _Tree(path, kind).parsed(content)
+    element = _Tree(path, kind, texts=texts).parsed(content)
     if element.tag not in roots:
         raise InvalidValueError(
             f"{path}:1: is not a {kind} file: starts with <{element.tag}>, needs <{roots[0]}>"
@@ -60,15 +67,19 @@ def read_xml(path: Path, roots: Sequence[str], kind: str) -> ET.Element:
 class _Tree:
     """Builds the elements of one file."""
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path, kind: str, *, texts: bool) -> None:
         self._path, self._kind = path, kind
         self._open: list[Element] = []
+        self._texts: list[list[str]] = []
         self._root: Element | None = None
         self._count = 0
         self._parser: Any = expat.ParserCreate()
         self._parser.StartElementHandler = self._begin
         self._parser.EndElementHandler = self._end
         self._parser.StartDoctypeDeclHandler = self._doctype
+        self._parser.buffer_text = True
+        if texts:
+            self._parser.CharacterDataHandler = self._text
 
     def parsed(self, content: bytes) -> Element:
         """The outermost element."""
@@ -102,9 +113,13 @@ class _Tree:
         else:
             self._root = element
         self._open.append(element)
+        self._texts.append([])
 
     def _end(self, tag: str) -> None:
-        self._open.pop()
+        self._open.pop().text = "".join(self._texts.pop())
+
+    def _text(self, text: str) -> None:
+        self._texts[-1].append(text)
 
     def _doctype(self, *_: Any) -> None:
         raise self._fault("has a DOCTYPE, which is not read; take it out")

@@ -6,6 +6,7 @@ The package holds files alone: nothing of it is run, and meshes are not read.
 from __future__ import annotations
 
 from collections import Counter
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from pydantic import Field
 from coopqp.checked import spec
 from coopqp.errors import MissingDependencyError, UnknownNameError
 from coopqp.robot import Robot, RobotModel
+from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import Arms, JointLimits, Locked
 from coopqp.robot_files.selection import robot_model
 from coopqp.robot_files.urdf import read_urdf
@@ -41,14 +43,20 @@ class ExampleRobot(Robot):
         """The joints of the arms; all others locked."""
         known = robots()
         if self.name not in known:
-            raise UnknownNameError("example robot", self.name, known)
+            raise UnknownNameError("example robot", self.name, known).at("name")
         return robot_model(
-            read_urdf(known[self.name]),
+            _described(known[self.name]),
             arms=self.arms,
             free=self.free,
             locked=self.locked,
             joint_limits=self.joint_limits,
         )
+
+
+@lru_cache(maxsize=16)
+def _described(file: Path) -> Description:
+    """What a file says; the files of an installed package do not change."""
+    return read_urdf(file)
 
 
 def robots() -> dict[str, Path]:

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from coopqp.checked import NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.checked import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.errors import under
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.description import Description
@@ -99,6 +100,10 @@ class TableRow:
             one_angle(key, getattr(self, key), degrees)
             if key in ("lower", "upper", "velocity") and degrees and self.sigma == "prismatic":
                 raise ValueError(f"{key}_deg: a prismatic joint has no degrees; give {key} in m")
+        for key in ("b", "d", "r"):
+            if abs(getattr(self, key)) > FARTHEST:
+                words = f"found {getattr(self, key):g} m, needs at most {FARTHEST:g} m"
+                raise ValueError(f"{key}: {words}")
         if self.mass is None and any((*self.com, *self.inertia)):
             raise ValueError("com and inertia need a mass")
 
@@ -160,7 +165,11 @@ class MdhTable(Robot):
         tips = {
             name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
         }
-        model = mdh.build_model("mdh_table", [row.read() for row in self.rows], tips)
+        rows = []
+        for i, row in enumerate(self.rows):
+            with under("rows", i):
+                rows.append(row.read())
+        model = mdh.build_model("mdh_table", rows, tips)
         return robot_model(
             Description(name=model.name, model=model),
             arms=self.arms,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from coopqp.checked import spec
+from coopqp.errors import under
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.keys import Arms, FilePath, JointLimits, Locked
 from coopqp.robot_files.mjcf import read_mjcf
@@ -31,8 +32,10 @@ class Mjcf(Robot):
 
     def build(self) -> RobotModel:
         """The joints of the arms; all others locked."""
+        with under("path"):
+            description = read_mjcf(self.path)
         return robot_model(
-            read_mjcf(self.path),
+            description,
             arms=self.arms,
             free=self.free,
             locked=self.locked,

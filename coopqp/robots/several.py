@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
-from coopqp.checked import Pose, spec
+from coopqp.checked import Pose, spec, type_name
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.grasp import pose_matrix
 from coopqp.robot import Arm, Capsule, Robot, RobotModel, Shape, copy_per_velocity
@@ -76,7 +76,9 @@ def _part(name: str, placed: Placed) -> RobotModel:
     try:
         robot = placed.robot.build()
     except CoopqpError as error:
-        raise InvalidValueError(f"robot {name}: {error}") from error
+        inside = InvalidValueError(f"robot {name}: {error}").at(*error.keys)
+        kind = type_name(type(placed.robot))
+        raise inside.at("robots", name, "robot", kind) from error
     return _renamed(f"{name}/", robot, placed.X_WB)
 
 

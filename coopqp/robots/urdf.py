@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from coopqp.checked import spec
+from coopqp.errors import under
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.keys import Arms, FilePath, JointLimits, Locked
 from coopqp.robot_files.selection import robot_model
@@ -30,8 +31,10 @@ class Urdf(Robot):
 
     def build(self) -> RobotModel:
         """The joints of the arms; all others locked."""
+        with under("path"):
+            description = read_urdf(self.path, self.package_dirs)
         return robot_model(
-            read_urdf(self.path, self.package_dirs),
+            description,
             arms=self.arms,
             free=self.free,
             locked=self.locked,

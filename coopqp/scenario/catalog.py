@@ -53,6 +53,13 @@ class Catalog:
             else:
                 known[found.name] = found
 
+    def __eq__(self, other: object) -> bool:
+        """Catalogues that can name the same are equal, so that they share one form of a file."""
+        return isinstance(other, Catalog) and self._collections == other._collections
+
+    def __hash__(self) -> int:
+        return hash(tuple(frozenset(known.values()) for known in self._collections.values()))
+
     def entries(self, kind: str) -> dict[str, Entry]:
         """The plug-ins of one collection by name.
 

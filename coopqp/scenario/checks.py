@@ -10,8 +10,9 @@ from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
-from coopqp.hold import arm_weights
+from coopqp.controller import TELL_APART
+from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
+from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
@@ -19,6 +20,7 @@ from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import YamlFile
 from coopqp.state import State
 from coopqp.task import Task
@@ -47,9 +49,8 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     robot = built(file, ["robot"], lambda: scenario.robot_model)
     of_robot, passive = built(file, [key], lambda: start_of(robot, scenario.start))
     q = built(file, [key], lambda: robot.configuration(of_robot))
-    strangers = [name for name in scenario.weights or {} if name not in arm_names(robot)]
-    place = ["weights", *strangers[:1]]
-    built(file, place, lambda: arm_weights(robot, scenario.weights))
+    built(file, ["weights"], lambda: arm_weights(robot, scenario.weights))
+    built(file, ["grasps"], lambda: grasp_of_each(robot, scenario.grasps))
     allowed = file.data.get("start_outside", False)
     faults = _released(file, scenario)
     if not allowed:
@@ -63,10 +64,13 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     try:
         chain = scenario.chain
     except CoopqpError as error:
-        name = error.name if isinstance(error, UnknownNameError) else ""
+        argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in file.data else "grasp"
-        location: Location = [key, name] if name in passive else [grasp]
-        raise ScenarioError([Fault(file.place(location), str(error))]) from None
+        location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
+        where = [location] if location == "grasp" else [location, *inside]
+        raise ScenarioError([Fault(file.place(where), str(error))]) from None
+    if wrong := too_large(chain):
+        raise ScenarioError([Fault(file.place(["object", "size"]), wrong)])
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
@@ -120,7 +124,7 @@ def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Place
         try:
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
-            faults.append(Fault(file.place(place), str(error)))
+            faults.append(_fault(file, place, error))
     return faults
 
 
@@ -170,11 +174,12 @@ def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[F
         try:
             try_limit(limit, places, scenario.dt)
         except CoopqpError as error:
-            faults.append(Fault(file.place(["limits", i]), str(error)))
+            faults.append(_fault(file, ["limits", i], error))
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            words = f"another limit has a row '{twice[0]}' too; add 'name:' to tell them apart"
+            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            words = f"another limit has a row '{twice[0]}' too; {cure}"
             faults.append(Fault(file.place(["limits", i]), words))
         taken |= rows
     return [*faults, *_late_brakes(file, scenario)]
@@ -212,6 +217,9 @@ def outside_limits(
     robot: RobotModel, start: Start, q: Array, key: str
 ) -> list[tuple[Location, str]]:
     """Where a start leaves the position limits, and by how much."""
+    if key == "start" and like_degrees(robot, q):
+        words = "found angles of more than a turn, which are inside the limits in degrees"
+        return [([key], f"{words}; did you mean start_deg?")]
     faults: list[tuple[Location, str]] = []
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
@@ -252,4 +260,9 @@ def built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
     except ScenarioError:
         raise
     except CoopqpError as error:
-        raise ScenarioError([Fault(file.place(location), str(error))]) from None
+        raise ScenarioError([_fault(file, location, error)]) from None
+
+
+def _fault(file: YamlFile, location: Location, error: CoopqpError) -> Fault:
+    """An error that was raised by what is at a location, or by what is in it."""
+    return Fault(file.place(location, error.keys), str(error))

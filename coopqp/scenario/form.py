@@ -6,6 +6,7 @@ Every plug-in slot is "one name with its fields": ``rigid``, or ``rigid: {}``, o
 
 from __future__ import annotations
 
+import functools
 import json
 import types
 import typing
@@ -36,7 +37,7 @@ from coopqp.signal import Signal
 from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
-STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 #: What a file says instead of joint values to have the start solved for.
@@ -112,8 +113,13 @@ def chosen(slot: BaseModel) -> tuple[str, Any]:
     return name, instance
 
 
+@functools.lru_cache(maxsize=8)
 def file_model(catalog: Catalog) -> type[BaseModel]:
-    """The model of a scenario file."""
+    """The model of a scenario file; kept, because pydantic takes longer over it than over a file.
+
+    Args:
+        catalog: what the file can name; equal ones share a model.
+    """
     keys: dict[str, Any] = {
         "description": (str, Field(default="", description="One sentence for the report.")),
         "folder": (
@@ -325,9 +331,9 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
             {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")},
         )
         faults += [Fault(file.place(location), message) for location, message in found]
-    except CoopqpError:
+    except (CoopqpError, KeyboardInterrupt):
         raise
-    except Exception as error:  # from the __post_init__ of a plug-in
+    except BaseException as error:  # from the __post_init__ of a plug-in
         raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
     if faults:
         raise ScenarioError(faults)

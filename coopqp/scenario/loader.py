@@ -16,7 +16,9 @@ from coopqp.controller import TELL_APART, Controller, problem_faults
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
+from coopqp.hold import grasp_of_each
 from coopqp.plant import Plant
+from coopqp.reading import absolute
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen
@@ -102,6 +104,7 @@ def _solved(
     robot = built(file, ["robot"], lambda: scenario.robot_model)
     near: Start = file.data.get("start_near") or {}
     built(file, ["start_near"], lambda: robot.configuration(near))
+    built(file, ["grasps"], lambda: grasp_of_each(robot, scenario.grasps))
 
     def solved() -> StartSolution:
         grasps, held = scenario.grasps, scenario.held
@@ -245,7 +248,7 @@ class _Reader:
     def _folder(self) -> Path:
         """Where relative paths begin."""
         read: Any = self._read
-        return (self._file.path.parent / str(read.folder)).resolve()
+        return absolute(self._file.path.parent / str(read.folder))
 
     def _start(self) -> Start:
         read: Any = self._read

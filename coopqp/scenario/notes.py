@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
 from coopqp.input import wanted
 from coopqp.kernel import native
-from coopqp.limits import JointPosition, JointVelocity
+from coopqp.limit import SHALLOW
+from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.unit_hints import far_goals
 from coopqp.state import State
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
@@ -19,7 +23,8 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    That the kernel is not built, and what limits cannot bound, comes after it.
+    After it comes that the kernel is not built, what limits cannot bound, what a tick is too long
+    for, and goals that are far.
 
     Args:
         scenario: what is to be run.
@@ -32,7 +37,14 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
-    return [*deaf_to, *_without_kernel(chosen), *of_limits, *_of_inputs(scenario)]
+    return [
+        *deaf_to,
+        *_without_kernel(chosen),
+        *of_limits,
+        *_coarse_steps(scenario),
+        *far_goals(scenario),
+        *_of_inputs(scenario),
+    ]
 
 
 def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
@@ -52,6 +64,25 @@ def _of_inputs(scenario: Scenario) -> Iterator[str]:
             yield (
                 f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
                 "give it feed or feed_file"
+            )
+
+
+def _coarse_steps(scenario: Scenario) -> Iterator[str]:
+    """Distances that one tick of joints at full speed can use up by its curvature alone.
+
+    A point at the arms' reach r that turns by an angle a leaves its tangent by r a^2 / 2.
+    """
+    chain, dt = scenario.chain, scenario.dt
+    turns = np.array([unit == "rad" for unit in chain.joint_units]) & np.isfinite(chain.velocity)
+    slowed = min([k.scale for k in scenario.limits if isinstance(k, JointVelocity)], default=1.0)
+    angle = slowed * dt * float(chain.velocity[turns].max(initial=0.0))
+    off = 0.5 * chain.reach * angle**2
+    for limit in scenario.limits:
+        if isinstance(limit, SelfCollision | Obstacles) and off > max(limit.distance, SHALLOW):
+            yield (
+                f"{limit.name}: in a tick joints turn by up to {angle:.2g} rad, which can bring "
+                f"bodies about {1e3 * off:.2g} mm nearer than distance ({1e3 * limit.distance:g} "
+                "mm); make dt shorter, joints slower or distance larger"
             )
 
 

@@ -7,6 +7,7 @@ an ``@spec`` class that inherits from its idea and from nothing else, with all m
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import typing
 from collections.abc import Sequence
@@ -58,6 +59,7 @@ class Entry:
     help: str
 
 
+@functools.cache
 def entry_of(name: str, module: ModuleType, kind: str) -> Entry | Fault:
     """The plug-in that a module holds, or what is wrong with it.
 

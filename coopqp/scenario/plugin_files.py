@@ -24,8 +24,10 @@ from pathlib import Path
 from pydantic import BaseModel, PydanticUserError
 
 from coopqp.errors import Fault, unknown_name
+from coopqp.reading import absolute
 from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
 from coopqp.scenario.user_folders import package_of
+from coopqp.wording import said
 
 GROUP = "coopqp.plugins"
 
@@ -61,7 +63,9 @@ class Shelf:
         module = f"{self.package}.{name}"
         try:
             found = entry_of(name, importlib.import_module(module), self.kind)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may raise anything
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a user's file may raise anything
             found = Fault(_place(error, file), f"cannot be imported: {_said(error)}")
         if isinstance(found, Fault):
             sys.modules.pop(module, None)  # so that the mended file is read
@@ -81,7 +85,9 @@ def installed() -> Iterator[Shelf | Fault]:
         place = f"entry point {point.name} = {point.value} of {GROUP}"
         try:
             package = importlib.import_module(point.value)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a package may raise anything
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a package may raise anything
             words = f"cannot be imported: {_said(error)}; mend or uninstall its package"
             yield Fault(place, words)
             continue
@@ -94,12 +100,12 @@ def installed() -> Iterator[Shelf | Fault]:
 
 def in_folder(folder: Path) -> Iterator[Shelf | Fault]:
     """What a user's folder of plug-ins holds."""
-    yield from _shelves(folder.resolve(), None)
+    yield from _shelves(absolute(folder), None)
 
 
 def of_tasks(folder: Path) -> Shelf:
     """A user's folder of task files alone."""
-    folder = folder.resolve()
+    folder = absolute(folder)
     return Shelf("tasks", folder, package_of(folder))
 
 
@@ -138,7 +144,7 @@ def _place(error: BaseException, file: Path) -> str:
 
 def _said(error: BaseException) -> str:
     """An error in one line."""
-    words = error.msg if isinstance(error, SyntaxError) else str(error)
+    words = error.msg if isinstance(error, SyntaxError) else said(error)
     if isinstance(error, PydanticUserError):
         words = words.partition(". ")[0]  # what follows is about pydantic's settings
     return f"{type(error).__name__}: {' '.join(words.split())}"

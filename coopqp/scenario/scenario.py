@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, array, finite
+from coopqp.checked import Array, array, near, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError, ScenarioError
+from coopqp.errors import CoopqpError, InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
@@ -177,7 +177,12 @@ class Scenario:
     @cached_property
     def robot_model(self) -> RobotModel:
         """The robot, built once."""
-        return self.robot.build()
+        try:
+            return self.robot.build()
+        except CoopqpError as error:
+            if error.keys:
+                error.at(type_name(type(self.robot)))
+            raise
 
     @cached_property
     def chain(self) -> ClosedChain:
@@ -283,9 +288,9 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     for key, value in start.items():
         arm, dot, _ = key.rpartition(".")
         if dot and arm in arms and key not in robot.joint_names:
-            numbers = np.atleast_1d(finite(key, array(key, own.pop(key))))
+            numbers = np.atleast_1d(near(key, array(key, own.pop(key))))
             if numbers.shape != (1,):
-                raise InvalidValueError(f"{key}: found {value}, needs one number")
+                raise InvalidValueError(f"{key}: found {value}, needs one number").at(key)
             passive[key] = float(numbers[0])
     return own, passive
 

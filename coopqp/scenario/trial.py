@@ -20,10 +20,11 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limit import Limit, LimitRows
+from coopqp.mark import marks_fault
 from coopqp.rank import null_space
 from coopqp.row import names_of
 from coopqp.signal import Moment
@@ -122,7 +123,7 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         look = _Look(task, names, task.bind(start), start.chain.n)
         look.at(start, start.t)
         for t in (0.0, duration):
-            task.marks(Moment(t))
+            _check_marks(task.marks(Moment(t)))
         end = min(task.end, duration) or duration
         seen = [
             _Seen(look, place, start.t + share * end)
@@ -152,8 +153,12 @@ class _Look:
         k = len(self.names)
         rows = TaskRows(np.zeros(k), self._J.copy(), np.zeros(k))
         before, state.t = state.t, t
-        self._evaluate(state, rows)
-        state.t = before
+        state.lock()
+        try:
+            self._evaluate(state, rows)
+        finally:
+            state.unlock()
+            state.t = before
         for key in ("e", "J", "rate"):
             _check_finite(key, self.names, getattr(rows, key), state.chain)
         return rows
@@ -227,11 +232,15 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
         tighten = limit.bind(chain, dt)
-        limit.marks(0.0)
+        _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
-            tighten(state, open_)
-            tighten(state, shut)
+            state.lock()
+            try:
+                tighten(state, open_)
+                tighten(state, shut)
+            finally:
+                state.unlock()
             _check_inequalities(chain, names, open_)
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 
@@ -260,6 +269,11 @@ def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedCh
     what = f"{key} of {chain.joint_names[column[0]]}" if column else key
     found = values[tuple(wrong[0])]
     raise _PromiseError(f"row {names[row]}: {what} is {found}, needs a finite number")
+
+
+def _check_marks(marks: object) -> None:
+    if wrong := marks_fault(marks):
+        raise _PromiseError(f"marks() gives {wrong}")
 
 
 def _check_bounds(chain: ClosedChain, open_: LimitRows, shut: LimitRows, *, inside: bool) -> None:
@@ -293,9 +307,13 @@ def blamed(plugin: Task | Limit) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):  # what is not finite is told of anyway
             yield
-    except CoopqpError:
+    except KeyboardInterrupt:
+        raise
+    except CoopqpError as error:
+        if error.keys:
+            error.at(type_name(type(plugin)))
         raise
     except _PromiseError as error:
         raise InvalidValueError(f"{file}: {error}") from None
-    except Exception as error:
+    except BaseException as error:
         raise InvalidValueError(raised(error, file)) from error

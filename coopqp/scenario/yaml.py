@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,10 +83,15 @@ class YamlFile:
     data: dict[str, Any]
     _root: _Node
 
-    def place(self, location: Location) -> str:
-        """``file:line: key.path`` of a value, or of the nearest mapping that holds it."""
+    def place(self, location: Location, inside: Location = ()) -> str:
+        """``file:line: key.path`` of a value, or of the nearest mapping that holds it.
+
+        Args:
+            location: of the value that is named.
+            inside: from it to the value whose line counts.
+        """
         node, line = self._root, 1
-        for key in location:
+        for key in (*location, *inside):
             if key not in node.inside:
                 break
             line, node = node.inside[key]
@@ -113,15 +119,17 @@ def parsed(path: Path, text: str) -> YamlFile:
     Raises:
         ScenarioError: as :func:`read_yaml`.
     """
-    builder = _Builder(path, text)
+    lines = _Lines(text)
+    builder = _Builder(path, text, lines)
     try:
         root = builder.document()
     except MarkedYAMLError as error:
         what = " ".join(str(error.problem or error.context).split())
         mark = error.problem_mark or error.context_mark
-        raise _refused(f"{path}:{mark.line + 1}" if mark else path, f"not YAML: {what}") from None
+        line = lines.at(mark.index) if mark else builder.line
+        raise _refused(f"{path}:{line}", f"not YAML: {what}") from None
     except YAMLError as error:
-        line = text.count("\n", 0, getattr(error, "position", 0)) + 1
+        line = lines.at(getattr(error, "position", 0))
         what = getattr(error, "reason", " ".join(str(error).split()))
         raise _refused(f"{path}:{line}", f"not YAML: {what}") from None
     except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
@@ -140,19 +148,35 @@ def _refused(place: object, message: str) -> ScenarioError:
     return ScenarioError([Fault(str(place), message)])
 
 
+class _Lines:
+    """Lines as editors number them; YAML breaks lines at more characters than they do."""
+
+    def __init__(self, text: str) -> None:
+        self._starts = [found.end() for found in re.finditer(r"\r\n?|\n", text)]
+
+    def at(self, index: int) -> int:
+        """That of a character."""
+        return bisect_right(self._starts, index) + 1
+
+    def of(self, event: Any) -> int:
+        """That in which what an event tells of begins."""
+        return self.at(event.start_mark.index)
+
+
 class _Builder:
     """From a file's events to its values.
 
     Args:
         path: of the file, for messages.
         text: what it holds.
+        lines: of the text.
 
     Attributes:
         line: of the last event.
     """
 
-    def __init__(self, path: Path, text: str) -> None:
-        self._path, self.line = path, 1
+    def __init__(self, path: Path, text: str, lines: _Lines) -> None:
+        self._path, self._lines, self.line = path, lines, 1
         self._events = self._told(YAML(typ="safe", pure=True).parse(text))
         self._anchors: dict[str, _Node] = {}
         self._values = 0
@@ -171,11 +195,11 @@ class _Builder:
 
     def _told(self, events: Iterator[Any]) -> Iterator[Any]:
         for event in events:
-            self.line = event.start_mark.line + 1
+            self.line = self._lines.of(event)
             yield event
 
     def _fault(self, event: Any, message: str) -> ScenarioError:
-        return _refused(f"{self._path}:{event.start_mark.line + 1}", message)
+        return _refused(f"{self._path}:{self._lines.of(event)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
         """The value that begins with an event.
@@ -214,7 +238,7 @@ class _Builder:
         for event in self._events:
             if isinstance(event, SequenceEndEvent):
                 break
-            inside[len(inside)] = (event.start_mark.line + 1, self._node(event, deeper))
+            inside[len(inside)] = (self._lines.of(event), self._node(event, deeper))
         return _node_of([node.value for _, node in inside.values()], inside)
 
     def _mapping(self, deeper: int) -> _Node:
@@ -223,7 +247,7 @@ class _Builder:
         for event in self._events:
             if isinstance(event, MappingEndEvent):
                 break
-            key, line = self._key(event), event.start_mark.line + 1
+            key, line = self._key(event), self._lines.of(event)
             if key in inside:
                 raise self._fault(event, f"key '{key}' is given twice")
             after = next(self._events)

@@ -31,12 +31,18 @@ def in_parallel(
 
 
 def _pool(jobs: int) -> Pool:
-    """Workers that leave Ctrl-C to their parent, who then ends them.
+    """Workers that leave Ctrl-C and SIGTERM to their parent, who then ends them.
 
-    They inherit that it is blocked; and it cannot come while they are only half made.
+    They inherit that both are blocked; and neither can come while they are only half made.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
-        return multiprocessing.Pool(jobs)
+        return multiprocessing.Pool(jobs, initializer=_endable)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _endable() -> None:
+    """Let the parent end this worker without a word."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})

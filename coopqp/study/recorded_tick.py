@@ -10,6 +10,7 @@ from pathlib import Path
 from coopqp.controllers.qp import QPController
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
+from coopqp.reading import absolute
 from coopqp.recordings.known import controllers_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord, record_tick
@@ -46,7 +47,7 @@ def recorded_tick(
         assert isinstance(plugin, QPController)  # as in the first phase
         law = plugin.plain(list(islice(problems, phase + 1))[-1])
     state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
-    name = path.parent.resolve().name
+    name = absolute(path.parent).name
     return record_tick(law, state, scenario=name, controller=chosen, tick=k)
 
 

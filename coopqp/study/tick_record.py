@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,12 +18,12 @@ from coopqp.limit import bound_rows
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
-from coopqp.reading import read_text
+from coopqp.reading import line_in_json, read_text
 from coopqp.row import Row, Side
 from coopqp.solver import Budget, Status, written
 from coopqp.state import State
 from coopqp.task import TaskStack
-from coopqp.wording import dotted
+from coopqp.wording import Location, dotted
 
 MOST_BYTES = 64 << 20  # of a file
 UNBOUNDED = 1e30  # what an infinite bound is written as
@@ -94,54 +95,53 @@ class TickRecord:
         text = read_text(path, MOST_BYTES)
         try:
             record = _RECORD.validate_json(text)
-            wrong = record.wrong()
         except ValidationError as error:
             detail = error.errors(include_url=False, include_context=False)[0]
-            wrong = f"{dotted(detail['loc'])}: {detail['msg']}".removeprefix(": ")
-        if wrong:
-            words = "is not a tick saved by 'coopqp explain --save'"
-            raise CoopqpError(f"{path}: {words}: {' '.join(wrong.split())}")
+            raise _refused(path, text, detail["loc"], detail["msg"]) from None
+        if wrong := record.wrong():
+            raise _refused(path, text, *wrong)
         return record
 
-    def wrong(self) -> str:
-        """What keeps it from being a tick; empty if nothing does."""
-        if not self.variables or not self.fits():
-            return "the shapes of its arrays do not belong together"
+    def wrong(self) -> tuple[Location, str] | None:
+        """Where and how it is no tick; None if it is one."""
+        if wrong := self._misfit():
+            return wrong
         for key in ("dt", "damping"):
             if not getattr(self, key) > 0.0:
-                return f"{key}: found {getattr(self, key):g}, needs more than 0"
-        numbers = [*self.P, *self.C, *self.J, self.q_cost, self.lower, self.upper, self.wanted]
-        if max((abs(x) for row in numbers for x in row), default=0.0) > UNBOUNDED:
-            return f"a number is beyond {UNBOUNDED:g}"
+                return (key,), f"found {getattr(self, key):g}, needs more than 0"
+        for key in ("P", "C", "J", "q_cost", "lower", "upper", "wanted"):
+            for place in np.argwhere(np.abs(np.array(getattr(self, key))) > UNBOUNDED).tolist():
+                return (key, *place), f"a number is beyond {UNBOUNDED:g}"
         P = np.array(self.P)
-        if not np.allclose(P, P.T, rtol=1e-9, atol=1e-12):
-            return "P is not symmetric"
+        apart = np.argwhere(~np.isclose(P, P.T, rtol=1e-9, atol=1e-12)).tolist()
+        if apart:
+            i, j = apart[-1]
+            return ("P", i, j), f"found {P[i, j]:g}, but [{j}][{i}] is {P[j, i]:g}: not symmetric"
         least, *_, most = np.linalg.eigvalsh(np.pad(P, (0, 1)))  # a second one, and none negative
         if least < -1e-9 * most:
-            return f"P has the eigenvalue {least:.3g}, needs none below zero"
-        return ""
+            return ("P",), f"has the eigenvalue {least:.3g}, needs none below zero"
+        return None
 
-    def fits(self) -> bool:
-        """Whether all shapes belong together, and a QP of these numbers can be solved."""
+    def _misfit(self) -> tuple[Location, str] | None:
+        """The first array whose size does not belong to the others."""
         n, p, m = len(self.variables), len(self.inequality_rows), len(self.equality_rows)
         k = len(self.task_rows)
-        shapes = (
-            (self.P, (n, n)), (self.q_cost, (n,)), (self.lower, (n + p + m,)),
-            (self.upper, (n + p + m,)),
-            (self.wanted, (k,)), (self.answer, (n,)), (self.first_answer, (n,)),
-        )  # fmt: skip
-        tables = ((self.C, p + m), (self.J, k))
-        if any(len(row) != n for table in (self.P, self.C, self.J) for row in table):
-            return False
-        return (
-            all(np.shape(values) == shape for values, shape in shapes)
-            and all(np.shape(rows) == (count, n) for rows, count in tables if count)
-            and self.inequalities == p
-            and len(self.lb_rows) == len(self.ub_rows) == n
-            and all(np.isfinite(np.array(of, float)).all() for of in (self.P, self.C, self.J))
-            and self.damping > 0.0
-            and self.dt > 0.0
-        )
+        if not n:
+            return ("variables",), "needs one at least"
+        if self.inequalities != p:
+            return ("inequalities",), f"found {self.inequalities}, but there are {p} rows"
+        counts = {
+            "P": n, "q_cost": n, "C": p + m, "lower": n + p + m, "upper": n + p + m,
+            "lb_rows": n, "ub_rows": n, "J": k, "wanted": k, "answer": n, "first_answer": n,
+        }  # fmt: skip
+        for key, count in counts.items():
+            if (found := len(getattr(self, key))) != count:
+                return (key,), f"found {found}, needs {count}, as many as belong to it"
+        for key in ("P", "C", "J"):
+            for i, row in enumerate(getattr(self, key)):
+                if len(row) != n:
+                    return (key, i), f"found {len(row)} numbers, needs {n}, one a variable"
+        return None
 
     def qp(self) -> QP:
         """The program, in arrays."""
@@ -154,6 +154,17 @@ class TickRecord:
 
 
 _RECORD = TypeAdapter(TickRecord)
+
+
+def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError:
+    """That a file is no tick, with the line that shows it."""
+    broken = re.search(r" at line (\d+) column (\d+)", why)
+    line = int(broken[1]) if broken else line_in_json(text, location)
+    if broken and broken[2] == "0":  # it is the line break before that is wrong
+        line -= 1
+    where = f"{dotted(location)}: " if location else ""
+    words = "is not a tick saved by 'coopqp explain --save'"
+    return CoopqpError(f"{path}:{line}: {words}: {where}{' '.join(why.split())}")
 
 
 def record_tick(

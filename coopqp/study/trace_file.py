@@ -23,7 +23,12 @@ from coopqp.signal import Course, Followed
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
+from coopqp.study.trace_checks import parts_of_phases, strange_tick
 from coopqp.trace import InputTrace, no_input
+
+#: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
+FARTHEST = 1e12
+OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
 
 
 @dataclass(frozen=True)
@@ -32,10 +37,12 @@ class _Row:
 
     Attributes:
         place: file and line.
+        header: file and line of the columns' names.
         cells: texts by column.
     """
 
     place: str
+    header: str
     cells: Mapping[str, str]
 
     def number(self, column: str, *, nan: bool = False) -> float:
@@ -50,10 +57,7 @@ class _Row:
         """
         text = self.cells.get(column)
         if text is None:
-            raise InvalidValueError(
-                f"{self.place}: has no column '{column}'; the trace is damaged, or it is of "
-                "another scenario than the one beside it: run it again"
-            )
+            raise InvalidValueError(f"{self.header}: has no column '{column}'; {OTHER}")
         try:
             value = float(text)
         except ValueError:
@@ -64,12 +68,30 @@ class _Row:
         return value
 
     def numbers(self, key: str, joints: Sequence[str], *, nan: bool = False) -> list[float]:
-        """A number a joint."""
-        return [self.number(f"{key}[{joint}]", nan=nan) for joint in joints]
+        """A number a joint.
+
+        Raises:
+            InvalidValueError: one is missing, or so large that no joint has it.
+        """
+        found = [self.number(f"{key}[{joint}]", nan=nan) for joint in joints]
+        for joint, value in zip(joints, found, strict=True):
+            if abs(value) > FARTHEST:
+                words = f"{key}[{joint}]: found {value:g}, where no joint can be"
+                raise InvalidValueError(f"{self.place}: {words}; the trace is damaged")
+        return found
 
     def tells(self, key: str, joints: Sequence[str]) -> bool:
         """Whether there is anything in a joint's column."""
         return any(self.cells.get(f"{key}[{joint}]") for joint in joints)
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Errors of the tasks that count here."""
+        return {
+            key.removeprefix("error[").removesuffix("]"): self.number(key, nan=True)
+            for key, text in self.cells.items()
+            if key.startswith("error[") and text
+        }
 
     @property
     def tick(self) -> int:
@@ -109,19 +131,28 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     rows = list(_rows(path, controller))
     if len(rows) != ticks + 1:
         raise CoopqpError(
-            f"{path}: '{controller}' has {len(rows) - 1} ticks, its scenario {ticks}; the file "
-            "is damaged, of another scenario, or of a live loop, of which only a tick can be "
-            "explained: name it with --tick"
+            f"{rows[min(ticks + 1, len(rows) - 1)].place}: '{controller}' has {len(rows) - 1} "
+            f"ticks, its scenario {ticks}; the file is damaged, of another scenario, or of a live "
+            "loop, of which only a tick can be explained: name it with --tick"
         )
     tau = [_torques(row, joints) for row in rows[:-1]] if rows[0].tells("tau", joints) else [[]]
+    q = np.array([row.numbers("q", joints) for row in rows])
+    v = np.array([row.numbers("v", joints) for row in rows[:-1]])
+    wrong = strange_tick(held, [row.number("t") for row in rows], q, v)
+    if wrong:
+        k, words = wrong
+        raise CoopqpError(f"{rows[k].place}: {words}; {OTHER}")
+    if missing := sorted(parts_of_phases(held) - {name for row in rows for name in row.errors}):
+        raise CoopqpError(f"{path}: has no error of '{missing[0]}'; {OTHER}")
     return Recording(
         controller=controller,
-        q=np.array([row.numbers("q", joints) for row in rows]),
-        v=np.array([row.numbers("v", joints) for row in rows[:-1]]),
+        q=q,
+        v=v,
         status=tuple(row.causes for row in rows[:-1]),
         errors=_last_errors(rows),
         tau=np.array(tau),
         inputs=_inputs(rows[:-1], held),
+        place=rows[0].header,
     )
 
 
@@ -144,12 +175,9 @@ def _torques(row: _Row, joints: Sequence[str]) -> list[float]:
 
 def _last_errors(rows: Sequence[_Row]) -> dict[str, float]:
     """Each task's error at the end of the time for which it counts."""
-    found = {}
+    found: dict[str, float] = {}
     for row in rows:
-        for key, text in row.cells.items():
-            if key.startswith("error[") and text:
-                name = key.removeprefix("error[").removesuffix("]")
-                found[name] = row.number(key, nan=True)
+        found |= row.errors
     return found
 
 
@@ -288,8 +316,27 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
     """The rows of a controller; all if None.
 
     Raises:
-        CoopqpError: no such file, not a trace, or a row with too few or too many cells.
+        CoopqpError: no such file, not a trace, a row with too few or too many cells, or ticks that
+            do not follow each other.
     """
+    last = dict[str, float]()
     for found in format_of(path).rows(path):
-        if controller in (None, found.texts["controller"]):
-            yield _Row(found.place, found.texts)
+        row = _Row(found.place, found.header or found.place, found.texts)
+        _check_time(row, last)
+        if controller in (None, row.cells["controller"]):
+            yield row
+
+
+def _check_time(row: _Row, last: dict[str, float]) -> None:
+    """Refuse time that stands still.
+
+    Args:
+        row: the next one.
+        last: by controller, its last time; written.
+    """
+    name, t = row.cells["controller"], row.number("t")
+    then = last.get(name, -math.inf)
+    if t <= then:
+        words = f"t: found {t:g} after {then:g}; the trace is damaged"
+        raise InvalidValueError(f"{row.place}: {words}")
+    last[name] = t

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import io
 import json
-import re
 import shutil
 import tempfile
 import traceback
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,18 +31,22 @@ from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import recording_from_trace
 
-from . import mutations
+from . import meshes, mutations, trees
+from .lines import Mutated, wrong_line
 
 SEEDS = Path(__file__).parent / "seeds"
 SHIPPED = Path(__file__).parents[2] / "scenarios"
 #: What is mutated; a scenario more often than the others.
-KINDS = ("scenario", "scenario", "scenario", "robot", "trace", "tick")
+KINDS = ("scenario", "scenario", "scenario", "robot", "mesh", "trace", "tick")
 TICKS = 3
 #: Seeds that need no package of robots.
-NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several")
+NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several", "things")
+#: How often a file is none, but a folder, a pipe, a device or a giant.
+SPECIAL = 0.02
 #: What is wrong with a file as a whole, and has no line.
 WHOLE = ("cannot be read", "the file is empty", "is larger")
-PLACED = re.compile(r"\S.*:\d+(: |$)")
+#: What was done to a file, and what coopqp is to do with it.
+Case = tuple[Mutated, Callable[[], object]]
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,8 @@ class Outcome:
     Attributes:
         kind: what was mutated.
         seed: of the case.
-        ended: "runs", "refused", or what is wrong: "raises", "no line", "prints".
+        ended: "runs", "refused", or what is wrong: "raises", "prints", "no line", "wrong line" (of
+            the mutated file), "other line" (of another one that it has nothing to do with).
         words: what was said.
     """
 
@@ -73,26 +79,35 @@ def run_case(seed: int, folder: Path) -> Outcome:
         shutil.rmtree(old) if old.is_dir() else old.unlink()
     heard = io.StringIO()
     try:
+        mutated, run = MAKERS[kind](rng, folder)
+        if rng.random() < SPECIAL:
+            meshes.special(rng, mutated.path)
         with redirect_stdout(heard), redirect_stderr(heard):
-            MAKERS[kind](rng, folder)
+            run()
     except InternalError as error:
         return Outcome(kind, seed, "raises", str(error))
     except CoopqpError as error:
-        return _refusal(kind, seed, error)
+        return _refusal(kind, seed, error, mutated)
     except Exception:  # noqa: BLE001 - what it is for
         return Outcome(kind, seed, "raises", traceback.format_exc())
     return Outcome(kind, seed, "prints" if heard.getvalue() else "runs", heard.getvalue())
 
 
-def _refusal(kind: str, seed: int, error: CoopqpError) -> Outcome:
-    """A refusal, and whether each of its lines has the place that it could have."""
+def _refusal(kind: str, seed: int, error: CoopqpError, mutated: Mutated) -> Outcome:
+    """A refusal, and whether it names the right lines."""
     said = str(error)
     if ": raises " in said:  # of shipped code; a user's words would be better
         return Outcome(kind, seed, "raises", said)
-    for line in said.splitlines() if isinstance(error, ScenarioError) else ():
-        if not (PLACED.match(line) or any(words in line for words in WHOLE)):
-            return Outcome(kind, seed, "no line", said)
+    faults = map(str, error.faults) if isinstance(error, ScenarioError) else said.splitlines()
+    if wrong := wrong_line(list(faults), mutated):
+        return Outcome(kind, seed, wrong, f"{said}\n{_shown(mutated)}")
     return Outcome(kind, seed, "refused", said)
+
+
+def _shown(mutated: Mutated) -> str:
+    """What was done to a file."""
+    a, b = mutated.old.splitlines(), mutated.new.splitlines()
+    return "\n".join([*difflib.unified_diff(a, b, lineterm="", n=0)][2:40])
 
 
 @cache
@@ -101,27 +116,49 @@ def catalog() -> Catalog:
     return Catalog()
 
 
-def _scenario(rng: Random, folder: Path) -> None:
+def _scenario(rng: Random, folder: Path) -> Case:
     path, other = _copied(rng, folder), _seed(rng)
-    content = path.read_text(encoding="utf-8")
+    old = path.read_text(encoding="utf-8")
     if rng.random() < 0.4:
-        content = mutations.text(rng, content, other.read_text(encoding="utf-8"))
+        new = mutations.text(rng, old, other.read_text(encoding="utf-8"))
     else:
-        mutated = mutations.data(rng, read_yaml(path).data, read_yaml(other).data)
-        content = mutations.yaml(mutated)
-    path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    _run(path, pages=rng.random() < 0.01)
+        tree, deep = read_yaml(path).data, rng.choice((2, 4, 100, 100))
+        old = mutations.yaml(tree, deep)
+        new = mutations.yaml(mutations.data(rng, tree, read_yaml(other).data), deep)
+    path.write_bytes(new.encode("utf-8", "surrogatepass"))
+    pages = rng.random() < 0.01
+    return Mutated(path, old, new, trees.of_yaml), lambda: _run(path, pages=pages)
 
 
-def _robot(rng: Random, folder: Path) -> None:
+def _robot(rng: Random, folder: Path) -> Case:
     name = rng.choice(("urdf", "mjcf", "several"))
     shutil.copytree(SEEDS, folder, dirs_exist_ok=True)
     file = folder / ("dual.xml" if name == "mjcf" else "dual.urdf")
     other = (folder / ("dual.urdf" if name == "mjcf" else "dual.xml")).read_text(encoding="utf-8")
-    content = file.read_text(encoding="utf-8")
+    old = file.read_text(encoding="utf-8")
     mutate = mutations.text if rng.random() < 0.4 else mutations.xml
-    file.write_bytes(mutate(rng, content, other).encode("utf-8", "surrogatepass"))
-    _run(folder / f"{name}.yaml", pages=rng.random() < 0.01)
+    new = mutate(rng, old, other)
+    file.write_bytes(new.encode("utf-8", "surrogatepass"))
+    pages = rng.random() < 0.01
+    return Mutated(file, old, new, trees.of_xml), lambda: _run(folder / f"{name}.yaml", pages=pages)
+
+
+def _mesh(rng: Random, folder: Path) -> Case:
+    """A mesh that is a thing in the world and a part of a robot."""
+    shutil.copytree(SEEDS, folder, dirs_exist_ok=True)
+    name = rng.choice(("m.obj", "t.stl", "b.stl", "m.dae"))
+    file, old = folder / name, (folder / name).read_bytes()
+    if name == "b.stl":
+        new = meshes.binary(rng, old)
+    else:
+        other = (folder / rng.choice(("m.obj", "t.stl", "m.dae"))).read_text(encoding="utf-8")
+        changed = meshes.text(rng, old.decode(), other)
+        new = changed.encode("utf-8", "surrogatepass")
+    file.write_bytes(new)
+    scenario = folder / rng.choice(("things.yaml", "things.yaml", "urdf.yaml", "mjcf.yaml"))
+    pages = rng.random() < 0.1
+    mutated = Mutated(file, old.decode("latin-1"), new.decode("latin-1"), trees.of_lines)
+    return mutated, lambda: _run(scenario, pages=pages)
 
 
 def _seed(rng: Random) -> Path:
@@ -154,14 +191,14 @@ def _short(scenario: Scenario) -> Scenario:
 
 
 @cache
-def _kept() -> tuple[Scenario, str]:
+def _kept(name: str = "phases") -> tuple[Scenario, str]:
     """A short run: its scenario and its trace."""
-    scenario = _short(load(SEEDS / "phases.yaml", catalog()))
-    return scenario, files.trace_csv(compare(scenario, controllers=["qp", "pseudoinverse"]))
+    scenario = _short(load(SEEDS / f"{name}.yaml", catalog()))
+    return scenario, files.trace_csv(compare(scenario))
 
 
-def _trace(rng: Random, folder: Path) -> None:
-    scenario, written = _kept()
+def _trace(rng: Random, folder: Path) -> Case:
+    scenario, written = _kept(rng.choice(("phases", "pushed")))
     lines = written.splitlines(keepends=True)
     path = folder / "trace.csv"
     if rng.random() < 0.5:
@@ -174,15 +211,18 @@ def _trace(rng: Random, folder: Path) -> None:
             ",".join(map(str, row)) + "\n" if isinstance(row, list) else f"{row}\n" for row in rows
         )
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    asked = rng.choice(("tick", "run", "joints"))
-    if asked == "joints":
-        measured_run(path, scenario, rng.choice((None, "qp")))
-    elif asked == "run":
-        name = rng.choice(("qp", "pseudoinverse"))
-        list(legs(scenario.held_by(name), recording_from_trace(path, scenario, name)))
-    else:
-        tick = rng.choice((None, None, 0, 1, 4, 5, 10**6))
-        explanation.explain(recorded_tick(path, scenario, rng.choice((None, "qp")), tick))
+    asked, name = rng.choice(("tick", "run", "joints")), rng.choice(list(scenario.controllers))
+    tick = rng.choice((None, None, 0, 1))
+
+    def run() -> None:
+        if asked == "joints":
+            measured_run(path, scenario, name)
+        elif asked == "run":
+            list(legs(scenario.held_by(name), recording_from_trace(path, scenario, name)))
+        else:
+            explanation.explain(recorded_tick(path, scenario, None, tick))
+
+    return Mutated(path, written, content, trees.of_csv), run
 
 
 @cache
@@ -194,18 +234,20 @@ def _tick_text() -> str:
         return recorded_tick(path, scenario, "qp", 1).text()
 
 
-def _tick(rng: Random, folder: Path) -> None:
+def _tick(rng: Random, folder: Path) -> Case:
     content = _tick_text()
     if rng.random() < 0.4:
         content = mutations.text(rng, content, '{"a": [1, 2]}')
     else:
         tree: Any = json.loads(content)
-        content = json.dumps(mutations.data(rng, tree, tree))
+        content = json.dumps(mutations.data(rng, tree, tree), indent=1) + "\n"
     path = folder / "tick.json"
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    record = TickRecord.read(path)
-    solver = rng.choice(("daqp", "osqp", "proxqp"))
-    replay(record, solver_by_name(solver, catalog()))
+    solver = solver_by_name(rng.choice(("daqp", "osqp", "proxqp")), catalog())
+    mutated = Mutated(path, _tick_text(), content, trees.of_json)
+    return mutated, lambda: replay(TickRecord.read(path), solver)
 
 
-MAKERS = {"scenario": _scenario, "robot": _robot, "trace": _trace, "tick": _tick}
+MAKERS = {
+    "scenario": _scenario, "robot": _robot, "mesh": _mesh, "trace": _trace, "tick": _tick,
+}  # fmt: skip

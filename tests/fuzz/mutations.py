@@ -135,20 +135,25 @@ def _change(rng: Random, holder: Any, key: Any, own: list[Any], others: list[Any
         holder[name] = holder.pop(key) if kind == 8 else copy.deepcopy(value)
 
 
-def yaml(tree: Any) -> str:
-    """Plain data as YAML: the outer mappings and lists line by line, what is deep in JSON."""
-    if not isinstance(tree, dict):
-        return _flow(tree) + "\n"
-    return "".join(_block(key, value, 0) for key, value in tree.items())
+def yaml(tree: Any, deep: int) -> str:
+    """Plain data as YAML: mappings and lists a line a value down to a depth, then in JSON."""
+    return "\n".join(_block(tree, deep)) + "\n"
 
 
-def _block(key: Any, value: Any, indent: int) -> str:
-    head = f"{' ' * indent}{_flow(str(key)) if key else '?'}:"
-    if isinstance(value, dict) and value and indent < 8:
-        return head + "\n" + "".join(_block(k, v, indent + 2) for k, v in value.items())
-    if isinstance(value, list) and value and indent < 2:
-        return head + "\n" + "".join(f"{' ' * (indent + 2)}- {_flow(item)}\n" for item in value)
-    return f"{head} {_flow(value)}\n"
+def _block(value: Any, deep: int) -> list[str]:
+    """The lines of a value."""
+    if not deep or not isinstance(value, dict | list) or not value:
+        return [_flow(value)]
+    found = []
+    for key in value if isinstance(value, dict) else range(len(value)):
+        first, *others = _block(value[key], deep - 1)
+        if isinstance(value, list):
+            found += [f"- {first}", *(f"  {line}" for line in others)]
+        elif others or (deep > 1 and value[key] and isinstance(value[key], dict | list)):
+            found += [f"{_flow(str(key))}:", *(f"  {line}" for line in (first, *others))]
+        else:
+            found.append(f"{_flow(str(key))}: {first}")
+    return found
 
 
 def _flow(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import laws
@@ -13,9 +14,10 @@ from laws import DT, LIMITS, run
 from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
-from coopqp.limits import Obstacle, Obstacles, _convex
+from coopqp.limits import Obstacle, Obstacles
 from coopqp.mark import SolidMark
 from coopqp.profile import Profile
+from coopqp.robot_files import obj
 from coopqp.row import names_of
 from coopqp.scenario.loader import load
 from coopqp.state import State
@@ -150,16 +152,20 @@ def test_pictures_show_the_things() -> None:
         ("{sphere: -0.1}", "greater than 0"),
         ("{sphere: 0.1, box: [1, 1, 1]}", "found box and sphere"),
         ("{position: [1, 0, 0]}", "needs one of box, sphere, cylinder, mesh; found none"),
-        ("{mesh: nowhere.stl}", "there is no such file"),
-        ("{mesh: .}", "there is no such file"),
+        ("{mesh: nowhere.stl}", "cannot be read: No such file"),
+        ("{mesh: .}", "is of no kind that is read: .stl, .obj, .dae"),
+        ("{mesh: folder.stl}", "cannot be read: is a folder"),
+        ("{mesh: pipe.stl}", "cannot be read: is a pipe or a device"),
         ("{mesh: flat.obj}", "is flat"),
-        ("{mesh: text.obj}", "cannot be read|no surface"),
+        ("{mesh: text.obj}", "no surface"),
         ("{sphere: 0.1, position: [0.12, 0, 0.05]}", "object is [0-9.]+ mm in ball at the start"),
     ],
 )
 def test_a_bad_thing_is_one_line(tmp_path: Path, shape: str, message: str) -> None:
     (tmp_path / "flat.obj").write_text(FLAT)
     (tmp_path / "text.obj").write_text("no mesh\n")
+    (tmp_path / "folder.stl").mkdir()
+    os.mkfifo(tmp_path / "pipe.stl")
     file = tmp_path / "scenario.yaml"
     file.write_text(SCENARIO.replace("SHAPE", shape))
     with pytest.raises(ScenarioError, match=message) as caught:
@@ -172,8 +178,8 @@ def test_a_mesh_that_is_too_large_is_not_read(
 ) -> None:
     mesh = tmp_path / "pyramid.obj"
     mesh.write_text(PYRAMID)
-    monkeypatch.setattr(_convex, "LARGEST", 50)
-    with pytest.raises(InvalidValueError, match=r"thing: mesh .*make it coarser"):
+    monkeypatch.setattr(obj, "LARGEST", 50)
+    with pytest.raises(InvalidValueError, match=r"thing: mesh .*pyramid.obj: is larger than"):
         of(Obstacle(mesh=mesh)).rows(held_box)
 
 

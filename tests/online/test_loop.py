@@ -239,6 +239,27 @@ def test_late_ticks_are_counted_and_the_longest_named() -> None:
     assert "no tick came for 1.01 s" in loop.stopped
 
 
+def test_the_last_word_of_a_slow_robot_counts_for_a_while() -> None:
+    scenario, clock = follows(), Told()
+    loop = OnlineLoop(scenario, clock=clock, silent_after=0.05)
+    robot = Scripted(scenario.chain.q_start)
+    for k in range(60):
+        said = robot.read() if k % 4 == 0 else None
+        robot.write(loop.setpoint, loop.tick(said, {"target": NEAR}).v)
+        assert loop.status is Status.OPTIMAL, k
+        clock.t += 0.01
+    assert np.abs(robot.q - scenario.chain.q_start).max() > 0.01
+    far = robot.q + 1.0
+    for said in (far, None, None, far, None):  # what is not believed is so until there is better
+        loop.tick(said, {"target": NEAR})
+        assert loop.status is Status.MEASURED_JUMPED
+        assert "by +" in loop.note
+        clock.t += 0.01
+    clock.t += 0.05
+    loop.tick(None)
+    assert loop.status is Status.ROBOT_SILENT
+
+
 def test_it_stops_and_goes_on_from_where_the_robot_is_then() -> None:
     scenario = follows()
     loop = OnlineLoop(scenario, clock=None)

@@ -234,7 +234,7 @@ def test_perfect_joints_show_how_far_the_hands_are_apart() -> None:
 
 
 def test_the_gap_is_in_the_verdict() -> None:
-    comparison = coopqp.compare(coopqp.load("calibration_error"))
+    comparison = coopqp.compare(coopqp.load("calibration_error"), controllers=["qp"])
     metrics, said = comparison.metrics["qp"], comparison.verdicts["qp"]
     assert metrics["reached"]
     assert metrics["internal_force"]["end"] < 0.1

@@ -180,14 +180,24 @@ def test_missing_meshes_are_told_and_make_way_for_capsules(write: Callable[..., 
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("mesh", ["", "this is no mesh", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n"])
-def test_meshes_that_cannot_be_read_are_told(write: Callable[..., Path], mesh: str) -> None:
+@pytest.mark.parametrize(
+    ("mesh", "why"),
+    [
+        ("", ": has no surface"),
+        ("this is no mesh", ": has no surface"),
+        ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", ": has no surface"),
+        ("v 0 0 0\nv 0 nan 0\n", ":2: found '0 nan 0', needs 3 numbers"),
+    ],
+)
+def test_meshes_that_cannot_be_read_are_told(
+    write: Callable[..., Path], mesh: str, why: str
+) -> None:
     path = write(mesh=mesh, looks=ONLY_MESH)
     robot = Urdf(path=path, arms=ARMS).build()
     assert not robot.warnings  # the file is there; it is read when it is drawn
     bodies, faults = robot_bodies(robot)
     assert len(bodies) == 4
-    assert faults == (f"{path.parent / 't.obj'} cannot be read; not drawn",)
+    assert faults == (f"mesh {path.parent / 't.obj'}{why}; not drawn",)
 
 
 def test_a_shape_needs_its_frame() -> None:

@@ -16,7 +16,6 @@ import coopqp.tasks
 from coopqp.checked import Pose as PoseValue
 from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
 from coopqp.limits import Obstacle, Obstacles, Workspace
 from coopqp.mark import (
     LineMark,
@@ -102,9 +101,11 @@ def test_a_users_own_task_is_drawn_by_its_marks_and_by_nothing_else() -> None:
     np.testing.assert_allclose(way["points"], expected, atol=2e-4)
 
 
-def test_what_is_no_mark_is_refused_with_the_tasks_name() -> None:
-    with pytest.raises(InvalidValueError, match=r"^own\.marks: found array.*needs PointMark"):
-        drawn(Own(name="own", wrong=True))
+def test_what_is_no_mark_is_left_out_with_a_note() -> None:
+    found = drawn(Own(name="own", wrong=True))
+    (note,) = found["notes"]
+    assert note.startswith("own.marks: ndarray among its marks, needs PointMark")
+    assert not found["lines"]
 
 
 def test_the_plane_of_a_limit_is_drawn_near_the_object() -> None:

@@ -88,9 +88,10 @@ def test_what_is_misspelt_is_refused_with_its_line(
 def test_mujoco_refuses_the_same(old: str, new: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     good = (SEEDS / "dual.xml").read_text(encoding="utf-8")
-    mujoco.MjModel.from_xml_string(good)
+    files = {name: (SEEDS / name).read_bytes() for name in ("m.obj", "b.stl")}
+    mujoco.MjModel.from_xml_string(good, files)
     with pytest.raises(ValueError, match=r"\w"):
-        mujoco.MjModel.from_xml_string(good.replace(old, new, 1))
+        mujoco.MjModel.from_xml_string(good.replace(old, new, 1), files)
 
 
 def test_no_name_of_mujocos_own_schema_is_refused() -> None:
@@ -160,5 +161,5 @@ def test_what_makes_bodies_and_is_not_read_is_refused(tag: str, tmp_path: Path) 
     """For pinocchio they are not there, with all the bodies in them."""
     good, path = (SEEDS / "dual.xml").read_text(encoding="utf-8"), tmp_path / "made.xml"
     path.write_text(good.replace('<body name="r0"', f'<{tag}/><body name="r0"'), encoding="utf-8")
-    with pytest.raises(InvalidValueError, match=rf"made.xml:12: <{tag}>: is not read; "):
+    with pytest.raises(InvalidValueError, match=rf"made.xml:18: <{tag}>: is not read; "):
         read_mjcf(path)

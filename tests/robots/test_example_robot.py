@@ -38,6 +38,17 @@ def test_baxter_has_two_arms_of_seven_joints() -> None:
 
 
 @needs_robots
+def test_what_is_done_to_a_robot_is_not_done_to_the_next() -> None:
+    """All its joints move, so that nothing has to be left out of what was read."""
+    ur5 = ExampleRobot(name="ur5_robot", arms={"arm": "tool0"})
+    robot = ur5.build()
+    slow = 0.1 * robot.model.velocityLimit
+    robot.model.velocityLimit, robot.model.names[1] = slow, "mine"
+    assert (ur5.build().model.velocityLimit > slow).all()
+    assert "mine" not in ur5.build().joint_names
+
+
+@needs_robots
 def test_a_shared_torso_moves_both_arms(rng: np.random.Generator) -> None:
     robot = ExampleRobot(name="tiago_dual", arms=TIAGO).build()
     assert robot.joint_names[0] == "torso_lift_joint"

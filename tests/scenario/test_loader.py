@@ -18,14 +18,14 @@ from coopqp.scenario.loader import load, shipped, with_solver
 FAULTS = [
     ("nao_t14", "nao_t15", "2: robot: unknown robot 'nao_t15'; did you mean 'nao_t14'?"),
     ("goal: [0.13, 0.05, 0.03]", "goal: [0, 0]", "goal: found [0, 0]; needs 3 numbers"),
-    ("goal: [0.13, 0.05, 0.03]", "goal: [0, 0, x]", 'goal[2]: found "x"; needs a valid number'),
+    ("goal: [0.13, 0.05, 0.03]", "goal: [0, 0, x]", 'goal[2]: found "x"; needs a number'),
     ("gain: 5.0", "gian: 5.0", "gian: unknown key 'gian'; did you mean 'gain'"),
     ("gain: 5.0", "gain: 5.0\n      gain: 6", "key 'gain' is given twice"),
     ("gain: 5.0", "gain: 500.0", "overshoots; needs at most 1/dt = 100"),
     ("point_on_point:", "point_on_pont:", "did you mean 'point_on_point'"),
     ("dt: 0.01", "dt: 0", "dt: found 0; needs greater than 0"),
     ("dt: 0.01", "dt: .nan", "dt: found NaN; needs a finite number"),
-    ("dt: 0.01", "dt: '0.01'", "dt: found \"0.01\"; needs a valid number"),
+    ("dt: 0.01", "dt: '0.01'", "dt: found \"0.01\"; needs a number"),
     ("0.7, -0.2, 1.2", "0.7, -0.2, 3.2", "start.right[2]: RElbowYaw starts at 3.2 rad, outside"),
     ("right: [0.7, ", "right: [.nan, ", "start.right[0]: found NaN; needs a finite number"),
     ("[0.7, -0.2", "[0.1, 0.7, -0.2", "right: found 6 numbers, needs 5: RShoulderPitch"),
@@ -172,6 +172,15 @@ def test_a_users_task_is_one_file(tmp_path: Path) -> None:
 
     trace = run(load(write(tmp_path, text), catalog), controller="qp")
     assert abs(trace.position[-1, 2] - 0.06) < 1e-4
+
+
+def test_catalogues_share_a_form_where_they_can_name_the_same(tmp_path: Path) -> None:
+    file = tmp_path / "hold_height.py"
+    file.write_text(USERS_TASK, encoding="utf-8")
+    assert file_model(Catalog()) is file_model(Catalog())
+    mine = file_model(Catalog((tmp_path,)))
+    assert mine is file_model(Catalog((tmp_path,)))
+    assert mine is not file_model(Catalog())
 
 
 def test_a_users_task_that_cannot_be_read_is_refused(tmp_path: Path) -> None:

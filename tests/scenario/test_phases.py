@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from click.testing import CliRunner
-from scenario_files import HEAD, PHASES, TAIL, needs_robots, phased
+from command_line import typed
+from scenario_files import HEAD, PHASES, TAIL, needs_robots, phased, write
 
-from coopqp import cli
 from coopqp.checked import Array
 from coopqp.comparison import compare, summarize
 from coopqp.controller_run import run
@@ -165,17 +164,21 @@ def test_the_trace_names_the_phase_and_leaves_other_phases_errors_empty(
     assert float(rows[ALONE]["error[alone.away]"]) >= 0.0
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a report."""
+    folder = tmp_path_factory.mktemp("phases")
+    path = write(folder, HEAD + PHASES + TAIL)
+    assert typed("compare", path, "--out", folder / "out").exit_code == 0
+    return folder / "out"
+
+
 @pytest.mark.parametrize("tick", [10, ALONE, 90, AGAIN, 150])
-def test_a_tick_of_any_phase_can_be_kept_and_solved_again(tmp_path: Path, tick: int) -> None:
-    (tmp_path / "in.yaml").write_text(HEAD + PHASES + TAIL, encoding="utf-8")
-    out, kept = tmp_path / "out", tmp_path / "tick.json"
-    runner = CliRunner()
-    assert (
-        runner.invoke(cli.main, ["compare", str(tmp_path / "in.yaml"), "--out", str(out)]).exit_code
-        == 0
-    )
-    arguments = ["explain", str(out), "--tick", str(tick), "--save", str(kept)]
-    assert runner.invoke(cli.main, arguments).exit_code == 0
+def test_a_tick_of_any_phase_can_be_kept_and_solved_again(
+    written: Path, tmp_path: Path, tick: int
+) -> None:
+    out, kept = written, tmp_path / "tick.json"
+    assert typed("explain", out, "--tick", tick, "--save", kept).exit_code == 0
     record = TickRecord.read(kept)
     with (out / "trace.csv").open(encoding="utf-8") as stream:
         row = list(csv.DictReader(stream))[tick]

@@ -76,7 +76,7 @@ FAULTS = [
     ("start: slove\n", "", "", 'start: found "slove"; needs joint values by arm or joint, or'),
     ("start: [1]\n", "", "", "start: found [1]; needs joint values by arm or joint, or the word"),
     ("start: solve\nstart_deg: {right: [0]}\n", "", "", "start_deg: give one of start (radians)"),
-    ("start_deg: solve\n", "", "", "start_deg: found \"solve\"; needs an object"),
+    ("start_deg: solve\n", "", "", "start_deg: found \"solve\"; needs a mapping"),
     (
         "start: solve\n",
         "  pose: {position: [0.45, 0.0, 0.25]}", "",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import typed
-from explained import ADVICE, REACH, advice, explained, nao, nearest, of_case
+from explained import ADVICE, REACH, advice, explained, gap, nao, nearest, of_case
 from laws import LIMITS, STEP
 from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
@@ -22,10 +22,16 @@ from coopqp.limits import (
     JointAcceleration,
     JointPosition,
     JointVelocity,
+    Obstacle,
+    Obstacles,
 )
 from coopqp.scenario.loader import load
 from coopqp.solver import Budget
-from coopqp.study.explanation import explain_run, recording_of
+from coopqp.state import State
+from coopqp.study.explanation import explain_run, late, recording_of, words
+from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.shares import Share
 from coopqp.tasks import Twist
 
 # Speed, time, budget
@@ -108,9 +114,46 @@ def test_a_later_phase_is_explained_with_its_own_chain(tmp_path: Path) -> None:
     assert need.amount >= 0.3 - chain.upper[i] - 0.01  # the task's own tolerance
 
 
-def test_a_law_that_knows_no_limits_is_not_blamed_on_them() -> None:
-    found = explained(load("joint_limit_stress"), "pseudoinverse")
+def test_a_law_that_knows_no_limits_is_not_blamed_on_them_but_told_to_break_them() -> None:
+    scenario = load("joint_limit_stress")
+    found = explained(scenario, "pseudoinverse")
     assert found.kind == "reached"
+    trace, limit = run(scenario, controller="pseudoinverse"), 2.0 * np.pi
+    worst = min(trace.margins, key=lambda row: trace.margins[row].min() if row.unit == "rad" else 0)
+    by = -trace.margins[worst].min()
+    assert 0.1 < by < limit
+    assert found.sentence.startswith("every goal is reached, but beyond limits: ")
+    assert f"{worst.words} by {by:.3g} rad" in found.sentence
+    assert explained(nao(REACH)).sentence == "every goal is reached"
+
+
+def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
+    """Also where it is a corner of them that holds, whose row belongs to no pair."""
+    like = load("point_on_point")
+    x, y, z = (like.chain.start_position + np.array([0.0, 0.0, 0.11])).tolist()
+    slab = Obstacle(box=(0.4, 0.4, 0.05), position=(x, y, z))
+    limits = (*like.limits, Obstacles(shapes={"slab": slab}, bodies=("object",)))
+    leg = next(legs(replace(like, limits=limits), recording_of(run(like, controller="qp"))))
+    room = Room(leg.problem.chain, leg.problem.limits, leg.problem.dt)
+    corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
+    told = late._told(Share(corner, 1.0), room, like.chain.q_start)
+    pose, half = State(like.chain), 0.5 * np.array(like.held.size)
+    d = z - 0.025 - pose.p_WO[2] - np.abs(pose.R_WO[2]) @ half  # the slab is level
+    assert told.row.bodies == ("object", "slab")
+    assert told.row.words == f"the distance of object and slab ({1e3 * d:.1f} mm)"
+    joint = Share(next(iter(room.sides.values())), 1.0)
+    assert late._told(joint, room, like.chain.q_start) is joint
+
+
+def test_joint_values_that_are_told_close_the_loops() -> None:
+    """To two digits the hands were 13 mm apart."""
+    scenario = load("point_on_point")
+    leg = next(legs(scenario, recording_of(run(scenario, controller="qp"))))
+    said = words.start(leg.q[-1], leg.problem.chain)
+    arms = dict(part.split(" ", 1) for part in said.split("; "))
+    values = {arm: [float(x) for x in text.strip("[]").split(",")] for arm, text in arms.items()}
+    q = scenario.robot_model.configuration(values)
+    assert np.abs(gap(scenario.chain, q)).max() < 2e-5
 
 
 def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
@@ -183,7 +226,22 @@ DAMAGES = {
     "text": lambda text: text.replace("0.7", "zero", 1),
     "status": lambda text: text.replace("OPTIMAL", "FINE"),
     "binary": lambda text: text[:300] + "\x00\x01" + text[300:],
+    "far away": lambda text: cell(text, 3, "q[RShoulderPitch]", "1e300"),
+    "elsewhere": lambda text: cell(text, 3, "q[RShoulderPitch]", "40"),
+    "another start": lambda text: cell(text, 0, "q[RShoulderPitch]", "0.71"),
+    "twice": lambda text: cell(text, 4, "tick", "3"),
+    "time": lambda text: cell(text, 4, "t", "abc"),
+    "time back": lambda text: cell(text, 4, "t", "0.01"),
+    "other dt": lambda text: cell(text, 4, "t", "0.035"),
+    "no task": lambda text: text.replace("error[reach]", "error[other]"),
 }
+
+
+def cell(text: str, row: int, column: str, value: str) -> str:
+    """A trace with one cell changed."""
+    lines = [line.split(",") for line in text.strip().split("\n")]
+    lines[1 + row][lines[0].index(column)] = value
+    return "\n".join(",".join(line) for line in lines) + "\n"
 
 
 @pytest.fixture(scope="module")
@@ -207,4 +265,5 @@ def test_damaged_traces_are_refused_in_one_line(damage: str, written: Path, tmp_
     result = typed("explain", out)
     assert result.exit_code == 2
     assert len(result.stderr.strip().splitlines()) == 1
+    assert str(trace) in result.stderr
     assert "damaged" in result.stderr or "is not a trace.csv" in result.stderr

@@ -18,8 +18,9 @@ from coopqp.study.trace_file import recording_from_trace
 
 def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunExplanation:
     trace = coopqp.run(scenario, controller=controller)
-    files.write(summarize(scenario, {controller: trace}), folder)
-    recording = recording_from_trace(folder / "trace.csv", scenario, controller)
+    path = folder / f"{controller}.csv"
+    files.write_one(path, files.trace_csv(summarize(scenario, {controller: trace})))
+    recording = recording_from_trace(path, scenario, controller)
     return explain_run(scenario, recording)
 
 
@@ -34,7 +35,7 @@ def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
     assert found.kind == "speed"
     assert "following_error" in found.sentence
     free = replace(scenario, limits=scenario.limits[:2])
-    assert explained(free, tmp_path / "free").kind == "reached"
+    assert explained(free, tmp_path).kind == "reached"
 
 
 def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> None:
@@ -53,6 +54,6 @@ def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> Non
     high = replace(low, name="high", through=(0.0, 0.0, low.through[2] + 0.03), priority=1)
     scenario = replace(coopqp.load("point_on_plane"), tasks=(low, high), duration=3.0)
     assert "comes first" in explained(scenario, tmp_path).sentence
-    other = explained(scenario, tmp_path / "other", "pseudoinverse")
+    other = explained(scenario, tmp_path, "pseudoinverse")
     assert "cannot hold together" in other.sentence
     assert "first" not in other.sentence

@@ -28,6 +28,7 @@ from coopqp.study.tick_record import TickRecord
 from coopqp.tasks import PointOnPoint
 
 
+@pytest.fixture(scope="module")
 def records(compared: Comparison, law: QPLaw, chain: ClosedChain) -> dict[str, TickRecord]:
     everything = (*LIMITS, ObjectSpeed(linear=0.05), JointAcceleration(max=30.0))
     point = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
@@ -48,9 +49,9 @@ each_kind = pytest.mark.parametrize("kind", KINDS)
 
 @each_kind
 def test_record_comes_back_from_its_file_bit_for_bit(
-    kind: str, compared: Comparison, law: QPLaw, chain: ClosedChain, tmp_path: Path
+    kind: str, records: dict[str, TickRecord], tmp_path: Path
 ) -> None:
-    kept = records(compared, law, chain)[kind]
+    kept = records[kind]
     path = tmp_path / "tick.json"
     kept.save(path)
     again = TickRecord.read(path)
@@ -91,10 +92,10 @@ SOLVERS: dict[str, Solver] = {
 @pytest.mark.parametrize("solver", SOLVERS.values(), ids=SOLVERS.keys())
 @each_kind
 def test_replay_gives_the_same_motion_with_every_solver(
-    kind: str, solver: Solver, compared: Comparison, law: QPLaw, chain: ClosedChain
+    kind: str, solver: Solver, records: dict[str, TickRecord]
 ) -> None:
     """Against quadprog, asked directly; the status tells nothing but small differences apart."""
-    kept = records(compared, law, chain)[kind]
+    kept = records[kind]
     qp = kept.qp()
     expected = qpsolvers.solve_qp(
         qp.P, qp.q, qp.G if qp.p else None, qp.h if qp.p else None, qp.A, qp.b,

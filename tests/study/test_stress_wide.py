@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,10 @@ from coopqp.study.stress.signs import Record
 Array = NDArray[np.float64]
 OK = (Status.OPTIMAL,)
 TICKS = 100
+
+
+#: What a seed draws, for all who look at it.
+drawn = cache(draw)
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +60,9 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
     assert all(r.reason for r in small if r.outcome != "reached")
     assert sum(r.outcome == "reached" for r in small) >= len(small) // 4
+    everything = summarize(small)[-1]
+    assert everything.position_excess <= 1e-9
+    assert everything.velocity_excess <= 1e-9
 
 
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
@@ -64,23 +72,23 @@ def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
 
 def test_draws_are_wide() -> None:
     """Every arrangement, grasp, mode, drift correction and period comes up."""
-    drawn = [draw(seed) for seed in range(150)]
-    assert {d.robot for d in drawn} == set(arrangements.names())
-    assert {"rigid", "revolute"} <= {d.grasp for d in drawn}
-    assert {d.kappa for d in drawn} == {"0", "0.1/dt", "1/dt"}
-    assert {d.problem.dt for d in drawn} == {0.005, 0.01, 0.02}
-    assert 0.15 < np.mean([d.start == "outside" for d in drawn]) < 0.45
-    tasks = [task for d in drawn for task in d.problem.tasks]
+    draws = [drawn(seed) for seed in range(150)]
+    assert {d.robot for d in draws} == set(arrangements.names())
+    assert {"rigid", "revolute"} <= {d.grasp for d in draws}
+    assert {d.kappa for d in draws} == {"0", "0.1/dt", "1/dt"}
+    assert {d.problem.dt for d in draws} == {0.005, 0.01, 0.02}
+    assert 0.15 < np.mean([d.start == "outside" for d in draws]) < 0.45
+    tasks = [task for d in draws for task in d.problem.tasks]
     assert {task.mode for task in tasks} == {"soft", "hard", "scaled"}
     assert {task.priority for task in tasks} == {0, 1, 2}
     assert len({type(task) for task in tasks}) >= 14
-    assert {len(d.problem.tasks) for d in drawn} == {1, 2, 3, 4}
-    assert all(task.gain * d.problem.dt <= 1.0 for d in drawn for task in d.problem.tasks)
+    assert {len(d.problem.tasks) for d in draws} == {1, 2, 3, 4}
+    assert all(task.gain * d.problem.dt <= 1.0 for d in draws for task in d.problem.tasks)
 
 
 def test_every_start_has_its_loops_closed() -> None:
     for seed in range(40):
-        state = State(draw(seed).problem.chain)
+        state = State(drawn(seed).problem.chain)
         assert state.loop_position_error < 1e-6
         assert state.loop_orientation_error < 1e-6
 
@@ -155,10 +163,10 @@ def far_from_reached() -> tuple[QPLaw, State, Record]:
     """A drawn problem whose arms have not moved: its record says so, in every tick."""
     seed = next(
         s for s in range(2000)
-        if (d := draw(s)).start == "inside" and d.problem.on_infeasible == "scale"
+        if (d := drawn(s)).start == "inside" and d.problem.on_infeasible == "scale"
         and d.tasks == ("soft PointOnPoint",)
     )  # fmt: skip
-    law = QPLaw(draw(seed).problem, DAMPING)
+    law = QPLaw(drawn(seed).problem, DAMPING)
     state = law.start()
     record = record_of(law.problem)
     zero = np.zeros(law.problem.chain.n)
@@ -189,9 +197,9 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     """The arms stand where they began, outside, while a linear program finds a way in."""
     seed = next(
         s for s in range(2000)
-        if (d := draw(s)).start == "outside" and d.problem.on_infeasible == "scale"
+        if (d := drawn(s)).start == "outside" and d.problem.on_infeasible == "scale"
     )  # fmt: skip
-    law = QPLaw(draw(seed).problem, DAMPING)
+    law = QPLaw(drawn(seed).problem, DAMPING)
     state, record = law.start(), record_of(law.problem)
     record.q.extend([state.q.copy()] * (TICKS + 1))
     record.v.extend([np.zeros(law.problem.chain.n)] * TICKS)

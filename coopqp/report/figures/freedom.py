@@ -25,6 +25,7 @@ from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
 from coopqp.state import State
 from coopqp.task import LENGTHS, TaskStack
+from coopqp.wording import suppressed
 
 MOST_INSTANTS = 300  # that are looked at, of each controller and phase
 WORST = 1e6  # larger conditions are drawn here
@@ -77,9 +78,11 @@ def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
         state.t, state.q[:] = float(t[k]), q[k]
         state.update()
-        try:
+        asked = False
+        with suppressed():  # the tick, which met the same error, names it
             tasks.update(state)
-        except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+            asked = True
+        if not asked:
             continue
         M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
         found = np.linalg.svd(M, compute_uv=False)

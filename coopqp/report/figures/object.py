@@ -14,13 +14,23 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.mark import CircleMark, LineMark, Mark, PlaneMark, PointMark, PoseMark, TrackedMark
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    TrackedMark,
+    asked,
+)
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json
 from coopqp.report.figures.chart import Chart
@@ -192,7 +202,8 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
         count = min(last - first + 1, MOST_INSTANTS)
         rows = np.unique(np.linspace(first, last, count).round().astype(int))
         for task in phase.tasks:
-            marks = [task.marks(trace.moment(k, float(t[k] - t[first]))) for k in rows.tolist()]
+            nows = [trace.moment(k, float(t[k] - t[first])) for k in rows.tolist()]
+            marks = [asked(task.name, partial(task.marks, now), []) for now in nows]
             goal = np.array([quantity.goal(then) for then in marks])
             if np.isnan(goal).all():
                 continue
@@ -222,7 +233,7 @@ def _starts(chart: Chart, phase: int, first: int) -> dict[str, pin.SE3]:
 def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
-    marks = [mark for task in tasks for mark in task.marks(Moment())]
+    marks = [m for task in tasks for m in asked(task.name, partial(task.marks, Moment()), [])]
     points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMark))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.errors import InvalidValueError
 from coopqp.mark import SolidMark
 from coopqp.report.scene.thinning import count_thinned, thinned
 from coopqp.report.scene.triangles import NOTHING, Triangles, joined, moved, of_capsule, of_shape
@@ -70,7 +71,7 @@ def solid_body(solid: SolidMark) -> Body:
         size=solid.size,
         mesh=solid.mesh,
     )
-    surface = _read(shape) or NOTHING
+    surface, _ = _read(shape)
     (few,) = _within([moved(surface, shape.placement)], MOST_TRIANGLES)
     return Body(0, None, few)
 
@@ -104,27 +105,29 @@ def _surfaces_of_shapes(
 ) -> tuple[dict[int, list[Triangles]], tuple[str, ...]]:
     """Surfaces of the links' shapes by joint, and what cannot be read."""
     surfaces: dict[int, list[Triangles]] = {}
-    read: dict[tuple[str, tuple[float, ...], Path | None], Triangles | None] = {}
+    read: dict[tuple[str, tuple[float, ...], Path | None], tuple[Triangles, str]] = {}
     for shape in robot.shapes:
         look = (shape.kind, shape.size, shape.mesh)
         if look not in read:
             read[look] = _read(shape)
-        surface = read[look]
-        if surface is not None:
+        surface, wrong = read[look]
+        if not wrong:
             frame = robot.model.frames[robot.model.getFrameId(shape.frame)]
             placed = moved(surface, frame.placement * shape.placement)
             surfaces.setdefault(frame.parentJoint, []).append(placed)
-    faults = {str(mesh) for (_, _, mesh), surface in read.items() if surface is None}
-    return surfaces, tuple(f"{mesh} cannot be read; not drawn" for mesh in sorted(faults))
+    faults = {f"{wrong}; not drawn" for _, wrong in read.values() if wrong}
+    return surfaces, tuple(sorted(faults))
 
 
-def _read(shape: Shape) -> Triangles | None:
-    """As fine as may be seen, so that large meshes do not slow what follows."""
+def _read(shape: Shape) -> tuple[Triangles, str]:
+    """As fine as may be seen, so that large meshes do not slow what follows; and what is wrong."""
     try:
         surface = of_shape(shape)
-    except (ValueError, RuntimeError):
-        return None
-    return thinned(surface, READ * _size([surface])) if shape.kind == "mesh" else surface
+    except InvalidValueError as error:
+        return NOTHING, str(error)
+    if shape.kind == "mesh":
+        surface = thinned(surface, READ * _size([surface]))
+    return surface, ""
 
 
 def _size(surfaces: Sequence[Triangles]) -> float:

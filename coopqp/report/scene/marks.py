@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
 from coopqp.mark import (
     CircleMark,
     LineMark,
@@ -26,6 +26,7 @@ from coopqp.mark import (
     SolidMark,
     SphereMark,
     TrackedMark,
+    asked,
 )
 from coopqp.report.cells import plugin_name
 from coopqp.scenario.scenario import Scenario
@@ -84,40 +85,45 @@ class Shown:
         return {"name": self.name, "limit": self.limit, **self.frames, **values}
 
 
-def shown_marks(scenario: Scenario, frames: NDArray[np.int64], trace: Trace) -> list[Shown]:
+def shown_marks(
+    scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
+) -> list[Shown]:
     """The marks of the tasks of all phases, and those of the limits.
 
     Args:
         scenario: whose they are.
         frames: the tick of each frame.
         trace: of a run.
-
-    Raises:
-        InvalidValueError: a task or a limit shows what is no mark.
+        faults: to which a sentence is added for every task and limit that shows what is no mark,
+            or raises an error; it is then left out.
     """
-    place, found = _Place(scenario), []
+    place, found = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         for task in phase.tasks:
-            marks = {k: task.marks(trace.moment(int(frames[k]), t)) for k, t in times.items()}
+            nows = {k: trace.moment(int(frames[k]), t) for k, t in times.items()}
+            marks = {
+                k: asked(task.name, partial(task.marks, now), faults) for k, now in nows.items()
+            }
             found += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
-            marks = {k: limit.marks(t) for k, t in times.items()}
-            found += _through_time(marks, plugin_name(limit), place, limit=True)
+            name = plugin_name(limit)
+            marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
+            found += _through_time(marks, name, place, limit=True)
     return found
 
 
 def _through_time(
-    marks: dict[int, tuple[Mark, ...]], name: str, place: _Place, *, limit: bool
+    marks: dict[int, tuple[Mark, ...]], name: str, place: Place, *, limit: bool
 ) -> list[Shown]:
     """Marks by frame, which may come and go; one that stays is one."""
     found: list[Shown] = []
     seen: dict[tuple[int, str], Shown] = {}
     for k, marks_then in marks.items():
         for i, mark in enumerate(marks_then):
-            kind, values = place.drawn(mark, name)
+            kind, values = place.drawn(mark)
             shown = seen.get((i, kind))
             if shown is None or shown.last < k - 1:
                 shown = seen[i, kind] = Shown(kind, name, limit, k)
@@ -126,7 +132,7 @@ def _through_time(
     return found
 
 
-class _Place:
+class Place:
     """Where what has no end is cut off: near the object's start.
 
     Args:
@@ -136,7 +142,7 @@ class _Place:
     def __init__(self, scenario: Scenario) -> None:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
 
-    def drawn(self, mark: Mark, name: str) -> tuple[str, Json]:
+    def drawn(self, mark: Mark) -> tuple[str, Json]:
         """The kind and what is drawn."""
         match mark:
             case PointMark():
@@ -156,9 +162,6 @@ class _Place:
                 return self._axes(mark)
             case TrackedMark() | PostureMark() | RelativeMark():
                 return self._carried(mark)
-        *others, last = (kind.__name__ for kind in get_args(Mark))
-        known = f"{', '.join(others)} or {last}"
-        raise InvalidValueError(f"{name}.marks: found {mark!r}, needs {known}")
 
     def _carried(self, mark: TrackedMark | PostureMark | RelativeMark) -> tuple[str, Json]:
         """What :mod:`coopqp.report.scene.carried` needs."""

@@ -41,7 +41,8 @@ def scene(comparison: Comparison) -> Json:
     looks = styles(traces)
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
-    marks = shown_marks(scenario, frames, first)
+    undrawn: list[str] = []
+    marks = shown_marks(scenario, frames, first, undrawn)
     solids = [mark.values[0]["solid"] for mark in marks if mark.kind == SOLID]
     bodies = (*bodies, *map(solid_body, solids))
     moving = [body for body in bodies if body.joint > 0]
@@ -51,7 +52,7 @@ def scene(comparison: Comparison) -> Json:
         "size": list(scenario.held.size),
         "view": view(comparison, bodies, in_view(marks)),
         "bodies": [_body(body) for body in bodies],
-        "notes": [*robot.warnings, *faults],
+        "notes": [*robot.warnings, *faults, *dict.fromkeys(undrawn)],
         **as_json(marks),
         "controllers": [
             {

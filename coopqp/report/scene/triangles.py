@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.robot import Capsule, Shape
+from coopqp.robot_files.meshes import read_mesh
 
 ROUND = 12  # corners of a circle
 
@@ -53,7 +53,7 @@ def of_shape(shape: Shape) -> Triangles:
     """The surface of a shape, about the shape's own origin.
 
     Raises:
-        ValueError, RuntimeError: its mesh cannot be read.
+        InvalidValueError: its mesh cannot be read.
     """
     size = shape.size
     if shape.kind == "mesh":
@@ -81,17 +81,13 @@ def of_capsule(capsule: Capsule) -> Triangles:
 
 
 def of_mesh(path: Path, scale: tuple[float, ...]) -> Triangles:
-    """The surface in a file of a kind that coal reads, such as STL, OBJ and DAE.
+    """The surface in a file.
 
     Raises:
-        ValueError, RuntimeError: it cannot be read, or has no surface.
+        InvalidValueError: it cannot be read, or has no surface.
     """
-    mesh = coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), np.array(scale))
-    corners = [(t[0], t[1], t[2]) for t in map(mesh.tri_indices, range(mesh.num_tris))]
-    vertices = np.array(mesh.vertices())
-    if not corners or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
-        raise ValueError(f"{path}: has no surface")
-    return Triangles(vertices, np.array(corners, np.int64))
+    mesh = read_mesh(path, scale)
+    return Triangles(mesh.vertices, mesh.corners)
 
 
 def _box(edges: Sequence[float]) -> Triangles:

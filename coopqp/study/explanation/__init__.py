@@ -13,10 +13,12 @@ motion, late   what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
 tick           one tick: what leaves it no motion
+standing       arms at rest now: what keeps them from their goals
 """
 
 from coopqp.study.explanation.leg import Recording, recording_of
-from coopqp.study.explanation.tick import Explanation, Relaxation, explain
+from coopqp.study.explanation.standing import Standing, explain_standing
+from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain
 from coopqp.study.explanation.whole import RunExplanation, explain_run
 
 __all__ = [
@@ -24,7 +26,10 @@ __all__ = [
     "Recording",
     "Relaxation",
     "RunExplanation",
+    "Standing",
+    "at_bound",
     "explain",
     "explain_run",
+    "explain_standing",
     "recording_of",
 ]

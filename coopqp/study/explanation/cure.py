@@ -86,7 +86,7 @@ def cure(
         blocked: where limits hold back, and configurations at the goal.
         report: called with the share that is done.
     """
-    least = least_excess(goal, room, _starts(goal, blocked))
+    least = least_excess(goal, room, starts_at(goal, blocked))
     report(0.5)
     first = _tried(scenario, controller, leg, room, least, goal) if least else None
     if first and first.reached:
@@ -116,7 +116,7 @@ def way_of(
     return _tried(scenario, controller, leg, room, excess_at(room, free.q), goal)
 
 
-def _starts(goal: Goal, blocked: BlockedByLimits) -> list[np.ndarray]:
+def starts_at(goal: Goal, blocked: BlockedByLimits) -> list[np.ndarray]:
     """Configurations at the goal: that which was found, and others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     found = list(blocked.starts)
@@ -131,7 +131,7 @@ def _tried(
     scenario: Scenario, controller: str, leg: Leg, room: Room, excess: Excess, goal: Goal | None
 ) -> Cure | None:
     """A rerun with what would have to be given, as it is told."""
-    needs = _needs(room, excess)
+    needs = needs_of(room, excess)
     if not needs:
         return None
     change = _change(room, needs)
@@ -147,7 +147,8 @@ def _tried(
     return Cure(needs, False, after)
 
 
-def _needs(room: Room, excess: Excess) -> tuple[Need, ...]:
+def needs_of(room: Room, excess: Excess) -> tuple[Need, ...]:
+    """What limits would have to give, as it is told; the largest first."""
     joints = [Need(row, rounded_up(x)) for row, x in excess.joints.items()]
     spaces = [
         Need(room.rows[_deepest(room, excess, owner)], rounded_up(x), owner)

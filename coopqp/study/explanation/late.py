@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.checked import type_name
+from coopqp.checked import Array, type_name
 from coopqp.disturbance import Disturbance
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -15,6 +16,7 @@ from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.motion import held_up, is_speed
 from coopqp.study.explanation.rerun import Change, arrival, longer, rerun
+from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share
 
@@ -48,7 +50,14 @@ class Late:
 
 
 def explain(
-    scenario: Scenario, controller: str, leg: Leg, goal: Goal, *, torques: bool, place: Place
+    scenario: Scenario,
+    controller: str,
+    leg: Leg,
+    goal: Goal,
+    room: Room,
+    *,
+    torques: bool,
+    place: Place,
 ) -> Late:
     """Why, with a rerun that shows it.
 
@@ -57,6 +66,7 @@ def explain(
         controller: its name.
         leg: that missed.
         goal: of its tasks.
+        room: the limits.
         torques: whether the controller commands torques.
         place: a configuration at the goal, inside the limits.
     """
@@ -71,7 +81,7 @@ def explain(
         return _budget(scenario, controller, leg)
     if torques and (late := _motors(leg)):
         return late
-    held = () if torques else held_up(leg)
+    held = () if torques else tuple(_told(share, room, leg.q[-1]) for share in held_up(leg))
     slow = sum(share.share for share in held if is_speed(share.row)) > MOSTLY
     if not slow and (late := _leash(scenario, controller, leg)):
         return late
@@ -81,7 +91,7 @@ def explain(
     if not reached and not _falls(leg, after):
         if late := _misled(scenario, controller, leg):
             return late
-        return Late("rest", _rests(leg, place), held, tried=False)
+        return Late("rest", _rests(leg, place, held), held, tried=False)
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
     gain = "" if slow else f" (gain {leg.missed[0][0].task.gain:g} 1/s)"
     then = (
@@ -92,11 +102,22 @@ def explain(
     return Late("speed" if slow else "short", f"{why}{gain}; {then}", held, reached, time)
 
 
-def _rests(leg: Leg, place: Place) -> str:
+def _rests(leg: Leg, place: Place, held: Sequence[Share]) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
-    return f"it rests although this is inside the limits: {words.start(place.q, leg)}"
+    why = f"{words.holding(held)}, and it rests" if held else "it rests"
+    at = words.start(place.q, leg.problem.chain)
+    return f"{why} although this is inside the limits: {at}"
+
+
+def _told(share: Share, room: Room, q: Array) -> Share:
+    """The same, where bodies hold it up with the nearest pair and its distance."""
+    pair = room.nearest(share.row.owner, q)
+    if pair is None:
+        return share
+    row, distance = pair
+    return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
 
 
 def _leash(scenario: Scenario, controller: str, leg: Leg) -> Late | None:

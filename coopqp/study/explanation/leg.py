@@ -30,6 +30,7 @@ class Recording:
         errors: at the end of its phase, by the name of each part of a task.
         tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
         inputs: what was followed, by name.
+        place: file and line where the names of errors stand, of a run that was read from one.
     """
 
     controller: str
@@ -39,6 +40,7 @@ class Recording:
     errors: Mapping[str, float]
     tau: Array
     inputs: Mapping[str, InputTrace] = field(default_factory=dict)
+    place: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +121,8 @@ def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:
         for name in names:
             if name not in run.errors:
                 words = "the trace is of another scenario than the one beside it"
-                raise InvalidValueError(f"no error of '{name}' in the trace; {words}")
+                where = f"{run.place}: " if run.place else ""
+                raise InvalidValueError(f"{where}no error of '{name}' in the trace; {words}")
         ticks = slice(first, end)
         yield Leg(
             problem=problem if heeds else replace(problem, limits=()),

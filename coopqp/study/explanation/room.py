@@ -6,15 +6,14 @@ they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, RoomLeft
-from coopqp.qp_law.bounds import Bounds
+from coopqp.limit import Limit, LimitRows, RoomLeft
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -46,7 +45,7 @@ class Room:
         self.rows: tuple[Row, ...] = ()
         self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._left: list[tuple[RoomLeft, Bounds, int]] = []
+        self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
         self._state = State(chain)
         for limit in limits:
             self._add(limit)
@@ -58,8 +57,7 @@ class Room:
             self.owners += [len(self.limits)] * len(rows)
             self.rows += rows
             self.limits.append(limit)
-            bounds = Bounds(self.chain, [limit], self._state, self._dt)
-            self._left.append((left, bounds, len(rows)))
+            self._left.append((left, _slope(limit, self.chain, self._dt, len(rows))))
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
         for row, margin in limit.margins(self.chain, q, v, self._dt).items():
@@ -82,21 +80,33 @@ class Room:
         if not self.rows:
             return np.zeros(0)
         self._look(q)
-        return np.concatenate([left(self._state) for left, _, _ in self._left])
+        return np.concatenate([left(self._state) for left, _ in self._left])
 
     def gradient(self, q: Array) -> Array:
         """How they change with the joints, shape (p, n)."""
         if not self.rows:
             return np.zeros((0, self.chain.n))
         self._look(q)
-        for _, bounds, _ in self._left:
-            bounds.update(self._state)
-        return np.vstack([-bounds.G[:k] for _, bounds, k in self._left])
+        return np.vstack([slope(self._state) for _, slope in self._left])
 
     def _look(self, q: Array) -> None:
         if not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
+
+    def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
+        """The pair of bodies with least room, and its distance [m]; None where there are none.
+
+        Args:
+            owner: name of a limit.
+            q: configuration, shape (n,).
+        """
+        left = zip(self.rows, self.at(q).tolist(), strict=True)
+        found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
+        if not found:
+            return None
+        distance, row = min(found, key=lambda pair: pair[0] - pair[1].kept)
+        return row, distance
 
     def overrun(self, q: Array) -> float:
         """By how much a configuration is outside [rad, m]."""
@@ -117,3 +127,16 @@ class Room:
                 if left < near:
                     found.append((row, -way))
         return found
+
+
+def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:
+    """How the rooms that a limit leaves change with the joints, shape (count, n)."""
+    tighten, p = limit.bind(chain, dt), len(limit.rows(chain))
+    G, h, (lb, ub) = np.zeros((p, chain.n)), np.zeros(p), np.zeros((2, chain.n))
+
+    def slope(state: State) -> Array:
+        lb[:] = ub[:] = 0.0  # where nothing moves, limits look no farther than their room does
+        tighten(state, LimitRows(lb, ub, G, h))
+        return -G[:count]
+
+    return slope

@@ -29,7 +29,7 @@ from coopqp.rank import null_space
 from coopqp.row import Row, names_of
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.contradiction import irreducible
-from coopqp.study.explanation.shares import Share, forces, shares
+from coopqp.study.explanation.shares import Share, forces, shares, thing_of
 from coopqp.study.explanation.words import listed, with_note
 from coopqp.study.tick_record import TickRecord
 
@@ -114,6 +114,13 @@ def explain(record: TickRecord) -> Explanation:
     along = [name for name in missed if name not in impossible]
     sentence = _sentence(found, along, held, relaxed=answer is not None)
     return Explanation(missed, impossible, relaxations, sentence, against, found.holding)
+
+
+def at_bound(record: TickRecord) -> tuple[Row, ...]:
+    """The limits that the answer is at, each side of a joint and each thing in space once."""
+    at = _slack(record, record.qp()) < AT_BOUND
+    rows = [row for row, now in zip(_limit_rows(record), at, strict=True) if now]
+    return tuple({thing_of(row): row for row in rows}.values())
 
 
 class _Rows:

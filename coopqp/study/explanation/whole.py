@@ -126,7 +126,7 @@ def explain_run(
     if not leg.missed:
         opened = _opened(leg)
         kind = "open" if opened else "reached"
-        return replace(base, kind=kind, sentence=opened or _reached(leg))
+        return replace(base, kind=kind, sentence=opened or _reached(held, run))
     failed = _failed(leg)
     if failed:
         return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
@@ -162,14 +162,14 @@ def _opened(leg: Leg) -> str:
     )
 
 
-def _reached(leg: Leg) -> str:
-    given_up = [causes for causes in leg.causes if Status.TASKS_GIVEN_UP in causes]
-    if not given_up:
-        return "every goal is reached"
-    return (
-        f"every goal is reached, but in {len(given_up)} ticks hard or scaled tasks were given up; "
-        "--tick says why"
-    )
+def _reached(scenario: Scenario, run: Recording) -> str:
+    """Of a run that got there, but perhaps not as it should."""
+    phases = list(legs(scenario, run))
+    given_up = sum(Status.TASKS_GIVEN_UP in causes for leg in phases for causes in leg.causes)
+    broken = words.broken(scenario.limits, phases)
+    but = [f"in {given_up} ticks hard or scaled tasks were given up; --tick says why"]
+    found = [*([broken] if broken else []), *(but if given_up else [])]
+    return f"every goal is reached{', but ' if found else ''}{'; '.join(found)}"
 
 
 def _failed(leg: Leg) -> str:
@@ -219,7 +219,7 @@ class _Whole:
         if isinstance(found, BlockedByLimits):
             return self._limits(found)
         if isinstance(found, Elsewhere):
-            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg)}"
+            said = f"{self._held(found.shares)}; {words.elsewhere(found.place, leg.problem.chain)}"
             return replace(
                 base, kind="elsewhere", sentence=said, held_back=_held_back(found.shares)
             )
@@ -227,7 +227,7 @@ class _Whole:
             return replace(
                 base,
                 kind="contradiction",
-                sentence=words.contradiction(found, leg, ordered=self._ordered()),
+                sentence=words.contradiction(found, leg.missed, ordered=self._ordered()),
                 tasks=tuple(task.name for task in found.tasks),
                 any_robot=found.any_robot,
             )
@@ -250,7 +250,7 @@ class _Whole:
         )
         said = f"{self._held(found.shares)}; {words.cure(cured, found.shares)}"
         if found.elsewhere:
-            said += f"; {words.elsewhere(found.elsewhere, self._leg)}"
+            said += f"; {words.elsewhere(found.elsewhere, self._leg.problem.chain)}"
         return self._with(cured, found.shares, said)
 
     def _with(self, cured: Cure | None, shares: tuple[Share, ...], said: str) -> RunExplanation:
@@ -284,7 +284,13 @@ class _Whole:
     def _late(self, found: NotBlocked) -> RunExplanation:
         torques = controller_of(self._scenario, self._name).commands_torques
         answer = late.explain(
-            self._scenario, self._name, self._leg, self._goal, torques=torques, place=found.place
+            self._scenario,
+            self._name,
+            self._leg,
+            self._goal,
+            self._room,
+            torques=torques,
+            place=found.place,
         )
         return replace(
             self._base,

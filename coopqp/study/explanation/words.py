@@ -7,10 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.limit import Limit
+from coopqp.overrun import matters
 from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
 from coopqp.study.explanation.diagnosis import OutOfReach, TooFewFreedoms
+from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share, thing_of
@@ -44,7 +48,11 @@ def with_note(row: Row, note: str) -> str:
 
 def stops(leg: Leg) -> str:
     """What the worst part of a task ended off by."""
-    part, error = leg.missed[0]
+    return stops_short(*leg.missed[0])
+
+
+def stops_short(part: PartOfTask, error: float) -> str:
+    """What a part of a task is off by."""
     if np.isnan(error):
         return f"the error of {part.name} is no number"
     amount = size(error, part.part.unit)
@@ -75,10 +83,10 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     now = {thing_of(share.row) for share in shares}
     first = [need for need in found.needs if thing_of(need.row) in now]
     later = [need for need in found.needs if thing_of(need.row) not in now]
-    text = f"to get there {_needs(first)}" if first else "to get there"
+    text = f"to get there {needed(first)}" if first else "to get there"
     if later:
         text += (
-            f"{'; next' if first else ' next'} would come {_needs(later, alone=False)}, idle now"
+            f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
         )
     if found.reached and found.time is not None:
         return f"{text} and the run {found.time:.3g} s (tried: reached)"
@@ -90,8 +98,8 @@ def cure(found: Cure | None, shares: Sequence[Share]) -> str:
     return f"{text}; tried, but then {stops(found.left)}"
 
 
-def _needs(needs: Sequence[Need], *, alone: bool = True) -> str:
-    """Amounts, each beside its limit; the verb with the first."""
+def needed(needs: Sequence[Need], *, alone: bool = True) -> str:
+    """Amounts that limits would have to give, each beside its limit; the verb with the first."""
     said: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else _thing(need.row)
@@ -106,19 +114,18 @@ def _thing(row: Row) -> str:
     return row.owner.replace("_", " ")
 
 
-def elsewhere(place: Place, leg: Leg) -> str:
+def elsewhere(place: Place, chain: ClosedChain) -> str:
     """Where it would be reached inside the limits."""
-    where = start(place.q, leg)
+    where = start(place.q, chain)
     return f"it can be reached inside the limits from another configuration, such as {where}"
 
 
-def start(q: Array, leg: Leg) -> str:
-    """A configuration by arm, as a scenario's start has it."""
-    chain = leg.problem.chain
+def start(q: Array, chain: ClosedChain) -> str:
+    """A configuration by arm, as a scenario's start has it; the digits close its loops."""
     at = dict(zip(chain.joint_names, q.tolist(), strict=True))
     arms = []
     for arm in chain.arms:
-        numbers = ", ".join(f"{at[joint]:.2f}" for joint in chain.robot.arm_joints(arm))
+        numbers = ", ".join(f"{at[joint]:.5f}" for joint in chain.robot.arm_joints(arm))
         arms.append(f"{arm.name} [{numbers}]")
     return "; ".join(arms)
 
@@ -174,11 +181,13 @@ def point(p: Array, digits: int = 3) -> str:
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def contradiction(found: Contradiction, leg: Leg, *, ordered: bool) -> str:
-    """Which tasks, and who comes first."""
+def contradiction(
+    found: Contradiction, missed: Sequence[tuple[PartOfTask, float]], *, ordered: bool
+) -> str:
+    """Which tasks, what they miss, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
-    mine = [(part, e) for part, e in leg.missed if part.task in found.tasks]
+    mine = [(part, e) for part, e in missed if part.task in found.tasks]
     if not mine:
         return text
     ranks = {_rank(task) for task in found.tasks}
@@ -201,6 +210,27 @@ def freedoms(found: TooFewFreedoms) -> str:
     """How many motions are asked for and left."""
     name = found.goal.tasks[0].name
     return f"{name} asks for {found.asked} motions, the loops leave {found.left}"
+
+
+def broken(limits: Sequence[Limit], phases: Sequence[Leg]) -> str:
+    """Limits that a run went beyond, each by its worst row; empty where there are none."""
+    worst: dict[str, tuple[float, Row]] = {}
+    for leg in phases:
+        chain, dt = leg.problem.chain, leg.problem.dt
+        for limit in limits:
+            begun = limit.margins(chain, leg.q[[0, 0]], np.zeros_like(leg.q[:1]), dt)
+            for row, margin in limit.margins(chain, leg.q, leg.v, dt).items():
+                before = max(0.0, -float(begun[row][0])) if row in begun else 0.0
+                by = -float(margin.min(initial=0.0)) - before
+                name = row.joint or row.owner
+                if matters(by, row.unit) and by > worst.get(name, (0.0, row))[0]:
+                    worst[name] = by, row
+    if not worst:
+        return ""
+    found = sorted(worst.values(), key=lambda entry: -entry[0])
+    said = [f"{row.words} by {size(by, row.unit)}" for by, row in found[:MOST]]
+    more = [f"{len(found) - MOST} more"] if len(found) > MOST else []
+    return f"beyond limits: {listed([*said, *more])}"
 
 
 def slow(shares: Sequence[Share]) -> str:

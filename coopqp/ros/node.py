@@ -1,0 +1,238 @@
+"""The node, with rclpy: it stands between topics and a bridge, and runs the loop."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from coopqp.errors import CoopqpError, InvalidValueError, MissingDependencyError
+from coopqp.online.loop import OnlineLoop
+from coopqp.online.real_time import Ended, real_time
+from coopqp.recordings.messages import Remark
+from coopqp.ros.bridge import Bridge
+from coopqp.ros.settings import RosSettings, joints_of
+from coopqp.ros.targets import JOINT_STATE, kinds_of, message_of
+from coopqp.scenario.scenario import Scenario
+
+NAME = "coopqp"
+VELOCITIES, DIAGNOSTICS = "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/DiagnosticArray"
+#: How long the last messages may take to be received [s].
+FAREWELL = 1.0
+#: Between looks for a robot that has not spoken yet [s].
+WAITING = 0.1
+
+
+def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
+    """Run a node until Ctrl-C, SIGTERM, or the robot has been silent for too long.
+
+    Args:
+        scenario: that the loop runs.
+        arguments: of ROS, such as ``--ros-args --params-file params.yaml``.
+
+    Raises:
+        MissingDependencyError: there is no rclpy.
+        CoopqpError: a parameter is wrong, the loop cannot begin where the robot is, or the record
+            could not be written.
+    """
+    with _node(arguments) as node:
+        settings, orders = _parameters(node)
+        loop = OnlineLoop(
+            scenario,
+            settings.law,
+            reference=settings.reference,
+            grasp=settings.grasp,
+            silent_after=settings.silent_after,
+            patience=settings.patience,
+            out=settings.out or None,
+        )
+        joints = joints_of(scenario.chain, settings.controllers, orders)
+        kinds = kinds_of(scenario)
+        topics = _Topics(node, settings.controllers)
+        bridge = Bridge(loop, joints, kinds, settings, topics)
+        topics.hear(JOINT_STATE, settings.joint_states, bridge.take_joint_state)
+        for name, kind in kinds.items():
+            topics.hear(message_of(kind), f"~/inputs/{name}", _to(bridge, name))
+        with _received(node), _terminated(loop):
+            return _run(loop, bridge, topics)
+
+
+def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
+    """Wait for the robot and run the loop; at the end say why it has ended."""
+    why = "the node was cut off"
+    try:
+        with loop:  # so that Ctrl-C ends the waiting, too
+            ended = _when_it_speaks(loop, bridge)
+        why = str(ended)
+        return ended
+    except CoopqpError as error:
+        why = str(error)
+        raise
+    finally:
+        with suppress(Exception):  # nobody is left to be told
+            bridge.say(why)
+            topics.wait()
+
+
+def _when_it_speaks(loop: OnlineLoop, bridge: Bridge) -> Ended:
+    while loop.running:
+        q = bridge.read()
+        if q is not None:
+            loop.begin(q)
+            return real_time(loop, bridge, inputs=bridge.inputs)
+        bridge.say()
+        time.sleep(WAITING)
+    return Ended(loop.stopped, 0, 0, 0.0, -1)
+
+
+def _to(bridge: Bridge, name: str) -> Any:
+    return lambda message: bridge.take_target(name, message)
+
+
+@contextmanager
+def _node(arguments: Sequence[str]) -> Iterator[Any]:
+    try:
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError:
+        words = "rclpy; source the setup.bash of a ROS 2 whose Python this is (docs/ros.md)"
+        raise MissingDependencyError("'coopqp ros'", words=words) from None
+    # Its own handlers would cut the node off before the robot is told to stand still.
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # noqa: BLE001 - each of its layers has its own
+        raise CoopqpError(f"ROS: {' '.join(str(error).split())}") from None
+    try:
+        node = rclpy.create_node(NAME)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def _received(node: Any) -> Iterator[None]:
+    """Let messages be received in a thread."""
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        thread.join(FAREWELL)
+
+
+@contextmanager
+def _terminated(loop: OnlineLoop) -> Iterator[None]:
+    """Come to rest and end at SIGTERM, as launch sends it."""
+    before = signal.signal(signal.SIGTERM, lambda number, frame: loop.end("SIGTERM"))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _parameters(node: Any) -> tuple[RosSettings, Mapping[str, list[str]]]:
+    """The parameters that are set, and the joints of each controller.
+
+    Raises:
+        CoopqpError: one of them is wrong.
+    """
+    names = RosSettings.__dataclass_fields__
+    given = {name: value for name in names if (value := _parameter(node, name)) is not None}
+    if "controllers" not in given:
+        words = "name those of ros2_control, as -p controllers:=[arm_velocity_controller]"
+        raise InvalidValueError(f"controllers: {words}")
+    settings = RosSettings(**given)
+    orders = {name: _parameter(node, f"{name}.joints") for name in settings.controllers}
+    return settings, {name: order for name, order in orders.items() if order}
+
+
+def _parameter(node: Any, name: str) -> Any:
+    free = _type("rcl_interfaces/msg/ParameterDescriptor")(dynamic_typing=True, read_only=True)
+    value = node.declare_parameter(name, None, free).value
+    return list(value) if isinstance(value, list | tuple) else value
+
+
+def _type(name: str) -> Any:
+    """The class of a message, by its name in ROS."""
+    package, _, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+class _Topics:
+    """What the node says and hears.
+
+    Args:
+        node: of rclpy.
+        controllers: that are commanded.
+    """
+
+    def __init__(self, node: Any, controllers: Sequence[str]) -> None:
+        self._node = node
+        velocities, diagnostics = _type(VELOCITIES), _type(DIAGNOSTICS)
+        self._new = velocities
+        self._commands = {
+            name: node.create_publisher(velocities, f"/{name}/commands", 1) for name in controllers
+        }
+        self._diagnostics = node.create_publisher(diagnostics, "/diagnostics", 10)
+
+    def hear(self, kind: str, topic: str, take: Any) -> None:
+        """Subscribe, as to sensors: what is lost is not sent again.
+
+        Raises:
+            CoopqpError: no topic can be called so.
+        """
+        from rclpy.qos import qos_profile_sensor_data
+
+        try:
+            self._node.create_subscription(_type(kind), topic, take, qos_profile_sensor_data)
+        except Exception as error:  # noqa: BLE001 - each of rclpy's layers has its own
+            words = " ".join(str(error).split())
+            raise CoopqpError(f"topic '{topic}': {words}") from None
+
+    def now(self) -> int:
+        """By the clock of ROS [ns]."""
+        return int(self._node.get_clock().now().nanoseconds)
+
+    def command(self, controller: str, velocities: list[float]) -> None:
+        """Publish velocities."""
+        self._commands[controller].publish(self._new(data=velocities))
+
+    def diagnose(self, remarks: Sequence[Remark]) -> None:
+        """Publish diagnostics."""
+        array = _type(DIAGNOSTICS)(status=[_status(remark) for remark in remarks])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def wait(self) -> None:
+        """Wait until what was published has been received, but not long."""
+        from rclpy.duration import Duration
+
+        for publisher in (*self._commands.values(), self._diagnostics):
+            publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
+
+
+def _status(remark: Remark) -> Any:
+    pair = _type("diagnostic_msgs/msg/KeyValue")
+    return _type("diagnostic_msgs/msg/DiagnosticStatus")(
+        level=bytes([remark.level]),
+        name=f"{NAME}: {remark.about}",
+        message=remark.words,
+        values=[pair(key=key, value=value) for key, value in remark.values.items()],
+    )

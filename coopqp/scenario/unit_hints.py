@@ -1,0 +1,85 @@
+"""Values that are most likely in another unit: degrees for radians, millimetres for metres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    SphereMark,
+    asked,
+)
+from coopqp.robot import RobotModel
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Moment
+
+#: A goal this many times the arms' reach from where the object starts cannot be meant [-].
+FAR = 3.0
+#: An object whose longest edge is this many times the arms' reach cannot either [-].
+LARGE = 20.0
+
+
+def like_degrees(robot: RobotModel, q: Array) -> bool:
+    """Whether joints are outside their limits by more than a turn, and inside them in degrees.
+
+    Args:
+        robot: whose.
+        q: shape (n,) [rad, m].
+    """
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    turns = np.array([unit == "rad" for unit in robot.joint_units])
+    outside = turns & ((q < lower) | (q > upper))
+    inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
+    return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
+
+
+def too_large(chain: ClosedChain) -> str:
+    """What is wrong with an object that no such arms hold; empty if nothing is."""
+    longest = max(chain.held.size)
+    if longest <= LARGE * chain.reach:
+        return ""
+    return (
+        f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m; "
+        "lengths are metres"
+    )
+
+
+def far_goals(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each task whose goal is nowhere near."""
+    chain = scenario.chain
+    for phase in scenario.schedule:
+        for task in phase.tasks:
+            marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
+            far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
+            if far > FAR * chain.reach:
+                yield (
+                    f"the goal of '{task.name}' is {far:.3g} m from where the object starts, but "
+                    f"the arms reach {chain.reach:.2g} m; lengths are metres"
+                )
+
+
+def _distance(mark: Mark, p: Array) -> float:
+    """How far a point is from what a mark shows [m]; 0 where that has no place."""
+    match mark:
+        case PointMark():
+            return float(np.linalg.norm(mark.at - p))
+        case PoseMark() if mark.position is not None:
+            return float(np.linalg.norm(mark.position - p))
+        case PlaneMark():
+            return abs(float(mark.normal @ (mark.through - p)))
+        case LineMark() if mark.through is not None:
+            return float(np.linalg.norm(np.cross(mark.direction, mark.through - p)))
+        case SphereMark() | CircleMark():
+            return abs(float(np.linalg.norm(mark.center - p)) - mark.radius)
+    return 0.0

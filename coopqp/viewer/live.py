@@ -1,0 +1,213 @@
+"""Constants of tasks become inputs, so that what a task goes to can be dragged.
+
+A task that asks for a point, a direction, a rotation or a pose, as a constant, gets an input that
+begins there: until somebody drags, the motion is that of the scenario. A scenario that has inputs
+already is played with these alone.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from coopqp.checked import Array, Pose, spec
+from coopqp.errors import CoopqpError
+from coopqp.geometry import pose_course
+from coopqp.grasp import pose_matrix
+from coopqp.input import InputSettings
+from coopqp.limits import ObjectSpeed
+from coopqp.mark import RelativeMark
+from coopqp.profile import Profile
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import (
+    DIRECTION,
+    POSE,
+    ROTATION,
+    Course,
+    Instant,
+    Kind,
+    Moment,
+    Reads,
+    Signal,
+    course,
+    quaternion_of,
+)
+from coopqp.signals import Input
+from coopqp.state import State
+from coopqp.task import Task
+
+
+@dataclass(frozen=True)
+class Live:
+    """A field of a task that follows an input.
+
+    Attributes:
+        name: of the input.
+        phase, task: whose field, by their order.
+        field: its name.
+        kind: of the values.
+        start: where it begins, as a file has it; None where the scenario's own input says that.
+    """
+
+    name: str
+    phase: int
+    task: int
+    field: str
+    kind: Kind
+    start: tuple[float, ...] | None = None
+
+    @property
+    def made(self) -> bool:
+        """Whether the scenario has a constant there."""
+        return self.start is not None
+
+
+@spec
+class Fixed(Signal):
+    """What an input goes to, as a constant of any kind."""
+
+    value: list[float]
+    """As many numbers as are needed."""
+
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+        """It stays."""
+        return Course(kind, kind.read(self.value))
+
+    @property
+    def rest(self) -> float:
+        """At once [s]."""
+        return 0.0
+
+
+def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[Live, ...]]:
+    """The scenario with everything that can be dragged as an input, and what that is.
+
+    Args:
+        scenario: as read.
+    """
+    if scenario.inputs:
+        return scenario, tuple(_own(scenario))
+    state = State(scenario.chain)
+    lives: list[Live] = []
+    schedule = []
+    for i, phase in enumerate(scenario.schedule):
+        tasks = []
+        for j, task in enumerate(phase.tasks):
+            changed, found = _loosened(task, f"{phase.name} {task.name}".strip(), (i, j), state)
+            tasks.append(changed)
+            lives += found
+        schedule.append(replace(phase, tasks=tuple(tasks)))
+    pace = _pace(scenario)
+    inputs = {live.name: pace for live in lives}
+    if scenario.phases:
+        return replace(scenario, phases=tuple(schedule), inputs=inputs), tuple(lives)
+    return replace(scenario, tasks=tuple(schedule[0].tasks), inputs=inputs), tuple(lives)
+
+
+def pace_of(scenario: Scenario) -> dict[str, Any]:
+    """How fast inputs that are made may go, as far as the scenario's limits say."""
+    found: dict[str, Any] = {}
+    for limit in scenario.limits:
+        if isinstance(limit, ObjectSpeed):
+            found |= {"velocity": limit.linear} if limit.linear else {}
+            found |= {"angular_velocity": limit.angular} if limit.angular else {}
+    return found
+
+
+def _pace(scenario: Scenario) -> InputSettings:
+    return InputSettings(**pace_of(scenario))
+
+
+def at_targets(task: Task, targets: Mapping[str, Array]) -> Task:
+    """A task with what its inputs go to as its goal, and its reference there at once."""
+    changes: dict[str, Any] = {}
+    for part in fields(task):
+        value = getattr(task, part.name)
+        if isinstance(value, dict):
+            inside = {key: _fixed(each, targets) for key, each in value.items()}
+            if inside != value:
+                changes[part.name] = inside
+        elif isinstance(value, Input):
+            changes[part.name] = _fixed(value, targets)
+    if isinstance(task.way, Profile):
+        changes["profile"] = Profile(kind="step")
+    return replace(task, **changes) if changes else task
+
+
+def _fixed(value: Any, targets: Mapping[str, Array]) -> Any:
+    if isinstance(value, Input) and value.name in targets:
+        return Fixed(value=targets[value.name].tolist())
+    return value
+
+
+def followed_fields(task: Task) -> Iterator[tuple[str, Kind]]:
+    """Fields of a task that can follow a signal with a place or a turn, and of which kind."""
+    for name, hint in typing.get_type_hints(type(task), include_extras=True).items():
+        for note in getattr(hint, "__metadata__", ()):
+            if isinstance(note, Reads) and note.kind is not None:
+                yield name, note.kind
+
+
+def _own(scenario: Scenario) -> Iterator[Live]:
+    """What the scenario itself lets inputs say."""
+    for i, phase in enumerate(scenario.schedule):
+        for j, task in enumerate(phase.tasks):
+            for name, kind in followed_fields(task):
+                value = getattr(task, name)
+                if isinstance(value, Input):
+                    yield Live(value.name, i, j, name, kind)
+
+
+def _loosened(
+    task: Task, name: str, place: tuple[int, int], start: State
+) -> tuple[Task, list[Live]]:
+    """A task with inputs for its constants, as far as it can follow any."""
+    if any(isinstance(mark, RelativeMark) for mark in task.marks(Moment(0.0))):
+        return task, []  # seen from an arm that moves
+    found: list[Live] = []
+    constants = [
+        (field, kind, value)
+        for field, kind in followed_fields(task)
+        if (value := _constant(task, field, kind)) is not None
+    ]
+    for field, kind, value in constants:
+        own = name if len(constants) == 1 else f"{name} {field}"
+        changes: dict[str, Any] = {field: Input(name=own, start=list(value))}
+        if kind is ROTATION and hasattr(task, "rpy"):
+            changes |= {"rpy": None, "rpy_deg": None}
+        try:
+            other = replace(task, **changes)
+            other.bind(start)
+        except CoopqpError:  # it moves by itself already, or cannot say where it begins
+            continue
+        task = other
+        found.append(Live(own, *place, field, kind, value))
+    return task, found
+
+
+def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
+    """The constant in a field, as a file would have it; None where there is none."""
+    value = getattr(task, field)
+    if isinstance(value, Signal):
+        return None
+    if kind is ROTATION:
+        return _rotation(task) if value is None else None
+    if value is None:
+        return None
+    if kind is DIRECTION:
+        return tuple(value)
+    found = pose_course(value, Moment()) if kind is POSE else course(value, kind, Moment())
+    return tuple(found.value.tolist())
+
+
+def _rotation(task: Task) -> tuple[float, ...] | None:
+    """The rotation of a task that has it as angles."""
+    rpy, rpy_deg = getattr(task, "rpy", None), getattr(task, "rpy_deg", None)
+    if rpy is None and rpy_deg is None:
+        return None
+    R = pose_matrix(Pose(rpy=rpy, rpy_deg=rpy_deg)).rotation
+    return tuple(np.asarray(quaternion_of(R)).tolist())

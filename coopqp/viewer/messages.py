@@ -1,0 +1,259 @@
+"""What goes between the player, the page and the explainer; arrays and words alone.
+
+Letters: b bodies, n joints, s segments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.checked import Array
+from coopqp.signal import Kind
+
+Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a joint carries.
+
+    Attributes:
+        joint: the joint that moves it, as an index into the names; None for what stands still.
+        vertices: shape (v, 3) [m]. corners: of each triangle, shape (t, 3).
+    """
+
+    joint: int | None
+    vertices: Array
+    corners: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LawLook:
+    """A law as the page shows it.
+
+    Attributes:
+        name: its name.
+        color: such as "#0072B2".
+        keeps_limits: whether it promises to.
+    """
+
+    name: str
+    color: str
+    keeps_limits: bool
+
+
+@dataclass(frozen=True)
+class Gizmo:
+    """Something to drag.
+
+    Attributes:
+        label: the task's name.
+        phase: in which it is there.
+        moves, turns: what can be done to it.
+    """
+
+    label: str
+    phase: int
+    moves: bool
+    turns: bool
+
+
+@dataclass(frozen=True)
+class Dial:
+    """A number that can be turned.
+
+    Attributes:
+        key: which, :mod:`coopqp.viewer.dials`.
+        group: under which it stands. label: what it is called there, with its unit.
+        low, high, step, value: what it can be, and what it is at first.
+    """
+
+    key: str
+    group: str
+    label: str
+    low: float
+    high: float
+    step: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Show:
+    """All that does not change while a scenario is played.
+
+    Attributes:
+        title, description: of the scenario.
+        laws: that are played.
+        bodies: of the robot, and what stands around.
+        joints: names, shape (n,).
+        size: edges of the object [m].
+        low, high: corners of the space that is seen [m].
+        gizmos: of all phases.
+        dials: gains and the like. knobs: inputs without a gizmo, a number each.
+        phases: names; one for scenarios without.
+        forces: whether the plant tells what the hands press with.
+        folder: where recordings go; empty where nowhere.
+    """
+
+    title: str
+    description: str
+    laws: tuple[LawLook, ...]
+    bodies: tuple[Surface, ...]
+    joints: tuple[str, ...]
+    size: tuple[float, float, float]
+    low: Array
+    high: Array
+    gizmos: tuple[Gizmo, ...]
+    dials: tuple[Dial, ...]
+    knobs: tuple[Dial, ...]
+    phases: tuple[str, ...]
+    forces: bool
+    folder: str
+
+
+@dataclass(frozen=True)
+class LawFrame:
+    """One law at one instant.
+
+    Attributes:
+        bodies: where their joints are, x, y, z, qx, qy, qz, qw each, shape (b, 7).
+        held: where the object is, shape (7,).
+        left: of each joint's half range what is left to its nearer limit; below 0 beyond it,
+            shape (n,).
+        arrows: of the hands' forces, from and to, shape (., 2, 3) [m].
+        reached: whether all goals are within their tolerances.
+        words: how far from its goals, and what is wrong.
+        broken: what of it must not be, such as a joint past its limit; empty if nothing.
+    """
+
+    bodies: Array
+    held: Array
+    left: Array
+    arrows: Array
+    reached: bool
+    words: str
+    broken: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Everything at one instant.
+
+    Attributes:
+        t: since the beginning [s].
+        phase: its index.
+        playing: whether time goes on. speed: how fast it shall. factor: how fast it does.
+        laws: by the order of ``Show.laws``.
+        main: the law that is explained.
+        gizmos: where each is, shape (7,); None where its phase is not on.
+        outlines: of what tasks ask for, shape (s, 2, 3) [m].
+        tone, sentence: the verdict.
+        active: limits at their bound, by name.
+        detail: of the last tick that was explained.
+        recorded: time since the beginning that a recording has [s]. note: what to say of it.
+        tick_us: longest tick of the last second [us].
+    """
+
+    t: float
+    phase: int
+    playing: bool
+    speed: float
+    factor: float
+    laws: tuple[LawFrame, ...]
+    main: int
+    gizmos: tuple[Array | None, ...]
+    outlines: Array
+    tone: Tone
+    sentence: str
+    active: tuple[str, ...]
+    detail: str
+    recorded: float
+    note: str
+    tick_us: float
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What somebody has done on the page.
+
+    Attributes:
+        what: play, pause, step, reset, speed, drag, carry, dial, knob, main or save.
+        which: a gizmo or a law by number, a dial or a knob by key.
+        value: numbers: a pose x, y, z, qx, qy, qz, qw, a place, or one number.
+    """
+
+    what: str
+    which: int | str = 0
+    value: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The page answers, or why it does not.
+
+    Attributes:
+        port: on which. fault: why not; empty where it does.
+    """
+
+    port: int = 0
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The law that is explained, from now on.
+
+    Attributes:
+        law: its name.
+        dials: as they are turned.
+        starts: configuration in which each phase but the first has begun.
+    """
+
+    law: str
+    dials: Mapping[str, float]
+    starts: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Look:
+    """An instant to explain.
+
+    Attributes:
+        t, q, v, memory, gap, corrected, measured: of the state.
+        inputs: what is followed: kind, value, rate.
+        targets: what inputs go to, by name.
+        rests: whether the arms stand still.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    memory: Array
+    gap: Array
+    corrected: float
+    measured: Array | None
+    inputs: Mapping[str, tuple[Kind, Array, Array]]
+    targets: Mapping[str, Array]
+    rests: bool
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the explainer has found.
+
+    Attributes:
+        blocked: whether geometry keeps the arms from their goals.
+        sentence: why.
+        active: limits at their bound.
+        detail: of this tick.
+    """
+
+    blocked: bool
+    sentence: str
+    active: tuple[str, ...]
+    detail: str

@@ -1,0 +1,209 @@
+"""What is drawn of a lane: its links, its object, forces, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.mark import SolidMark, asked
+from coopqp.report.scene.bodies import robot_bodies, solid_body
+from coopqp.report.scene.marks import Place
+from coopqp.robot import RobotModel
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import axes_along, quaternion_of
+from coopqp.state import State
+from coopqp.study.explanation.words import listed, size
+from coopqp.viewer.lane import Lane
+from coopqp.viewer.messages import LawFrame, Surface
+
+FORCES = "internal_wrench"
+#: A joint that is beyond a limit by less is at it [rad, m].
+AT_LIMIT = 1e-4
+#: Forces are drawn as long as this share of the object, the longest of them, and not below [N].
+ARROW, LEAST_FORCE = 0.8, 1.0
+#: So far above the hands, in the object's longest edge: inside them nobody would see an arrow.
+ABOVE = 0.6
+#: Corners of a circle.
+ROUND = 48
+MOST_NAMED = 2
+#: What is smaller than this many digits tell is no error to people [m, rad].
+DIGITS = 6
+
+
+def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
+    """The robot and what stands around, and what could not be read."""
+    robot = scenario.chain.robot
+    bodies, faults = robot_bodies(robot)
+    solids = [
+        solid_body(mark) for limit in scenario.limits for mark in limit.marks(0.0)
+        if isinstance(mark, SolidMark)
+    ]  # fmt: skip
+    names = scenario.chain.joint_names
+    found = [
+        Surface(
+            names.index(robot.model.names[body.joint]) if body.joint else None,
+            body.surface.vertices,
+            body.surface.corners,
+        )
+        for body in (*bodies, *solids)
+    ]
+    return tuple(found), tuple(faults)
+
+
+def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
+    """Lowest and highest corner of the robot at its start and of the object, shape (3,) each."""
+    state, chain = State(scenario.chain), scenario.chain
+    points = [state.p_WO[None] - 0.5 * max(scenario.held.size)]
+    points.append(points[0] + max(scenario.held.size))
+    for body in bodies:
+        X = _joint_pose(state, chain.joint_names, body.joint)
+        points.append(body.vertices @ X.rotation.T + X.translation)
+    joined = np.concatenate(points)
+    return joined.min(axis=0), joined.max(axis=0)
+
+
+def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
+    """A lane as it is now.
+
+    Args:
+        lane: after a tick.
+        bodies: of the robot.
+    """
+    state = lane.plant.truth(lane.state)
+    names = lane.begun.problem.chain.joint_names
+    places = [pin.SE3ToXYZQUAT(_joint_pose(state, names, body.joint)) for body in bodies]
+    left, broken = _left(state), _broken(lane, state)
+    reached, words = _off(lane, state)
+    return LawFrame(
+        bodies=np.array(places).reshape(-1, 7),
+        held=np.concatenate([state.p_WO, quaternion_of(state.R_WO)]),
+        left=left,
+        arrows=_arrows(lane, state),
+        reached=reached,
+        words=words,
+        broken=broken,
+    )
+
+
+def outlines(lane: Lane, place: Place) -> Array:
+    """What the tasks ask for, as line segments, shape (s, 2, 3) [m]."""
+    state, found = lane.state, [np.zeros((0, 2, 3))]
+    for task in lane.begun.problem.tasks:
+        for mark in asked(task.name, partial(task.marks, state), []):
+            kind, values = place.drawn(mark)
+            if kind == "planes":
+                found.append(_closed(np.array(values["corners"])))
+            elif kind == "lines":
+                found.append(np.array(values["ends"])[None])
+            elif kind == "circles":
+                found.append(_circle(values["center"], values["normal"], values["radius"]))
+            elif kind == "spheres":
+                rims = (_circle(values["center"], n, values["radius"]) for n in np.eye(3))
+                found += list(rims)
+            elif kind == "directions":
+                ends = np.array([state.p_WO, state.p_WO + values["way"]])
+                found.append(ends[None])
+    return np.concatenate(found)
+
+
+def speed(lane: Lane) -> float:
+    """Of the fastest joint [rad/s, m/s]."""
+    return float(np.abs(lane.state.v).max(initial=0.0))
+
+
+def _joint_pose(state: State, names: Sequence[str], joint: int | None) -> pin.SE3:
+    if joint is None:
+        return pin.SE3.Identity()
+    return state.joint_pose(state.chain.model.getJointId(names[joint]))
+
+
+def _left(state: State) -> Array:
+    """What is left to the nearer limit, in half ranges; 1 for joints that have none."""
+    chain, q = state.chain, state.q
+    with np.errstate(invalid="ignore"):
+        room = np.minimum(q - chain.lower, chain.upper - q)
+        left = room / (0.5 * (chain.upper - chain.lower))
+    return np.asarray(np.nan_to_num(left, nan=1.0, posinf=1.0, neginf=-1.0), float)
+
+
+def _broken(lane: Lane, state: State) -> str:
+    """What has happened that must not."""
+    if lane.plant.broken:
+        return lane.plant.broken
+    chain, q = state.chain, state.q
+    said = []
+    over = np.maximum(chain.lower - q, q - chain.upper)
+    for i in np.argsort(-over)[:MOST_NAMED]:
+        if over[i] > AT_LIMIT:
+            past = size(float(over[i]), chain.joint_units[i])
+            said.append(f"{chain.joint_names[i]} is {past} past its limit")
+    fast = np.abs(lane.command.v) / chain.velocity
+    if len(fast) and fast.max() > 1.0 + 1e-6:
+        i = int(fast.argmax())
+        said.append(f"{chain.joint_names[i]} is told to go {fast[i]:.3g} times its fastest speed")
+    if not lane.command.status.usable:
+        said.append(lane.command.status.value)
+    return listed(said)
+
+
+def _off(lane: Lane, state: State) -> tuple[bool, str]:
+    """Whether all goals are reached, and how far off each is."""
+    problem, stack = lane.begun.problem, lane.goals
+    state.inputs = lane.state.inputs
+    try:
+        stack.update(state)
+    except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
+        return False, lane.command.note
+    said, reached, at = [], True, 0
+    for task in problem.tasks:
+        errors = []
+        for part in task.parts(problem.chain):
+            rows = slice(at, at + part.rows)
+            at += part.rows
+            miss = stack.e[rows]
+            if task.asks_velocity:
+                miss = stack.J[rows] @ state.v - stack.rate[rows]
+            error = math.hypot(*miss.tolist())
+            reached = reached and error <= part.tolerance
+            errors.append(size(round(error, DIGITS), part.unit))
+        said.append(f"{task.name} {listed(errors)} off")
+    return reached, ", ".join(said)
+
+
+def _arrows(lane: Lane, state: State) -> Array:
+    """What each hand presses with, from above the hand on, shape (arms, 2, 3) [m]."""
+    wrenches = lane.plant.signals.get(FORCES)
+    if wrenches is None:
+        return np.zeros((0, 2, 3))
+    forces = wrenches.reshape(-1, 6)[:, :3]
+    longest = max(float(np.linalg.norm(forces, axis=1).max()), LEAST_FORCE)
+    size = max(lane.scenario.held.size)
+    scale = ARROW * size / longest
+    hands = _hands(state, lane.scenario.chain.robot)
+    hands[:, 2] += ABOVE * size
+    return np.stack([hands, hands + scale * forces], axis=1)
+
+
+def _hands(state: State, robot: RobotModel) -> Array:
+    """Where the hands are, by the robot's arms, shape (arms, 3) [m]."""
+    places = []
+    for arm in robot.arms:
+        frame = robot.model.frames[robot.model.getFrameId(arm.tip)]
+        joint = state.chain.model.getJointId(robot.model.names[frame.parentJoint])
+        places.append(state.joint_pose(joint).act(frame.placement.translation))
+    return np.array(places)
+
+
+def _closed(corners: Array) -> Array:
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def _circle(center: Array, normal: Array, radius: float) -> Array:
+    u, w, _ = axes_along(np.asarray(normal))
+    angles = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)[:, None]
+    return _closed(np.asarray(center) + radius * (np.cos(angles) * u + np.sin(angles) * w))

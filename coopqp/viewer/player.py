@@ -1,0 +1,341 @@
+"""A scenario that is played: its laws side by side, and what people do to them.
+
+No clock and no process: whoever plays it calls :meth:`Player.do` with what was asked,
+:meth:`Player.tick` when it is time and :meth:`Player.frame` to have something to look at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.controller_run import check_plant, controller_of
+from coopqp.errors import CoopqpError
+from coopqp.report.scene.marks import Place
+from coopqp.report.style import OTHER_COLORS, QP_COLORS
+from coopqp.scenario.scenario import Scenario
+from coopqp.viewer import picture
+from coopqp.viewer.dials import dials_of, turned
+from coopqp.viewer.gizmos import Handle, handles
+from coopqp.viewer.lane import Lane
+from coopqp.viewer.live import with_inputs
+from coopqp.viewer.messages import (
+    Asked,
+    Dial,
+    Frame,
+    LawFrame,
+    LawLook,
+    Look,
+    Placed,
+    Show,
+    Told,
+    Tone,
+)
+from coopqp.viewer.recording import Recording
+
+#: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
+RESTS, ARRIVED = 3e-4, 1e-6
+SLOWEST, FASTEST = 0.05, 4.0
+UNTOLD = Told(False, "", (), "")
+
+
+class Player:
+    """A scenario that is played.
+
+    Args:
+        scenario: as read.
+        names: of controllers; all of the scenario's when empty.
+        folder: where recordings go; None where nowhere.
+
+    Raises:
+        CoopqpError: a controller that was named cannot be built, or none can.
+
+    Attributes:
+        scenario: with inputs for all that can be dragged.
+        lanes: one a law.
+        refused: laws that are left out, and why.
+        playing, speed: whether and how fast time goes on.
+        told: what the explainer has said last.
+        recording: since the last reset.
+        note: what there is to say beside.
+    """
+
+    def __init__(
+        self, scenario: Scenario, names: Sequence[str] = (), folder: Path | None = None
+    ) -> None:
+        self._read, self._folder = scenario, folder
+        self.scenario, self._lives = with_inputs(scenario)
+        self._handles = handles(self.scenario, self._lives)
+        self._dials = {dial.key: dial for dial in dials_of(self.scenario)}
+        self._values: dict[str, float] = {}
+        self._hands: dict[str, list[float]] = {}
+        self.playing, self.speed, self.note = False, 1.0, ""
+        self._main, self._turned = 0, False
+        self.told = UNTOLD
+        self.refused: dict[str, str] = {}
+        self._names = self._playable(tuple(names))
+        self._bodies, self.faults = picture.surfaces(self.scenario)
+        self._place = Place(self.scenario)
+        self._knobs = tuple(self._own_knobs())
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew; dials stay as they are turned."""
+        scenario = turned(self.scenario, self._values)
+        self._hands.clear()
+        self._hands |= {live.name: list(live.start) for live in self._lives if live.start}
+        self.lanes = [Lane(scenario, name, self._hands) for name in self._names]
+        self.recording = Recording(self._read, self._lives, self._names, self._values)
+        self.told, self._turned = UNTOLD, False
+        self.note = ""
+        self.tick()
+
+    def tick(self) -> None:
+        """Let all laws do a tick."""
+        self._apply_dials()
+        try:
+            for lane in self.lanes:
+                lane.tick()
+        except CoopqpError as error:  # the next phase cannot begin from here
+            self.playing, self.note = False, str(error)
+            self.recording.end("has ended with the run")
+            return
+        first = self.lanes[0]
+        kinds = {name: channel.kind for name, channel in first.feed.inputs.channels.items()}
+        t = first.state.t
+        self.recording.add(first.phase, first.since, t, first.feed.arrived, kinds)
+
+    def do(self, asked: Asked) -> None:
+        """What somebody has asked for on the page; what makes no sense is left alone."""
+        value = asked.value
+        if not np.isfinite(np.array(value, float)).all():
+            return
+        if asked.what in ("play", "pause"):
+            self.playing = asked.what == "play"
+        elif asked.what == "step":
+            self.playing = False
+            self.tick()
+        elif asked.what == "reset":
+            self.reset()
+        elif asked.what == "speed" and value:
+            self.speed = float(np.clip(value[0], SLOWEST, FASTEST))
+        elif asked.what == "main":
+            self._main, self.told = int(asked.which) % len(self.lanes), UNTOLD
+        elif asked.what == "save":
+            self.save()
+        else:
+            self._reach_for(asked)
+
+    def save(self) -> Path | None:
+        """Write what is recorded; where nothing can be written the note says so."""
+        if self._folder is None:
+            return None
+        try:
+            path = self.recording.save(self._folder)
+        except CoopqpError as error:
+            self.note = str(error)
+            return None
+        self.note = f"wrote {path}"
+        return path
+
+    def show(self) -> Show:
+        """What does not change."""
+        low, high = picture.space(self.scenario, self._bodies)
+        return Show(
+            title=self.scenario.name,
+            description=self.scenario.description,
+            laws=self._looks(),
+            bodies=self._bodies,
+            joints=self.scenario.chain.joint_names,
+            size=self.scenario.held.size,
+            low=low,
+            high=high,
+            gizmos=tuple(handle.look for handle in self._handles),
+            dials=tuple(self._dials.values()),
+            knobs=self._knobs,
+            phases=tuple(phase.name for phase in self.scenario.schedule),
+            forces=picture.FORCES in self.lanes[0].plant.signals,
+            folder="" if self._folder is None else str(self._folder),
+        )
+
+    def frame(self, factor: float = 0.0, tick_us: float = 0.0) -> Frame:
+        """Everything as it is now.
+
+        Args:
+            factor: how fast time goes on.
+            tick_us: the longest tick of late [us].
+        """
+        self._apply_dials()
+        lane = self.lanes[self._main]
+        laws = tuple(picture.drawn(each, self._bodies) for each in self.lanes)
+        tone, sentence = self._verdict(lane, laws[self._main])
+        gizmos = self._gizmo_poses(lane)
+        return Frame(
+            t=lane.t,
+            phase=lane.phase,
+            playing=self.playing,
+            speed=self.speed,
+            factor=factor,
+            laws=laws,
+            main=self._main,
+            gizmos=gizmos,
+            outlines=self._outlines(lane, gizmos),
+            tone=tone,
+            sentence=sentence,
+            active=self.told.active,
+            detail=self.told.detail,
+            recorded=self.recording.seconds,
+            note="; ".join(filter(None, (self._recording_note(), self.note))),
+            tick_us=tick_us,
+        )
+
+    def placed(self) -> Placed:
+        """The law that is explained, as the explainer has to build it."""
+        lane = self.lanes[self._main]
+        return Placed(lane.name, dict(self._values), tuple(lane.starts))
+
+    def look(self) -> Look:
+        """The instant that is to be explained."""
+        lane = self.lanes[self._main]
+        state = lane.state
+        followed = {
+            name: (of.kind, of.value.copy(), of.rate.copy()) for name, of in state.inputs.items()
+        }
+        return Look(
+            t=state.t,
+            q=state.q.copy(),
+            v=state.v.copy(),
+            memory=state.memory.numbers.copy(),
+            gap=state.gap.copy(),
+            corrected=state.corrected,
+            measured=None if state.q_measured is None else state.q_measured.copy(),
+            inputs=followed,
+            targets=lane.targets(),
+            rests=picture.speed(lane) < RESTS and _arrived(lane),
+        )
+
+    def _playable(self, asked: Sequence[str]) -> tuple[str, ...]:
+        """The laws that can be built; those that were asked for have to be."""
+        found = []
+        for name in asked or self.scenario.controllers:
+            try:
+                check_plant(self.scenario, controller_of(self.scenario, name), name)
+                Lane(self.scenario, name, {})
+            except CoopqpError as error:
+                if asked:
+                    raise
+                self.refused[name] = str(error)
+            else:
+                found.append(name)
+        if not found:
+            raise CoopqpError("; ".join(f"{name}: {why}" for name, why in self.refused.items()))
+        return tuple(dict.fromkeys(found))
+
+    def _looks(self) -> tuple[LawLook, ...]:
+        counts = {True: 0, False: 0}
+        found = []
+        for lane in self.lanes:
+            keeps = lane.keeps_limits
+            colors = QP_COLORS if keeps else OTHER_COLORS
+            found.append(LawLook(lane.name, colors[counts[keeps] % len(colors)], keeps))
+            counts[keeps] += 1
+        return tuple(found)
+
+    def _own_knobs(self) -> list[Dial]:
+        """Inputs of the scenario's own that no gizmo steers."""
+        held = {live.name for live in self._lives}
+        lane, found = Lane(self.scenario, self._names[0], {}), []
+        for name, channel in lane.feed.inputs.channels.items():
+            most = self.scenario.inputs[name].velocity if channel.kind.velocity else np.pi
+            for i, column in enumerate(channel.kind.columns if name not in held else ()):
+                key, now = f"{name}/{i}", float(channel.value[i])
+                found.append(Dial(key, name, column, -most, most, most / 100.0, now))
+        return found
+
+    def _reach_for(self, asked: Asked) -> None:
+        """A gizmo, the object, a dial or a knob."""
+        lane, which, value = self.lanes[self._main], asked.which, asked.value
+        targets = lane.targets()
+        if asked.what == "drag" and isinstance(which, int) and which < len(self._handles):
+            self._send(self._handles[which], value)
+        elif asked.what == "carry" and len(value) == 3:
+            placed = (h for h in self._handles if h.look.phase == lane.phase and h.look.moves)
+            for handle in list(placed)[:1]:
+                self._send(handle, handle.carried(value, targets, lane.state).tolist())
+        elif asked.what == "dial" and which in self._dials and value:
+            dial = self._dials[str(which)]
+            self._values[dial.key] = float(np.clip(value[0], dial.low, dial.high))
+            self._turned = True
+        elif asked.what == "knob" and value:
+            name, _, column = str(which).rpartition("/")
+            if name in targets and any(knob.key == which for knob in self._knobs):
+                numbers = self._hands.setdefault(name, targets[name].tolist())
+                numbers[int(column)] = value[0]
+
+    def _send(self, handle: Handle, pose: Sequence[float]) -> None:
+        if len(pose) == 7 and 0.5 < np.linalg.norm(pose[3:]) < 2.0:
+            turn = np.array(pose[3:]) / np.linalg.norm(pose[3:])
+            self._hands |= dict(handle.sent([*pose[:3], *turn.tolist()]))
+
+    def _apply_dials(self) -> None:
+        """Build the laws anew once, however often dials have been turned since."""
+        if not self._turned:
+            return
+        self._turned = False
+        scenario = turned(self.scenario, self._values)
+        try:
+            for lane in self.lanes:
+                lane.turn(scenario)
+        except CoopqpError as error:
+            self.note = str(error)
+        self.recording.end("ends where a dial was turned; reset begins another")
+
+    def _recording_note(self) -> str:
+        return f"the recording {self.recording.note}" if self.recording.note else ""
+
+    def _gizmo_poses(self, lane: Lane) -> tuple[Array | None, ...]:
+        targets = lane.targets()
+        return tuple(
+            handle.pose(targets, lane.state) if handle.look.phase == lane.phase else None
+            for handle in self._handles
+        )
+
+    def _outlines(self, lane: Lane, gizmos: Sequence[Array | None]) -> Array:
+        """What tasks ask for, and the ways from the object to what can be dragged."""
+        ways = [
+            np.stack([lane.state.point(handle.point), pose[:3]])[None]
+            for handle, pose in zip(self._handles, gizmos, strict=True)
+            if pose is not None and handle.look.moves
+        ]
+        return np.concatenate([picture.outlines(lane, self._place), *ways])
+
+    def _verdict(self, lane: Lane, drawn: LawFrame) -> tuple[Tone, str]:
+        """What is to be said of the law that is explained."""
+        stale = lane.state.inputs.stale
+        if drawn.broken:
+            return "broken", _sentence(drawn.broken, drawn.words)
+        if stale:
+            return "waiting", _sentence(
+                f"nothing arrives at {', '.join(stale)}; drag it or turn it"
+            )
+        if drawn.reached and _arrived(lane):
+            return "reached", _sentence("at the goal", drawn.words)
+        if self.told.blocked:
+            return "blocked", _sentence(self.told.sentence)
+        if not self.playing:
+            return "waiting", _sentence("paused", drawn.words)
+        return "moving", _sentence("on its way", drawn.words)
+
+
+def _arrived(lane: Lane) -> bool:
+    """Whether all that is followed is where it goes to."""
+    channels = lane.feed.inputs.channels.values()
+    return all(np.abs(c.value - c.target).max(initial=0.0) < ARRIVED for c in channels)
+
+
+def _sentence(*parts: str) -> str:
+    text = "; ".join(filter(None, parts))
+    return f"{text[:1].upper()}{text[1:]}."

@@ -1,0 +1,237 @@
+"""What was sent while a scenario was played, as a scenario that ``coopqp compare`` replays.
+
+OUT/scenario.yaml is the scenario with an input for each thing that can be dragged, and
+OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the columns of its kind. Time
+is that since the scenario began.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.input import Arrival
+from coopqp.report.files import write_one
+from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.scenario.yaml import parsed
+from coopqp.signal import Kind
+from coopqp.viewer.dials import KAPPA, task_and_field
+from coopqp.viewer.live import Live, pace_of
+
+FILE = "scenario.yaml"
+
+
+class Recording:
+    """A recording on its way.
+
+    Args:
+        scenario: as read.
+        lives: what can be dragged.
+        laws: names of the controllers that are played.
+        dials: as they are turned when it begins.
+
+    Attributes:
+        ticks: of each phase so far.
+        note: why it has ended; empty while it has not.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        lives: Sequence[Live],
+        laws: Sequence[str],
+        dials: Mapping[str, float],
+    ) -> None:
+        self._scenario, self._lives, self._laws = scenario, tuple(lives), tuple(laws)
+        self._dials = dict(dials)
+        self.ticks = [0]
+        self.note = ""
+        self._rows: dict[str, array[float]] = {}
+        self._kinds: dict[str, Kind] = {}
+        joints = len(scenario.robot_model.joint_names)
+        self._most = MOST_KEPT // (joints * max(1, len(laws)))
+
+    @property
+    def seconds(self) -> float:
+        """How much of it there is [s]."""
+        return sum(self.ticks) * self._scenario.dt
+
+    def add(
+        self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
+    ) -> None:
+        """A tick.
+
+        Args:
+            phase: its index.
+            since: when that began [s].
+            t: of the tick, since then [s].
+            sent: what arrived for it.
+            kinds: of the inputs' values, by name.
+        """
+        if self.note:
+            return
+        if sum(self.ticks) >= self._most:
+            self.note = f"is full after {self.seconds:.0f} s"
+            return
+        while len(self.ticks) <= phase:
+            self.ticks.append(0)
+        self.ticks[phase] += 1
+        for name, value, when in {one[0]: one for one in sent}.values():
+            rows = self._rows.setdefault(name, array("d"))
+            self._kinds[name] = kinds[name]
+            rows.extend([since + t, since + when, *value])
+
+    def end(self, why: str) -> None:
+        """No more of it; what there is can be saved."""
+        self.note = self.note or why
+
+    def save(self, folder: Path) -> Path:
+        """Write it.
+
+        Args:
+            folder: made if it does not exist; files of the same names are replaced.
+
+        Returns:
+            The scenario's path.
+
+        Raises:
+            CoopqpError: it cannot be written, or there is nothing yet.
+        """
+        if not sum(self.ticks):
+            raise InvalidValueError("nothing has been played yet, so nothing is recorded")
+        try:
+            (folder / "inputs").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise CoopqpError(f"cannot write the recording to '{folder}': {reason}") from error
+        names = _file_names(self._rows)
+        for name, rows in self._rows.items():
+            write_one(folder / "inputs" / names[name], self._csv(name, rows))
+        write_one(folder / FILE, self._yaml(names, folder))
+        return folder / FILE
+
+    def _csv(self, name: str, rows: array[float]) -> str:
+        columns = self._kinds[name].columns
+        width = 2 + len(columns)
+        lines = [",".join(("t", "sent", *columns))]
+        for i in range(0, len(rows), width):
+            lines.append(",".join(map(repr, rows[i : i + width])))
+        return "\n".join(lines) + "\n"
+
+    def _yaml(self, names: Mapping[str, str], folder: Path) -> str:
+        stream = io.StringIO()
+        writer = YAML(typ="safe", pure=True)
+        writer.default_flow_style = None
+        writer.width = 100
+        writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+        writer.dump(self._data(names, folder), stream)
+        head = (
+            f"# {self._scenario.name}, played for {self.seconds:.3f} s; "
+            "coopqp compare replays it.\n"
+        )
+        return head + stream.getvalue()
+
+    def _data(self, names: Mapping[str, str], folder: Path) -> dict[str, Any]:
+        """The scenario file as a mapping, with what was played."""
+        scenario = self._scenario
+        data = dict(parsed(Path(scenario.name), scenario.source).data)
+        if scenario.folder is not None:
+            data["folder"] = str(scenario.folder)
+        phases = self._phases(data)
+        secondary = [_spelled(slot) for slot in data.get("secondary", [])]
+        self._turn(data, phases, secondary)
+        if secondary:
+            data["secondary"] = secondary
+        inputs = {name: dict(given or {}) for name, given in (data.get("inputs") or {}).items()}
+        for live in self._lives:
+            if live.made:
+                slot = phases[live.phase]["tasks"] if live.phase < len(phases) else None
+                if slot is not None:
+                    _follow(slot[live.task], live)
+                    inputs.setdefault(live.name, dict(pace_of(scenario)))
+        for name, file in names.items():
+            inputs[name].pop("feed", None)
+            inputs[name]["feed_file"] = self._path_of(file, folder)
+        if inputs:
+            data["inputs"] = inputs
+        data["controllers"] = self._controllers(data)
+        return data
+
+    def _path_of(self, file: str, folder: Path) -> str:
+        """Path of what was sent, as the scenario beside it has it."""
+        path = Path("inputs") / file
+        return str(path if self._scenario.folder is None else folder.resolve() / path)
+
+    def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
+        """The phases that were played, as long as they were; put into the mapping."""
+        found = []
+        for k, ticks in enumerate(self.ticks):
+            given = data["phases"][k] if "phases" in data else data
+            ends = max((task.end for task in self._scenario.schedule[k].tasks), default=0.0)
+            lasts = max(ticks * self._scenario.dt, ends)
+            found.append(
+                {
+                    **(given if "phases" in data else {}),
+                    "duration": lasts,
+                    "tasks": [_spelled(slot) for slot in given["tasks"]],
+                }
+            )
+        if "phases" in data:
+            data["phases"] = found
+        else:
+            data |= found[0]
+        return found
+
+    def _turn(
+        self, data: dict[str, Any], phases: list[dict[str, Any]], secondary: list[dict[str, Any]]
+    ) -> None:
+        for key, value in self._dials.items():
+            if key == KAPPA:
+                data[KAPPA] = value
+                continue
+            kind, phase, number, field = task_and_field(key)
+            if kind == "tasks" and phase >= len(phases):
+                continue
+            slots = phases[phase]["tasks"] if kind == "tasks" else secondary
+            (fields,) = slots[number].values()
+            fields[field] = round(value) if field == "priority" else value
+
+    def _controllers(self, data: dict[str, Any]) -> list[Any]:
+        """Those that were played, as the file has them."""
+        own = list(self._scenario.controllers)
+        given = data.get("controllers") or own
+        return [given[own.index(name)] if name in own else name for name in self._laws]
+
+
+def _spelled(slot: Any) -> dict[str, Any]:
+    """A plug-in's slot as one name with its fields."""
+    if isinstance(slot, str):
+        return {slot: {}}
+    ((name, fields),) = slot.items()
+    return {name: dict(fields or {})}
+
+
+def _follow(slot: dict[str, Any], live: Live) -> None:
+    (fields,) = slot.values()
+    for key in ("rpy", "rpy_deg") if live.kind.turns and not live.kind.numbers else ():
+        if not live.kind.axis:
+            fields.pop(key, None)
+    fields[live.field] = {"input": {"name": live.name, "start": list(live.start or ())}}
+
+
+def _file_names(names: Iterable[str]) -> dict[str, str]:
+    """A file for each input; what no file may be called is left out."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = re.sub(r"[^\w-]+", "_", name) or "input"
+        while f"{plain}.csv" in found.values():
+            plain += "_"
+        found[name] = f"{plain}.csv"
+    return found

@@ -1,0 +1,121 @@
+"""The sentence on the page: which limit stops the object, and by how much."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coopqp.controller_run import run
+from coopqp.profile import Profile
+from coopqp.scenario.loader import load
+from coopqp.study.explanation import explain_standing
+from coopqp.viewer.beside import Line
+from coopqp.viewer.explainer import serve
+from coopqp.viewer.messages import Asked, Told
+from coopqp.viewer.player import Player
+
+
+class _Wire:
+    """A connection whose other end asks what it was given."""
+
+    def __init__(self, *things: object) -> None:
+        self.things, self.sent = list(things), []
+
+    def send(self, thing: object) -> None:
+        self.sent.append(thing)
+
+    def recv(self) -> object:
+        if not self.things:
+            raise EOFError
+        return self.things.pop(0)
+
+
+def told(player: Player) -> Told:
+    """What the explainer says of a player now."""
+    wire = _Wire(player.placed(), player.look())
+    serve(Line(wire), player.scenario)  # type: ignore[arg-type]
+    (found,) = (thing for thing in wire.sent if isinstance(thing, Told))
+    return found
+
+
+def dragged(to: tuple[float, float, float], ticks: int, law: str = "qp") -> Player:
+    """NAO's box after its goal has been dragged somewhere for so long."""
+    player = Player(load("point_on_point"), (law,))
+    player.playing = True
+    player.do(Asked("drag", 0, (*to, 0.0, 0.0, 0.0, 1.0)))
+    for _ in range(ticks):
+        player.tick()
+    return player
+
+
+def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> None:
+    player = dragged((0.13, 0.05, 0.13), 900)
+    found = told(player)
+    assert found.blocked
+    short = float(re.search(r"reach stops ([\d.]+) mm short", found.sentence)[1])  # type: ignore[index]
+    off = np.linalg.norm(player.lanes[0].state.p_WO - (0.13, 0.05, 0.13))
+    assert short == pytest.approx(1e3 * off, rel=5e-3)
+    assert "LElbowRoll (lower" in found.sentence
+    amounts = dict(re.findall(r"(\w+) \(\w+\) (?:would need )?([\d.]+) rad more", found.sentence))
+    assert "LElbowRoll (lower)" in found.active
+    # With so much more room the law gets there: tried here by hand, in a run of its own.
+    scenario = load("point_on_point")
+    model = scenario.robot_model.model
+    for joint, amount in amounts.items():
+        i = model.idx_qs[model.getJointId(joint)]
+        model.lowerPositionLimit[i] -= float(amount)
+        model.upperPositionLimit[i] += float(amount)
+    goal = replace(scenario.tasks[0], goal=(0.13, 0.05, 0.13), profile=Profile(duration=2.0))
+    eased = replace(scenario, tasks=(goal,), duration=9.0)
+    eased.__dict__["robot_model"] = scenario.robot_model
+    trace = run(eased, controller="qp")
+    assert trace.final_error[0] < 5e-4
+
+
+def test_while_it_moves_it_is_told_how_near_it_gets() -> None:
+    player = dragged((0.13, 0.05, 0.13), 30)
+    player.told = told(player)
+    assert player.told.sentence.startswith("reach gets no nearer than ")
+    near = float(re.search(r"([\d.]+) mm", player.told.sentence)[1])  # type: ignore[index]
+    assert player.frame().tone == "blocked"
+    later = dragged((0.13, 0.05, 0.13), 900)
+    off = np.linalg.norm(later.lanes[0].state.p_WO - (0.13, 0.05, 0.13))
+    assert near == pytest.approx(1e3 * off, rel=0.02)
+
+
+def test_out_of_reach_is_said_with_direction() -> None:
+    player = dragged((0.5, 0.1, 0.1), 20)
+    player.told = told(player)
+    assert "out of reach by 301 mm along +x" in player.frame().sentence
+
+
+def test_a_law_without_limits_is_stopped_by_none() -> None:
+    player = dragged((0.13, 0.05, 0.13), 20, "pseudoinverse")
+    found = told(player)
+    assert not found.blocked
+    assert not found.active
+
+
+def test_a_scenario_with_hinges_can_be_sent_to_the_explainer() -> None:
+    """Models with them cannot be pickled; what is sent is built anew there."""
+    player = Player(load("passive_grasp_pose"), ("qp",))
+    sent = pickle.loads(pickle.dumps(replace(player.scenario)))
+    wire = _Wire(player.placed(), player.look())
+    serve(Line(wire), sent)  # type: ignore[arg-type]
+    assert not next(thing for thing in wire.sent if isinstance(thing, Told)).blocked
+
+
+def test_at_the_goal_nothing_is_blocked() -> None:
+    scenario = load("point_on_point")
+    trace = run(scenario, controller="qp")
+    standing = explain_standing(scenario.problem(), scenario.tasks, trace.q[-1], rests=True)
+    # The reference of the scenario's own task begins at the start and is not there yet at t = 0.
+    at_goal = [task.at_goal() for task in scenario.tasks]
+    there = explain_standing(scenario.problem(), at_goal, trace.q[-1], rests=True)
+    assert there.reached
+    assert not there.blocked
+    assert not standing.reached

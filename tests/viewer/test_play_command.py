@@ -1,0 +1,170 @@
+"""``coopqp play`` from the command line, with browsers that are no more than their connection."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import typed
+
+from coopqp.controller_run import run
+from coopqp.scenario.loader import load
+
+COMMAND = [sys.executable, "-c", "from coopqp.cli import main; main()", "play"]
+PATIENCE = 60.0  # [s], where the machine is busy
+
+
+class Browser:
+    """A connection as a browser makes it.
+
+    Attributes:
+        gizmo: where the first gizmo is, as this browser was told.
+        words: all text that it was told.
+    """
+
+    def __init__(self, url: str) -> None:
+        viser = pytest.importorskip("viser", reason="needs coopqp[viewer]")
+        from websockets.sync.client import connect
+
+        self._socket = connect(
+            url.replace("http", "ws"),
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+            ping_interval=None,
+        )
+        self.gizmo: tuple[float, ...] = ()
+        self.words = ""
+        self._say(_camera())
+
+    def _say(self, message: Any) -> None:
+        import msgspec
+
+        self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
+
+    def drag(self, *place: float) -> None:
+        """Pull the first gizmo somewhere."""
+        from viser import _messages as messages
+
+        turn = (1.0, 0.0, 0.0, 0.0)
+        self._say(messages.TransformControlsUpdateMessage("/gizmo/0", turn, place))  # type: ignore[arg-type]
+
+    def until(self, done: Any) -> None:
+        """Hear what it is told until something is so."""
+        end = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < end, self.words[-2000:]
+            for message in _decoded(self._socket.recv(PATIENCE)):
+                if message["type"] == "SetPositionMessage" and message["name"] == "/gizmo/0":
+                    self.gizmo = tuple(message["position"])
+                if message["type"] == "GuiUpdateMessage":
+                    self.words += str(message["updates"].get("content", ""))
+
+    def crash(self) -> None:
+        """Be gone without a word."""
+        self._socket.socket.close()
+
+
+def _camera() -> Any:
+    from viser import _messages as messages
+
+    return messages.ViewerCameraMessage(
+        wxyz=(1.0, 0.0, 0.0, 0.0), position=(1.0, 0.0, 0.0), fov=1.0, near=0.01, far=100.0,
+        image_height=800, image_width=1280, look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0),
+    )  # fmt: skip
+
+
+def _decoded(data: bytes | str) -> list[dict[str, Any]]:
+    import msgspec
+    import zstandard
+
+    assert isinstance(data, bytes)
+    size = int.from_bytes(data[8:16], "little")
+    plain = zstandard.ZstdDecompressor().decompress(data[16 : 16 + size])
+    messages: list[dict[str, Any]] = msgspec.msgpack.decode(plain)["messages"]
+    return messages
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command with one law, on any port that is free, and the page's address."""
+    pytest.importorskip("viser", reason="needs coopqp[viewer]")
+    words = ["point_on_point", "--controller", "qp", "--port", "0", "--record", "out"]
+    process = subprocess.Popen(
+        [*COMMAND, *words], cwd=tmp_path, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout
+    yield process, process.stdout.readline().split()[0]
+    process.kill()
+    process.communicate()
+
+
+def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
+    started: tuple[subprocess.Popen[str], str], tmp_path: Path
+) -> None:
+    process, url = started
+    first, second = Browser(url), Browser(url)
+    first.until(lambda: "On its way" in first.words)  # it plays as soon as somebody looks
+    first.drag(0.15, 0.03, 0.04)
+    second.until(lambda: second.gizmo == pytest.approx((0.15, 0.03, 0.04)))
+    first.crash()
+    second.drag(0.13, 0.05, 0.13)
+    back = Browser(url)
+    back.until(lambda: "LElbowRoll (lower" in back.words and "rad more" in back.words)
+    assert back.gizmo == pytest.approx((0.13, 0.05, 0.13))
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, err
+    assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", out)
+    assert err == ""
+    trace = run(load(tmp_path / "out" / "scenario.yaml"), controller="qp")
+    sent = np.loadtxt(tmp_path / "out/inputs/reach.csv", delimiter=",", skiprows=1)[:, 2:]
+    assert sent[-1].tolist() == pytest.approx([0.13, 0.05, 0.13])
+    assert trace.ticks >= len(sent)
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    pytest.importorskip("viser", reason="needs coopqp[viewer]")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        result = typed("play", "point_on_point", "--port", port)
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert re.match(rf"error: cannot listen on 127.0.0.1:{port}: .*--port", line)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--port", "99999"], "--port: found 99999, needs 0 to 65535"),
+        (["--host", "no such host"], "cannot listen on no such host:8080"),
+        (["--port", "0", "--controller", "qpp"], "unknown controller 'qpp'; did you mean 'qp'"),
+        (["--port", "0", "--controller", "torque_qp"], "torques, which this plant does not take"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(words: list[str], said: str) -> None:
+    pytest.importorskip("viser", reason="needs coopqp[viewer]")
+    result = typed("play", "point_on_point", *words)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert len([x for x in result.stderr.splitlines() if not x.startswith("note:")]) == 1
+
+
+def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from coopqp.viewer import play
+
+    monkeypatch.setattr(play.importlib.util, "find_spec", lambda name: None)
+    result = typed("play", "point_on_point")
+    assert result.exit_code == 2
+    assert result.stderr == "error: coopqp play needs: pip install 'coopqp[viewer]'\n"
