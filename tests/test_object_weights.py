@@ -133,7 +133,7 @@ def test_a_scenario_gives_weights(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
-        ("{rihgt: 1.0}", "weights.rihgt: unknown arm 'rihgt'; did you mean 'right'?"),
+        ("{rihgt: 1.0}", "weights: unknown arm 'rihgt'; did you mean 'right'?"),
         ("{right: 2.0, left: -1.0}", "weights.left: found -1.0; needs greater than or equal to 0"),
         ("{right: 0.5, left: 0.4}", "weights: the weights of the arms sum to 0.9, need 1"),
         ("{right: '1'}", 'weights.right: found "1"; needs a number'),

@@ -238,7 +238,11 @@ def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
-def test_an_interrupt_ends_in_one_line() -> None:
+@pytest.mark.parametrize(
+    ("sent", "code", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code: int, word: str) -> None:
     """As from a terminal: every process of the group gets it."""
     program = "from coopqp.cli import main; main()"
     process = subprocess.Popen(
@@ -251,11 +255,11 @@ def test_an_interrupt_ends_in_one_line() -> None:
             if len(children.read_text().split()) == 2:
                 break
             time.sleep(0.1)
-        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, sent)
         out, err = process.communicate(timeout=60)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == 1
+    assert process.returncode == code
     assert out == ""
-    assert err.split() == ["Aborted!"]
+    assert err.split() == [word]
