@@ -6,7 +6,7 @@ namespace coopqp {
 enum class Status : int {
     Optimal = 0,
     Inaccurate,   // feasible, but the certificate is short of digits
-    Infeasible,   // the constraints leave nothing
+    Infeasible,   // the first level's constraints leave nothing, as is proved
     Iterations,   // the active set changed too often
     NotFinite,    // the state or the answer has NaN or infinite values
     Equality,     // the answer breaks the loop closure
@@ -14,6 +14,7 @@ enum class Status : int {
     Singular,     // loop or hard rows that are independent in general are not so here
     Opens,        // the step would open a loop too far
     Outside,      // a joint is outside its limits
+    Unproven,     // no answer was found, and no proof that there is none
 };
 
 }  // namespace coopqp
