@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from coopqp.controller import ControlProblem
+from coopqp.kernel.compiled import Outcome
 from coopqp.kernel.law import KernelLaw
 from coopqp.memory import Memory
 from coopqp.qp_law.law import QPLaw
@@ -24,7 +25,7 @@ class Agreement:
     Attributes:
         ticks: how many.
         decided: by the kernel.
-        left: what the plain law said in ticks that the kernel left to it.
+        left: what the kernel and the plain law said in ticks that were left to the plain law.
         otherwise: ticks of which the kernel and the plain law say something else.
         v: largest difference of velocities where the plain law is accurate too [rad/s].
         memory: largest difference of what is remembered.
@@ -44,6 +45,14 @@ def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
     return plain, KernelLaw(problem, own, DAMPING, ERROR_DAMPING)
 
 
+def why(law: KernelLaw) -> str:
+    """What the kernel said last of a tick that it left to the plain law."""
+    whole = Outcome(law.whole.outcome).name
+    if law.softened is None or whole != "INFEASIBLE":
+        return whole
+    return f"{whole}, softened {Outcome(law.softened.outcome).name}"
+
+
 def drive(problem: ControlProblem, ticks: int) -> Agreement:
     """Compare along a motion."""
     plain, kernel = laws(problem)
@@ -55,7 +64,7 @@ def drive(problem: ControlProblem, ticks: int) -> Agreement:
         other.memory.numbers[:] = state.memory.numbers
         found, wanted = kernel.tick(other), plain.tick(state)
         if not kernel.compiled:
-            seen.left[written(wanted.causes)] += 1
+            seen.left[f"{why(kernel)}, {written(wanted.causes)}"] += 1
         elif found.causes != wanted.causes and wanted.causes[0] is not Status.INACCURATE:
             seen.otherwise[f"{written(found.causes)} for {written(wanted.causes)}"] += 1
         else:

@@ -68,7 +68,7 @@ class Check {
             if (off <= s_.budget.accuracy) break;
         }
         if (l == 0)
-            for (int i = 0; i < levels_[0].exact; i++) outcome.pull += std::fabs(y_.lambda[i]);
+            for (int i = 0; i < levels_[0].exact; i++) outcome.pull += std::fabs(y_.of_exact(i));
         off += idle(mu);
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
@@ -109,7 +109,8 @@ class Check {
         std::size_t rows = 0;
         for (const auto& of_loop : kept_) rows += of_loop.size();
         for (std::size_t i = 0; i < rows; i++) asked -= y_.of_loops[i] * b_[i];
-        for (int s = 0; s < level.hard; s++) asked -= y_.lambda[s] * level.wanted[std::size_t(s)];
+        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.spare[std::size_t(s)]);
+        for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
         double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
         for (int k = 0; k < shares_.count(); k++) {
             const double z = y_.of_shares[std::size_t(k)];
@@ -286,7 +287,7 @@ class Check {
                           std::fabs(y_.of_shares[std::size_t(k)]);
             for (int s = level.hard; s < level.exact; s++)
                 if (level.share[std::size_t(s)] == k)
-                    size += std::fabs(y_.lambda[s] * level.wanted[std::size_t(s)]);
+                    size += std::fabs(y_.of_exact(s) * level.wanted[std::size_t(s)]);
             squares += size * size;
         }
         return squares;

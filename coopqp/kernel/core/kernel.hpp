@@ -36,9 +36,10 @@ class Kernel {
           rows_(*m_),
           loops_(make_loops(*m_, kept_, *arena_)),
           hierarchy_(loops_->free, most_rows(), *arena_),
-          shares_(levels[0].shares, stride(), hierarchy_.width(), *arena_),
+          shares_(levels[0], hierarchy_, stride(), *arena_),
           damping_(rows_, s_, shares_.count()),
-          nearest_(stride() + padded(s_.inequalities) + padded(shares_.count()),
+          nearest_(stride() + padded(s_.inequalities) + padded(shares_.count()) +
+                       padded(levels[0].exact),
                    loops_->free + shares_.count(), *arena_),
           lb(arena_->take(std::size_t(stride()))),
           ub(arena_->take(std::size_t(stride()))),
@@ -163,8 +164,7 @@ class Kernel {
         const double d = s_.damping + damping_.of(l, level, last_, bound);
         copy(before_, v_, m_->blocks);
         miss(level);
-        if (level.exact && !take_exact(level, d)) return Status::Singular;
-        const int first = decided + level.exact;
+        const int first = decided + (level.exact ? take_exact(level, d) : 0);
         take_soft(l, before, first, d);
         if (fault(Fault::WrongAnswer)) add(v_, loops_->Z, 1e-4, m_->blocks);
         const Status status = bring_inside(l, first, d + level.joint_weight);
@@ -205,41 +205,18 @@ class Kernel {
                 level.wanted[std::size_t(s)] - rows_.times(level, s, v_, V);
     }
 
-    // Do what hard rows ask for, and of scaled ones the share that is best where no limit binds.
-    bool take_exact(const Level& level, double d) {
-        for (int s = 0; s < level.exact; s++)
-            if (hierarchy_.decided <= s || hierarchy_.pivot_row(s) != s) return false;
-        const auto wanted = [&level](int s) { return level.wanted[std::size_t(s)]; };
-        const auto share = [&level](int s) { return level.share[std::size_t(s)]; };
-        solve_exact(level.exact, x_, [&](int s) {
-            return residual_[std::size_t(s)] - (share(s) < 0 ? 0.0 : wanted(s));
-        });
-        for (int k = 0; k < level.shares; k++)
-            solve_exact(level.exact, shares_.coordinates(k),
-                        [&](int s) { return share(s) == k ? wanted(s) : 0.0; });
-        shares_.choose(x_, d);
-        if (fault(Fault::WrongShare) && level.shares) shares_.share(0) *= 0.999;
-        if (fault(Fault::WrongWay) && level.shares) shares_.coordinates(0)[0] += 1e-3;
+    // Do what exact rows ask for; returns how many coordinates that takes.
+    int take_exact(const Level& level, double d) {
+        const int count = shares_.take(level, residual_.data(), x_, d);
         for (int k = 0; k < level.shares; k++) {
             clear(shares_.way(k), m_->blocks);
             move(shares_.coordinates(k), shares_.way(k));
-            add(x_, shares_.coordinates(k), shares_.share(k), hierarchy_.blocks());
         }
         move(x_, v_);
         for (int s = level.exact; s < level.rows; s++)
-            for (int k = 0; k < level.exact; k++)
+            for (int k = 0; k < count; k++)
                 residual_[std::size_t(s)] -= hierarchy_.row(s)[k] * x_[k];
-        return true;
-    }
-
-    template <class Side>
-    void solve_exact(int count, double* x, Side side) {
-        clear(x, hierarchy_.blocks());
-        for (int s = 0; s < count; s++) {
-            double rest = side(s);
-            for (int k = 0; k < s; k++) rest -= hierarchy_.row(s)[k] * x[k];
-            x[s] = rest / hierarchy_.row(s)[s];
-        }
+        return count;
     }
 
     // The optimum of soft rows, joint objectives and damping where no limit binds.
@@ -288,7 +265,8 @@ class Kernel {
     // Change v and the shares by as little as limits ask for, in the metric of the level's cost.
     Status bring_inside(int l, int first, double curvature) {
         nearest_.active = 0;
-        if (inside() || fault(Fault::LimitsForgotten)) return Status::Optimal;
+        const bool keeps = inside(), agrees = agree(l);
+        if ((keeps && agrees) || fault(Fault::LimitsForgotten)) return Status::Optimal;
         const int shares = l == 0 ? shares_.count() : 0, n = stride(), p = s_.inequalities;
         const int own = hierarchy_.decided - first, K = loops_->free - first;
         if (shares + K == 0) return Status::Infeasible;
@@ -339,8 +317,24 @@ class Kernel {
         return inside;
     }
 
+    // What rows of the first level lack that depend on others, and whether that is nothing.
+    bool agree(int l) {
+        bool agree = true;
+        for (int s = 0; s < levels[0].exact; s++) {
+            const double lacks = l == 0 ? shares_.lacks(s) : 0.0;
+            nearest_.lower[spare_row(s)] = nearest_.upper[spare_row(s)] = -lacks;
+            agree &= std::fabs(lacks) <= INSIDE;
+        }
+        for (int k = 0; l > 0 && k < shares_.count(); k++)
+            nearest_.lower[share_row(k)] = nearest_.upper[share_row(k)] = 0.0;
+        return agree;
+    }
+
     // Which constraint keeps a share between 0 and 1.
     int share_row(int k) const { return stride() + padded(s_.inequalities) + k; }
+
+    // Which constraint keeps a row that depends on others.
+    int spare_row(int s) const { return share_row(0) + padded(shares_.count()) + s; }
 
     // How all shares, and the joints with them, go along their a-th direction.
     void share_column(int a) {
@@ -352,6 +346,9 @@ class Kernel {
             nearest_.upper[share_row(k)] = 1.0 - shares_.share(k);
             add(column, shares_.way(k), turn_[std::size_t(k)], m_->blocks);
         }
+        for (int s = 0; s < levels[0].exact; s++)
+            for (int k = 0; k < shares_.count(); k++)
+                column[spare_row(s)] += shares_.asks(s, k) * turn_[std::size_t(k)];
     }
 
     Ahead ahead_;

@@ -21,6 +21,7 @@ class Multipliers {
           lambda(arena.take(std::size_t(hierarchy.width()))),
           of_loops(std::size_t(6 * std::max(model.loops(), 1))),
           of_rows(std::size_t(inequalities)), of_shares(std::size_t(levels[0].shares)),
+          spare(std::size_t(levels[0].exact)),
           m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), levels_(levels),
           y_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
 
@@ -28,15 +29,19 @@ class Multipliers {
     double* box;     // of bounds on v, over the joints
     double* lambda;  // of the rows decided before, by coordinate
     std::vector<double> of_loops, of_rows, of_shares;  // of_rows: of G
+    std::vector<double> spare;  // of exact rows that depend on others
 
     // Add what active limits push to g; multipliers of others begin at zero.
     void push_limits(const LeastDistance& nearest, const double* G) {
         std::fill(of_loops.begin(), of_loops.end(), 0.0);
         std::fill(of_rows.begin(), of_rows.end(), 0.0);
         std::fill(of_shares.begin(), of_shares.end(), 0.0);
+        std::fill(spare.begin(), spare.end(), 0.0);
         clear(lambda, hierarchy_.blocks());
         clear(box, m_.blocks);
         const int n = m_.blocks * LANES, shares = n + padded(int(of_rows.size()));
+        const int exact = shares + padded(int(of_shares.size()));
+        double tau[6] = {0, 0, 0, 0, 0, 0};
         for (int i = 0; i < nearest.active; i++) {
             const int row = nearest.row(i);
             const double by = nearest.multiplier(i);
@@ -45,10 +50,14 @@ class Multipliers {
             } else if (row < shares) {
                 of_rows[std::size_t(row - n)] = by;
                 add(g, G + std::size_t(row - n) * rows_.stride(), by, m_.blocks);
-            } else {
+            } else if (row < exact) {
                 of_shares[std::size_t(row - shares)] = by;
+            } else {
+                spare[std::size_t(row - exact)] = -by;
+                rows_.pull_row(levels_[0], row - exact, -by, tau, g);
             }
         }
+        rows_.pull_object(tau, g);
         add(g, box, 1.0, m_.blocks);
     }
 
@@ -80,12 +89,21 @@ class Multipliers {
         return lever * all;
     }
 
+    // Multiplier of an exact row, of which the first coordinates are.
+    double of_exact(int s) const {
+        double by = spare[std::size_t(s)];
+        for (int k = 0; k < hierarchy_.decided && hierarchy_.pivot_row(k) <= s; k++)
+            if (hierarchy_.pivot_row(k) == s) by += lambda[k];
+        return by;
+    }
+
     // What multipliers of scaled rows push at a share.
     double at_share(int k) const {
         const Level& level = levels_[0];
         double all = 0.0;
         for (int s = level.hard; s < level.exact; s++)
-            if (level.share[std::size_t(s)] == k) all += lambda[s] * level.wanted[std::size_t(s)];
+            if (level.share[std::size_t(s)] == k)
+                all += of_exact(s) * level.wanted[std::size_t(s)];
         return all;
     }
 
