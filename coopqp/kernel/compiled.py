@@ -29,7 +29,8 @@ class Outcome(IntEnum):
     SINGULAR = 7
     OPENS = 8
     OUTSIDE = 9
-    UNPROVEN = 10
+    SHORTENED = 10
+    UNPROVEN = 11
 
 
 class Compiled:

@@ -31,8 +31,14 @@ from coopqp.solver import Status
 from coopqp.state import State
 
 #: Numbers, not members: a tick compares them.
-OPTIMAL, INFEASIBLE = int(Outcome.OPTIMAL), int(Outcome.INFEASIBLE)
-ALL_WELL, GIVEN_UP, STANDS = (Status.OPTIMAL,), (Status.TASKS_GIVEN_UP,), (Status.INFEASIBLE,)
+OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
+INFEASIBLE = int(Outcome.INFEASIBLE)
+ALL_WELL = {OPTIMAL: (Status.OPTIMAL,), SHORTENED: (Status.STEP_SHORTENED,)}
+GIVEN_UP = {
+    OPTIMAL: (Status.TASKS_GIVEN_UP,),
+    SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
+}
+STANDS = (Status.INFEASIBLE,)
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 
@@ -105,8 +111,8 @@ class KernelLaw(Law):
         self.compiled = False
         if self._soft[0] <= 0.0:
             status = self.whole.tick(state)
-            if status == OPTIMAL:
-                self._say(ALL_WELL)
+            if status in ALL_WELL:
+                self._say(ALL_WELL[status])
                 self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
                 return True
             if status != INFEASIBLE or (not self.softened and self._gives_up):
@@ -122,10 +128,11 @@ class KernelLaw(Law):
         """Whether there is an answer with all tasks soft."""
         if self.softened is None or state.corrected < ALL_OF_IT:
             return False
-        if self.softened.tick(state) != OPTIMAL:
+        status = self.softened.tick(state)
+        if status not in GIVEN_UP:
             return False
         self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
-        self._say(GIVEN_UP)
+        self._say(GIVEN_UP[status])
         self.command.scale = 0.0 if self._scales else 1.0
         return True
 

@@ -249,9 +249,10 @@ int main(int count, char** given) {
         for (int k = 0; k < 20; k++) {
             const Status status = c.tick(0.01 * k);
             ticks++;
-            optimal += status == Status::Optimal;
+            const bool done = status == Status::Optimal || status == Status::Shortened;
+            optimal += done;
             proofs += status == Status::Infeasible;
-            if (status != Status::Optimal) break;
+            if (!done) break;
             for (std::size_t j = 0; j < c.owner.q.size(); j++) {
                 wrong += !std::isfinite(c.owner.v[j]);
                 wrong += c.owner.v[j] < c.bounds.lower[j] || c.owner.v[j] > c.bounds.upper[j];

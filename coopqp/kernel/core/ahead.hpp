@@ -11,6 +11,8 @@
 
 namespace coopqp {
 
+constexpr double SHORTEN = 0.5, SHORTEST = 1.0 / 1024;  // as coopqp.qp_law.safety
+
 class Ahead {
   public:
     Ahead(const Model& model, const Settings& settings)
@@ -23,13 +25,28 @@ class Ahead {
         double used = 0.0;
         for (int i = 0; i < m_.loops(); i++) {
             const double* e = drift + 6 * i;
-            used = std::max(used, std::sqrt(dot3(e, e)) / s_.budget.loop_position);
-            used = std::max(used, std::sqrt(dot3(e + 3, e + 3)) / s_.budget.loop_orientation);
+            used = std::max(used, size3(e) / s_.budget.loop_position);
+            used = std::max(used, size3(e + 3) / s_.budget.loop_orientation);
         }
         return std::max(s_.kappa, std::min(std::max(2.0 * used - 1.0, 0.0), 1.0) * most);
     }
 
-    // Whether the step v dt, v in lanes, leaves the loops within their budget.
+    // The share of a step v dt, v in lanes, that leaves the loops within their budget: it is halved
+    // until it does. 0 where hardly a step would.
+    double shorten(const double* q, const double* gap, const double* drift, double* v) {
+        double share = 1.0;
+        while (!within(q, gap, drift, v)) {
+            share *= SHORTEN;
+            if (share < SHORTEST) return 0.0;
+            for (int b = 0; b < m_.blocks; b++) lanes(v)[b] *= SHORTEN;
+        }
+        return share;
+    }
+
+  private:
+    static double size3(const double* e) { return std::sqrt(dot3(e, e)); }
+
+    // Whether the loops are within their budget after a step, or no worse than before it.
     bool within(const double* q, const double* gap, const double* drift, const double* v) {
         if (m_.loops() < 1) return true;
         double error = 0.0;
@@ -45,16 +62,15 @@ class Ahead {
             }
             opened = std::max(opened, by);
         }
-        return fits(error, opened) || look(q, gap, v);
+        return fits(error, opened) || look(q, gap, drift, v);
     }
 
-  private:
     bool fits(double error, double opened) const {
         return error + s_.reach * opened <= s_.budget.loop_position &&
                error + opened <= s_.budget.loop_orientation;
     }
 
-    bool look(const double* q, const double* gap, const double* v) {
+    bool look(const double* q, const double* gap, const double* drift, const double* v) {
         for (std::size_t j = 0; j < q_.size(); j++)
             q_[j] = q[j] + s_.dt * v[m_.joints[j].lane];
         after_.place(q_.data());
@@ -63,8 +79,10 @@ class Ahead {
             double e[6];
             for (int r = 0; r < 6; r++)
                 e[r] = after_.loop_error[std::size_t(6 * i + r)] - gap[6 * i + r];
-            if (!(std::sqrt(dot3(e, e)) <= s_.budget.loop_position &&
-                  std::sqrt(dot3(e + 3, e + 3)) <= s_.budget.loop_orientation))
+            // A loop that is open already may be closed by steps that leave it open for now.
+            const double* before = drift + 6 * i;
+            if (!(size3(e) <= std::max(s_.budget.loop_position, size3(before)) &&
+                  size3(e + 3) <= std::max(s_.budget.loop_orientation, size3(before + 3))))
                 return false;
         }
         return true;

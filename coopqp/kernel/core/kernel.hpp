@@ -93,17 +93,19 @@ class Kernel {
         loops_->particular(b_.data(), v_);
         if (fault(Fault::WrongSide)) v_[0] += 1e-4;
         see_object();
+        hierarchy_.forget();
         hierarchy_.begin();
         for (std::size_t l = 0; l < levels.size(); l++) {
             const Status status = solve_level(int(l));
             if (status != Status::Optimal) return status;
         }
-        if (!ahead_.within(bound.q, bound.gap, bound.drift, v_)) return Status::Opens;
+        const double share = ahead_.shorten(bound.q, bound.gap, bound.drift, v_);
+        if (share == 0.0) return Status::Opens;
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
         for (std::size_t l = 1; l < levels.size(); l++) bound.later_pulls[l - 1] = pulls_[l];
         if (levels[0].exact) bound.hard_pull[0] = pulls_[0];
         for (int k = 0; k < shares_.count(); k++) bound.missing[k] = 1.0 - shares_.share(k);
-        return Status::Optimal;
+        return share < 1.0 ? Status::Shortened : Status::Optimal;
     }
 
     // For tests: e, J over the joints and rate of each row.
@@ -154,12 +156,13 @@ class Kernel {
 
     Status solve_level(int l) {
         Level& level = levels[std::size_t(l)];
-        const int before = hierarchy_.rows, decided = hierarchy_.decided;
+        const int before = hierarchy_.rows;
         for (std::size_t s = 0; s < std::size_t(level.rows); s++)
             level.wanted[s] = level.rate[s] - level.gain[s] * level.e[s];
-        if (l > 0 && !hierarchy_.singular_values()) return Status::Singular;
+        if (l > 0 && !hierarchy_.singular_values() && !leave_noise(l)) return Status::Singular;
         write_rows(level);
         if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
+        const int decided = hierarchy_.decided;
         hierarchy_.append(level.rows);
         const double d = s_.damping + damping_.of(l, level, last_, bound);
         copy(before_, v_, m_->blocks);
@@ -194,6 +197,21 @@ class Kernel {
             for (int z = 0; z < loops_->free; z++)
                 row[z] = dot(J, loops_->Z + std::size_t(z * stride()), m_->blocks);
         }
+    }
+
+    // Decide the rows of the levels before l anew without those that, at a singular pose, are
+    // noise: these would freeze another motion in each tick. Whether nothing else is left.
+    bool leave_noise(int l) {
+        for (int left = 0; left < most_rows() && hierarchy_.decided > 0; left++) {
+            hierarchy_.leave_out_smallest();
+            hierarchy_.begin();
+            for (int k = 0; k < l; k++) {
+                write_rows(levels[std::size_t(k)]);
+                hierarchy_.append(levels[std::size_t(k)].rows);
+            }
+            if (hierarchy_.singular_values()) return true;
+        }
+        return false;
     }
 
     // What v lacks of each row.

@@ -1,4 +1,4 @@
-// What became of a tick of the kernel. All but Optimal are handed to the plain law.
+// What became of a tick of the kernel; coopqp.kernel.law says which are handed to the plain law.
 #pragma once
 
 namespace coopqp {
@@ -12,8 +12,9 @@ enum class Status : int {
     Equality,     // the answer breaks the loop closure
     Bound,        // the answer breaks a limit
     Singular,     // loop or hard rows that are independent in general are not so here
-    Opens,        // the step would open a loop too far
+    Opens,        // hardly a step leaves the loops within their budget
     Outside,      // a joint is outside its limits
+    Shortened,    // optimal, but for the length of the step
     Unproven,     // no answer was found, and no proof that there is none
 };
 
