@@ -287,7 +287,6 @@ class Kernel {
         if ((keeps && agrees) || fault(Fault::LimitsForgotten)) return Status::Optimal;
         const int shares = l == 0 ? shares_.count() : 0, n = stride(), p = s_.inequalities;
         const int own = hierarchy_.decided - first, K = loops_->free - first;
-        if (shares + K == 0) return Status::Infeasible;
         for (int b = 0; b < m_->blocks; b++) {
             lanes(nearest_.lower)[b] = lanes(lb)[b] - lanes(v_)[b];
             lanes(nearest_.upper)[b] = lanes(ub)[b] - lanes(v_)[b];
