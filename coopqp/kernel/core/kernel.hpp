@@ -307,7 +307,14 @@ class Kernel {
             for (int a = 0; a < shares + K; a++)
                 nearest_.column(a)[n + i] = dot(G + std::size_t(i) * std::size_t(n),
                                                 nearest_.column(a), m_->blocks);
-        const Status status = nearest_.solve(shares + K);
+        Status status = nearest_.solve(shares + K);
+        if (status == Status::Infeasible && l == 0 && levels[0].exact > first) {
+            for (int s = 0; s < levels[0].exact; s++) {  // as solvers let equalities give way
+                nearest_.lower[spare_row(s)] -= CONSISTENT;
+                nearest_.upper[spare_row(s)] += CONSISTENT;
+            }
+            status = nearest_.solve(shares + K);
+        }
         if (status != Status::Optimal) return status;
         for (int a = 0; a < shares + K; a++) add(v_, nearest_.column(a), nearest_.u[a], m_->blocks);
         for (int k = 0; k < shares; k++)
