@@ -79,15 +79,21 @@ class Kernel {
         return Status::Optimal;
     }
 
-    // Decide v from the kinematics, tasks and limits as they stand.
+    // Decide v from the kinematics, tasks and limits as they stand, with joints inside their limits.
     Status solve() {
         for (int j = 0; j < m_->n(); j++) {
             const std::size_t i = std::size_t(j);
             if (bound.q[j] < s_.lower[i] - OUTSIDE || bound.q[j] > s_.upper[i] + OUTSIDE)
                 return Status::Outside;
-            last_[m_->joints[i].lane] = bound.v_last[j];
         }
-        aim_loops();
+        return solve(ahead_.kappa(bound.drift));
+    }
+
+    // The same with a drift gain, wherever joints are: limits say how they come back.
+    Status solve(double kappa) {
+        for (int j = 0; j < m_->n(); j++)
+            last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
+        aim_loops(kappa);
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
         loops_->particular(b_.data(), v_);
@@ -136,8 +142,7 @@ class Kernel {
     }
 
     // b = -kappa e
-    void aim_loops() {
-        const double kappa = ahead_.kappa(bound.drift);
+    void aim_loops(double kappa) {
         std::size_t at = 0;
         for (std::size_t i = 0; i < kept_.size(); i++)
             for (int r : kept_[i]) b_[at++] = -kappa * bound.drift[6 * i + std::size_t(r)];
