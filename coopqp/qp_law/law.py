@@ -153,7 +153,7 @@ class QPLaw(Law):
         loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
 
     def limit(self, state: State) -> float:
-        """Evaluate limits, and the way back of joints that are outside; the drift gain it leaves."""
+        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
         kappa = self.probe.kappa(state)
         self.bounds.update(state)
         if self.recovery.begins(state):

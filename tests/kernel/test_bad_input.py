@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chains import ring, serial, robot_of
+from chains import ring, robot_of, serial
 from laws import LIMITS, NEAR, problem
 
 from coopqp.checked import Array
