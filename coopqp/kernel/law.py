@@ -14,7 +14,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command, ControlProblem, Law, Ticks
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
 from coopqp.kernel.flat import flat_bounds, flat_model, flat_settings, kept_rows
@@ -101,37 +101,34 @@ class KernelLaw(Law):
         command.say(*other.causes)
         return command
 
-    def run(self, state: State, ticks: int) -> tuple[Array, Array]:
-        """Many ticks at once on joints that do as told, the same as one by one.
+    def run(self, state: State, ticks: int) -> Ticks:
+        """Many ticks at once, the same as one by one, without the GIL.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
         Python fills rows or limits, or joints are measured, every tick is one of :meth:`tick`.
-
-        Args:
-            state: where it begins, of :meth:`start`; written, so that it is where it ends.
-            ticks: how many.
-
-        Returns:
-            q before each tick and at the end, shape (T + 1, n), and v, shape (T, n).
         """
-        n, dt = self.problem.chain.n, self.problem.dt
-        q, v = np.zeros((ticks + 1, n)), np.zeros((ticks, n))
+        found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
             if self._alone(state) and self._ready(state):
-                rest = ticks - done
-                made = self._engine.run(state.t, q[done:], v[done:], state.q, state.v, rest)
-                for _ in range(max(made, 0)):
-                    state.t += dt  # as tick by tick, to the last digit
-                done += max(made, 0)
-                state.mark_stale()
+                done += self._run(state, found, done)
             if done < ticks:
-                q[done], v[done] = state.q, self.tick(state).v
-                state.advance(v[done], dt)
+                self._step(state, found, done)
                 done += 1
-        q[ticks] = state.q
+        found.q[ticks] = state.q
         state.update()
-        return q, v
+        return found
+
+    def _run(self, state: State, found: Ticks, done: int) -> int:
+        """As many as the kernel does in one go; how many."""
+        rest, dt = len(found.v) - done, self.problem.dt
+        q, v = found.q[done:], found.v[done:]
+        made: int = max(self._engine.run(state.t, q, v, state.q, state.v, rest), 0)
+        for _ in range(made):
+            state.t += dt  # as tick by tick, to the last digit
+        found.compiled[done : done + made] = True
+        state.mark_stale()
+        return made
 
     def _optimal(self) -> Command:
         self.compiled = True
