@@ -56,7 +56,8 @@ class KernelLaw(Law):
         limits = [limit.bounds(chain, problem.dt) for limit in problem.limits]
         of_joints = [flat_bounds(limit) for limit in limits if limit is not None]
         self._fills_limits = len(of_joints) < len(limits)
-        self._all_compiled = not (self._fills_limits or levels.filled or levels.followed)
+        self._follows = bool(levels.followed)
+        self._all_compiled = not (self._fills_limits or levels.filled)
         found = native.module()
         assert found is not None  # whoever builds this has asked why_not
         self._engine = found.Engine({
@@ -78,7 +79,7 @@ class KernelLaw(Law):
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
-        if self._alone(state) and self._ready(state):
+        if self._alone(state) and self._ready(state) and self._followed(state):
             if self._engine.tick(state.t) == OPTIMAL:
                 state.mark_stale()
                 state.corrected = 1.0
@@ -105,12 +106,13 @@ class KernelLaw(Law):
         """Many ticks at once, the same as one by one, without the GIL.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
-        Python fills rows or limits, or joints are measured, every tick is one of :meth:`tick`.
+        Python fills rows or limits, tasks follow signals, or joints are measured, every tick is one
+        of :meth:`tick`.
         """
         found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
-            if self._alone(state) and self._ready(state):
+            if not self._follows and self._alone(state) and self._ready(state):
                 done += self._run(state, found, done)
             if done < ticks:
                 self._step(state, found, done)
@@ -142,6 +144,17 @@ class KernelLaw(Law):
         inputs = state.inputs
         measured = state.q_measured is not None
         return self._all_compiled and not (measured or inputs.stale or inputs.refused)
+
+    def _followed(self, state: State) -> bool:
+        """Move what signals move; False where one raises, which :meth:`decide` then meets."""
+        if self._follows:
+            try:
+                self._levels.follow(state)
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
+                return False
+        return True
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""

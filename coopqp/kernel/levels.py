@@ -84,14 +84,18 @@ class Levels:
             hard = law.exact.hard.tasks if level == 0 else ()
             self.flat.append(self._level(level, hard, soft.tasks))
 
-    def update(self, state: State) -> None:
-        """Fill what Python fills, at a state."""
+    def follow(self, state: State) -> None:
+        """Move the references that follow signals; kinematics need not be up to date."""
         state.lock()
         try:
             for _, reference in self.followed:
                 reference.update(state)
         finally:
             state.unlock()
+
+    def update(self, state: State) -> None:
+        """Fill what Python fills, at a state."""
+        self.follow(state)
         for task in self.filled:
             task.stack.update(state)
 
