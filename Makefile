@@ -37,7 +37,7 @@ sanitize:
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-KERNEL := hatch_build.py $(wildcard coopqp/kernel/*.cpp coopqp/kernel/core/*.hpp)
+KERNEL := hatch_build.py $(wildcard coopqp/kernel/*.[ch]pp coopqp/kernel/core/*.hpp)
 
 .venv/installed: pyproject.toml $(KERNEL) | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable .

@@ -58,11 +58,11 @@ def _coopqp(job: Job, engine: Literal["kernel", "python"]) -> Motion:
         target = Course(POINT, state.p_WO)
         state.inputs = Followed()
         state.inputs[TARGET] = target
-        value, targets, dt = target.value, job.targets, problem.dt
+        value, targets = target.value, job.targets
 
         def step(k: int) -> None:
             value[:] = targets[k]
-            state.advance(built.tick(state).v, dt)
+            built.step(state)
 
         us = median_us(step)
         state.update()
@@ -145,7 +145,7 @@ def minks(job: Job) -> Motion | None:
 
 
 def by_hand(job: Job) -> Motion:
-    """pinocchio and daqp without anything between them: no names, no checks."""
+    """Pinocchio and daqp without anything between them: no names, no checks."""
     chain, dt = job.problem.chain, job.problem.dt
     model, n, frames = chain.model, chain.n, chain.frames
     m = 6 * (len(frames) - 1)

@@ -2,8 +2,8 @@
 
 python placo_peer.py JOBS.json
 
-For each line on standard input, the name of a job, it runs one motion and answers with the median of
-its ticks [us] and how far from the last target it ends [m]. It ends with its input.
+For each line on standard input, the name of a job, it runs one motion and answers with the median
+of its ticks [us] and how far from the last target it ends [m]. It ends with its input.
 """
 
 import json

@@ -259,17 +259,26 @@ class Law(ABC):
         """
         found = Ticks.room(ticks, self.problem.chain.n)
         for k in range(ticks):
-            self._step(state, found, k)
+            self._keep(state, found, k)
         found.q[ticks] = state.q
         state.update()
         return found
 
-    def _step(self, state: State, found: Ticks, k: int) -> None:
+    def _keep(self, state: State, found: Ticks, k: int) -> None:
         """One of them."""
         found.q[k] = state.q
-        command = self.tick(state)
+        command = self.step(state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
+
+    def step(self, state: State) -> Command:
+        """A tick, after which the joints have done as told for dt.
+
+        Args:
+            state: of :meth:`start`; written, :meth:`coopqp.state.State.advance`.
+        """
+        command = self.tick(state)
         state.advance(command.v, self.problem.dt)
+        return command
 
     def _decided(self, state: State) -> Command:
         """What :meth:`decide` says; to stand still where a plug-in raises."""

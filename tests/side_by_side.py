@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from coopqp.controller import ControlProblem
+from coopqp.kernel.compiled import Outcome
 from coopqp.kernel.law import KernelLaw
 from coopqp.memory import Memory
 from coopqp.qp_law.law import QPLaw
@@ -24,14 +25,16 @@ class Agreement:
     Attributes:
         ticks: how many.
         decided: by the kernel.
-        left: what the plain law said in ticks that the kernel left to it.
-        v: largest difference of velocities where the plain law is optimal too [rad/s].
+        left: what the kernel and the plain law said in ticks that were left to the plain law.
+        otherwise: ticks of which the kernel and the plain law say something else.
+        v: largest difference of velocities where the plain law is accurate too [rad/s].
         memory: largest difference of what is remembered.
     """
 
     ticks: int = 0
     decided: int = 0
     left: Counter[str] = field(default_factory=Counter)
+    otherwise: Counter[str] = field(default_factory=Counter)
     v: float = 0.0
     memory: float = 0.0
 
@@ -42,6 +45,14 @@ def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
     return plain, KernelLaw(problem, own, DAMPING, ERROR_DAMPING)
 
 
+def why(law: KernelLaw) -> str:
+    """What the kernel said last of a tick that it left to the plain law."""
+    whole = Outcome(law.whole.outcome).name
+    if law.softened is None or whole != "INFEASIBLE":
+        return whole
+    return f"{whole}, softened {Outcome(law.softened.outcome).name}"
+
+
 def drive(problem: ControlProblem, ticks: int) -> Agreement:
     """Compare along a motion."""
     plain, kernel = laws(problem)
@@ -49,13 +60,16 @@ def drive(problem: ControlProblem, ticks: int) -> Agreement:
     other = State(problem.chain, memory=Memory(plain.memory_sizes))
     for _ in range(ticks):
         other.q[:], other.v[:], other.t = state.q, state.v, state.t
+        other.corrected = state.corrected
         other.memory.numbers[:] = state.memory.numbers
         found, wanted = kernel.tick(other), plain.tick(state)
         if not kernel.compiled:
-            seen.left[written(wanted.causes)] += 1
+            seen.left[f"{why(kernel)}, {written(wanted.causes)}"] += 1
+        elif found.causes != wanted.causes and wanted.causes[0] is not Status.INACCURATE:
+            seen.otherwise[f"{written(found.causes)} for {written(wanted.causes)}"] += 1
         else:
             seen.decided += 1
-            if wanted.causes == (Status.OPTIMAL,):
+            if Status.INACCURATE not in wanted.causes:
                 seen.v = max(seen.v, float(np.abs(found.v - wanted.v).max()))
                 off = np.abs(other.memory.numbers - state.memory.numbers)
                 seen.memory = max(seen.memory, float(off.max(initial=0.0)))

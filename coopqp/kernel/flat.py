@@ -10,7 +10,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.limit import JointBounds, movers
+from coopqp.limit import JointBounds, TwistBounds, movers
 from coopqp.robot import axis_of
 
 Flat = dict[str, Any]
@@ -59,7 +59,14 @@ def flat_model(chain: ClosedChain) -> Flat | None:
 def flat_settings(
     problem: ControlProblem, damping: float, error_damping: float, inequalities: int
 ) -> Flat:
-    """Numbers of a problem that hold for all ticks."""
+    """Numbers of a problem that hold for all ticks.
+
+    Args:
+        problem: what to control.
+        damping: cost of |v|^2.
+        error_damping: share of the damping that rules out any overshoot.
+        inequalities: how many rows of limits there are.
+    """
     chain, budget = problem.chain, problem.budget
     joints = [chain.model.frames[frame].parentJoint for frame in chain.frames[: chain.holding]]
     moved = movers(chain, joints)
@@ -87,13 +94,32 @@ def flat_settings(
     }
 
 
-def flat_bounds(bounds: JointBounds) -> Flat:
+def flat_joint_limit(bounds: JointBounds) -> Flat:
     """Bounds on the joints, as numbers."""
     return {
+        "kind": float(bounds.of),
         "lower": np.maximum(bounds.lower, -LARGE),
         "upper": np.minimum(bounds.upper, LARGE),
-        "position": float(bounds.position),
-        "recovery_speed": float(bounds.recovery_speed),
+        "step": np.zeros(0) if bounds.step is None else bounds.step,
+        "speed": float(bounds.speed),
+    }
+
+
+def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
+    """Rows that see the object's twist, as numbers.
+
+    Args:
+        bounds: on the twist.
+        at: the first of the rows.
+    """
+    return {
+        "at": float(at),
+        "components": np.array(bounds.components, float),
+        "bounds": np.array(bounds.bounds, float),
+        "points": np.array(bounds.points, float).ravel(),
+        "normal": np.array(bounds.normal, float),
+        "offset": float(bounds.offset),
+        "gain": float(bounds.gain),
     }
 
 

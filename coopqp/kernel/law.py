@@ -1,9 +1,11 @@
 """A tick by the kernel, or by the plain law where the kernel has no verified answer.
 
-The kernel does what the plain law does when all is well: the loops, hard and soft tasks, any number
-of levels, bounds, inequality rows, the check and the look ahead. What has to be given up when not
-everything can hold, the way back of joints that are outside, shortened steps: all that is written
-once, in the plain law, which decides every tick that the kernel does not call optimal.
+The kernel does what the plain law does when all is well: the loops, hard, scaled and soft tasks,
+any number of levels, limits, the check and the look ahead. Where it proves that hard and scaled
+tasks leave no motion they become soft, for as long as in the plain law, as a second program of the
+kernel. All that is rarer is written once, in the plain law, which decides every tick that the
+kernel does not: the way back of joints that are outside, drift that is corrected in part,
+acceleration limits that are given up, shortened steps.
 """
 
 from __future__ import annotations
@@ -12,21 +14,30 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem, Law, Ticks
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
-from coopqp.kernel.flat import flat_bounds, flat_model, flat_settings, kept_rows
-from coopqp.kernel.levels import Levels
+from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
+from coopqp.kernel.flat import flat_model, kept_rows
+from coopqp.kernel.levels import Group
+from coopqp.kernel.limits import Limits
 from coopqp.limit import movers
 from coopqp.memory import Memory
-from coopqp.qp_law.law import QPLaw
+from coopqp.qp_law.equations import ALL_OF_IT
+from coopqp.qp_law.law import QPLaw, soft_ticks
 from coopqp.solver import Status
 from coopqp.state import State
 
-OPTIMAL = 0  # what the compiled module calls it
-ALL_WELL = (Status.OPTIMAL,)
+#: Numbers, not members: a tick compares them.
+OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
+INFEASIBLE = int(Outcome.INFEASIBLE)
+ALL_WELL = {OPTIMAL: (Status.OPTIMAL,), SHORTENED: (Status.STEP_SHORTENED,)}
+GIVEN_UP = {
+    OPTIMAL: (Status.TASKS_GIVEN_UP,),
+    SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
+}
+STANDS = (Status.INFEASIBLE,)
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 
@@ -42,6 +53,8 @@ class KernelLaw(Law):
 
     Attributes:
         plain: as given.
+        whole: the problem, compiled.
+        softened: the same with all tasks soft, and no later levels; None where all are anyway.
     """
 
     engine = "kernel"
@@ -51,56 +64,100 @@ class KernelLaw(Law):
     ) -> None:
         super().__init__(problem)
         self.plain, self.memory_sizes = plain, plain.memory_sizes
-        chain, bounds = problem.chain, plain.bounds
-        self._levels = levels = Levels(plain, State(chain))
-        limits = [limit.bounds(chain, problem.dt) for limit in problem.limits]
-        of_joints = [flat_bounds(limit) for limit in limits if limit is not None]
-        self._fills_limits = len(of_joints) < len(limits)
-        self._follows = bool(levels.followed)
-        self._all_compiled = not (self._fills_limits or levels.filled)
-        found = native.module()
-        assert found is not None  # whoever builds this has asked why_not
-        self._engine = found.Engine({
-            "model": flat_model(chain),
-            "kept": kept_rows(chain),
-            "levels": levels.flat,
-            "primitives": levels.primitives,
-            "bounds": of_joints,
-            "settings": flat_settings(problem, damping, error_damping, len(bounds.rows)),
-        })  # fmt: skip
-        self._engine.bind_command(self.command.v)
-        if self._fills_limits:
-            self._engine.bind_limits(bounds.lb, bounds.ub, bounds.G, bounds.h)
-        for task in levels.filled:
-            self._engine.bind_rows(*task.bound)
-        for primitive, at in levels.followed:
-            self._engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
+        self._limits = limits = Limits(problem, State(problem.chain))
+        hard, scaled = plain.exact.hard.tasks, plain.exact.scaled.tasks
+        first, *later = (stack.tasks for stack in plain.stacks)
+        settings = limits, damping, error_damping, self.command.v
+        whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
+        self.whole = Compiled(problem, whole, *settings)
+        self.softened: Compiled | None = None
+        if hard or scaled:
+            self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
+        self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
+        self._runs = self._alone_at_all and not self.whole.follows
+        self._soft_ticks, self._scales = soft_ticks(problem), bool(scaled)
+        self._asked = False  # whether the kernel has been asked in this tick
         self._bound: tuple[Any, ...] = ()
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
-        if self._alone(state) and self._ready(state) and self._followed(state):
-            if self._engine.tick(state.t) == OPTIMAL:
+        self._asked = False
+        if self._alone(state) and self._ready(state) and not self._stopped[0]:
+            self._asked = True
+            if self._decided_alone(state):
                 state.mark_stale()
                 state.corrected = 1.0
-                return self._optimal()
-            self.compiled = False
+                return self.command
         return super().tick(state)
 
     def decide(self, state: State) -> Command:
         """Fill what Python has to, and let the kernel decide; the plain law where it does not."""
         self.compiled = False
-        if self._ready(state):
-            if self._fills_limits:
-                self.plain.bounds.update(state)
-            self._levels.update(state)
-            if self._engine.tick_with_rows(state.t) == OPTIMAL:
-                return self._optimal()
+        if not self._asked and self._ready(state):
+            if self._stopped[0]:
+                self._stand_still()
+                return self.command
+            self._limits.update(state)
+            if self._decides(state):
+                return self.command
         other, command = self.plain.decide(state), self.command
         command.v[:] = other.v
         command.scale, command.drift = other.scale, other.drift
         command.say(*other.causes)
         return command
+
+    def _decided_alone(self, state: State) -> bool:
+        """The same where a signal may raise; :meth:`decide` then meets what it does."""
+        try:
+            return self._decides(state)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
+            self._asked = False
+            return False
+
+    def _decides(self, state: State) -> bool:
+        """Whether the kernel has an answer, which is the command then."""
+        self.compiled = False
+        if self._soft[0] <= 0.0:
+            status = self.whole.tick(state)
+            if status in ALL_WELL:
+                self._say(ALL_WELL[status])
+                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
+                return True
+            if status != INFEASIBLE or (not self.softened and self._gives_up):
+                return False
+        if self._gives_up and not self._softens(state):
+            return False
+        if not self._gives_up:
+            self._stand_still()
+        self._pull[0] = self._missing[:] = 0.0
+        return True
+
+    def _softens(self, state: State) -> bool:
+        """Whether there is an answer with all tasks soft."""
+        if self.softened is None or state.corrected < ALL_OF_IT:
+            return False
+        status = self.softened.tick(state)
+        if status not in GIVEN_UP:
+            return False
+        self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
+        self._say(GIVEN_UP[status])
+        self.command.scale = 0.0 if self._scales else 1.0
+        return True
+
+    def step(self, state: State) -> Command:
+        """A tick and its step in one; state.advance without Python where nothing needs it."""
+        if self._runs and self._alone(state) and self._ready(state) and not self._waits:
+            status = self.whole.engine.step(state.t)
+            if status in ALL_WELL:
+                state.t += self.problem.dt
+                state.mark_stale()
+                state.corrected = 1.0
+                self._say(ALL_WELL[status])
+                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
+                return self.command
+        return super().step(state)
 
     def run(self, state: State, ticks: int) -> Ticks:
         """Many ticks at once, the same as one by one, without the GIL.
@@ -112,10 +169,10 @@ class KernelLaw(Law):
         found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
-            if not self._follows and self._alone(state) and self._ready(state):
+            if self._runs and self._alone(state) and self._ready(state) and not self._waits:
                 done += self._run(state, found, done)
             if done < ticks:
-                self._step(state, found, done)
+                self._keep(state, found, done)
                 done += 1
         found.q[ticks] = state.q
         state.update()
@@ -123,38 +180,41 @@ class KernelLaw(Law):
 
     def _run(self, state: State, found: Ticks, done: int) -> int:
         """As many as the kernel does in one go; how many."""
-        rest, dt = len(found.v) - done, self.problem.dt
-        q, v = found.q[done:], found.v[done:]
-        made: int = max(self._engine.run(state.t, q, v, state.q, state.v, rest), 0)
+        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[done:]), 0)
         for _ in range(made):
-            state.t += dt  # as tick by tick, to the last digit
-        found.compiled[done : done + made] = True
-        state.mark_stale()
+            state.t += self.problem.dt  # as tick by tick, to the last digit
+        if made:
+            found.compiled[done : done + made] = True
+            state.mark_stale()
+            state.corrected = 1.0
         return made
 
-    def _optimal(self) -> Command:
+    def _say(self, causes: tuple[Status, ...]) -> None:
         self.compiled = True
-        command = self.command
-        command.scale = command.drift = 1.0
-        command.causes, command.note = ALL_WELL, ""
-        return command
+        self.command.drift = 1.0
+        self.command.causes, self.command.note = causes, ""
+
+    def _stand_still(self) -> None:
+        """As the problem wants it where not everything can hold."""
+        self._say(STANDS)
+        self.command.v[:] = 0.0
+        self.command.scale = 0.0 if self._scales else 1.0
+        self._stopped[0] = float(self.problem.on_infeasible == "stop")
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the law stands still, or hard tasks were given up a moment ago."""
+        return bool(self._stopped[0] or self._soft[0])
+
+    @property
+    def _gives_up(self) -> bool:
+        return self.problem.on_infeasible == "scale"
 
     def _alone(self, state: State) -> bool:
         """Whether nothing of a tick is Python's: no rows, no sensors, no inputs to complain of."""
         inputs = state.inputs
         measured = state.q_measured is not None
-        return self._all_compiled and not (measured or inputs.stale or inputs.refused)
-
-    def _followed(self, state: State) -> bool:
-        """Move what signals move; False where one raises, which :meth:`decide` then meets."""
-        if self._follows:
-            try:
-                self._levels.follow(state)
-            except KeyboardInterrupt:
-                raise
-            except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
-                return False
-        return True
+        return self._alone_at_all and not (measured or inputs.stale or inputs.refused)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""
@@ -166,27 +226,20 @@ class KernelLaw(Law):
             and state.v is bound[2]
             and state.gap is bound[3]
             and memory is bound[4]
+            and self.whole.hears(state)
         ):
-            return not self._waits()
-        if not self._fits(state) or not _plain_numbers(state.q, state.v, state.gap):
+            return True
+        if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
-        self._engine.bind_state(
-            state.q, state.v, state.gap, *state.written(), memory["later pulls"], memory["pull"]
-        )
+        for compiled in (self.whole, self.softened):
+            if compiled is not None and not compiled.bind(state, memory):
+                return False
         self._bound = (state, state.q, state.v, state.gap, memory)
         self._stopped, self._soft = memory["stopped"], memory["soft"]
-        return not self._waits()
-
-    def _waits(self) -> bool:
-        """Whether the law stands still, or hard tasks were given up a moment ago."""
-        return bool(self._stopped[0] or self._soft[0])
-
-
-def _plain_numbers(*arrays: Array) -> bool:
-    """Whether arrays are as the kernel reads them."""
-    return all(a.dtype == np.float64 and a.flags.c_contiguous for a in arrays)
+        self._pull, self._missing = memory["pull"], memory["missing"]
+        return True
 
 
 def why_not(problem: ControlProblem) -> str:
@@ -196,8 +249,6 @@ def why_not(problem: ControlProblem) -> str:
         return native.MISSING
     if not problem.solver.kernel_instead:
         return "the scenario asks for another solver"
-    if any(task.mode == "scaled" for task in problem.tasks):
-        return "a task is scaled"
     if chain.loops.varying:
         return "which loop rows depend on others changes with the pose"
     if flat_model(chain) is None:

@@ -12,7 +12,6 @@ from coopqp.checked import Array
 from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
 from coopqp.program import Primitive
-from coopqp.qp_law.law import QPLaw
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
@@ -50,39 +49,61 @@ class _Rows:
     lever: list[float] = field(default_factory=list)
     asks_velocity: list[float] = field(default_factory=list)
     twist: list[float] = field(default_factory=list)
+    share: list[float] = field(default_factory=list)
 
-    def take(self, task: Task, levers: Array, *, twist: bool) -> None:
+    def take(self, task: Task, levers: Array, share: int, *, twist: bool) -> None:
         count = len(levers)
         self.gain += [float(task.gain)] * count
         self.weight += [float(task.weight)] * count
         self.lever += levers.tolist()
         self.asks_velocity += [float(task.asks_velocity)] * count
         self.twist += [float(twist)] * count
+        self.share += [float(share)] * count
+
+
+@dataclass(frozen=True)
+class Group:
+    """The tasks of one level, by their modes.
+
+    Attributes:
+        soft, hard, scaled: those of each mode; later levels have soft ones alone.
+    """
+
+    soft: Sequence[Task]
+    hard: Sequence[Task] = ()
+    scaled: Sequence[Task] = ()
 
 
 class Levels:
-    """The levels of a plain law.
+    """Tasks level by level.
 
     Args:
-        law: whose tasks.
+        groups: a level each.
         start: the state from which their references set out.
 
     Attributes:
         flat: each level's numbers.
         primitives: the tasks that the kernel evaluates itself, as numbers.
         filled: the others.
-        followed: references that signals move, and whose primitive each is.
+        arriving: references whose place is an input and nothing else, and whose primitive each is;
+            the kernel reads the input itself.
+        followed: other references that signals move.
     """
 
-    def __init__(self, law: QPLaw, start: State) -> None:
+    def __init__(self, groups: Sequence[Group], start: State) -> None:
         self.flat: list[Flat] = []
         self.primitives: list[Flat] = []
         self.filled: list[Filled] = []
+        self.arriving: list[tuple[int, Reference]] = []
         self.followed: list[tuple[int, Reference]] = []
         self._start = start
-        for level, soft in enumerate(law.stacks):
-            hard = law.exact.hard.tasks if level == 0 else ()
-            self.flat.append(self._level(level, hard, soft.tasks))
+        for level, group in enumerate(groups):
+            self.flat.append(self._level(level, group))
+
+    @property
+    def compiled(self) -> bool:
+        """Whether no rows are Python's."""
+        return not self.filled
 
     def follow(self, state: State) -> None:
         """Move the references that follow signals; kinematics need not be up to date."""
@@ -99,30 +120,41 @@ class Levels:
         for task in self.filled:
             task.stack.update(state)
 
-    def _level(self, level: int, hard: Sequence[Task], soft: Sequence[Task]) -> Flat:
+    def _level(self, level: int, group: Group) -> Flat:
         rows, joint_weight = _Rows(), 0.0
-        for task in hard:
+        for task in group.hard:
             self._take(level, task, rows)
-        of_hard = len(rows.gain)
-        for task in soft:
+        hard = len(rows.gain)
+        for share, task in enumerate(group.scaled):
+            self._take(level, task, rows, share)
+        exact = len(rows.gain)
+        for task in group.soft:
             joints = task.joint_space and task.all_joints
             self._take(level, task, rows, joints=joints)
             joint_weight += float(task.weight) if joints else 0.0
         numbers = {name: np.array(values, float) for name, values in vars(rows).items()}
-        return {**numbers, "hard": float(of_hard), "joint_weight": joint_weight}
+        sizes = {"hard": hard, "exact": exact, "shares": len(group.scaled)}
+        return {
+            **numbers,
+            **{name: float(size) for name, size in sizes.items()},
+            "joint_weight": joint_weight,
+        }
 
-    def _take(self, level: int, task: Task, rows: _Rows, *, joints: bool = False) -> None:
+    def _take(
+        self, level: int, task: Task, rows: _Rows, share: int = -1, *, joints: bool = False
+    ) -> None:
         """Add a task's rows to a level, as primitives where it has any."""
         program, at = task.program(self._start), len(rows.gain)
         stack = TaskStack([task], self._start)
         if program is None or any(primitive.of_joints != joints for primitive in program):
             self.filled.append(Filled(stack, level, at, joints))
             if not joints:
-                rows.take(task, stack.levers, twist=False)
+                rows.take(task, stack.levers, share, twist=False)
             return
         for primitive in program:
             if primitive.reference.follows:
-                self.followed.append((len(self.primitives), primitive.reference))
+                of_kind = self.arriving if primitive.reference.arrives else self.followed
+                of_kind.append((len(self.primitives), primitive.reference))
             self.primitives.append(
                 {
                     **primitive.flat(),
@@ -135,7 +167,7 @@ class Levels:
             at += len(primitive.rows)
         if not joints:
             count = at - len(rows.gain)
-            rows.take(task, stack.levers[:count], twist=_sees_twist(program))
+            rows.take(task, stack.levers[:count], share, twist=_sees_twist(program))
 
 
 def _sees_twist(program: Sequence[Primitive]) -> bool:

@@ -37,6 +37,6 @@ def digest() -> str:
     In a checkout they may be newer than the module, which nobody has compiled again.
     """
     here, found = Path(__file__).parent, hashlib.sha256()
-    for path in sorted([*here.glob("*.cpp"), *here.glob("core/*.hpp")]):
+    for path in sorted([*here.glob("*.[ch]pp"), *here.glob("core/*.hpp")]):
         found.update(path.read_bytes())
     return found.hexdigest()

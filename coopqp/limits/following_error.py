@@ -15,10 +15,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten
 from coopqp.state import State
 
 
@@ -38,7 +39,7 @@ class FollowingError(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds on the driven joints; what is not measured, or no number, bounds nothing."""
-        driven = ~np.isin(np.arange(chain.n), chain.passive)
+        driven = _driven(chain)
         lead, rate = np.zeros(chain.n), 1.0 / dt
         below, above = np.zeros((2, chain.n))
 
@@ -54,6 +55,16 @@ class FollowingError(Limit):
             np.minimum(rows.ub, above, out=rows.ub, where=known)
 
         return tighten
+
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds:
+        """Of the driven joints' lead."""
+        most = np.where(_driven(chain), self.max, np.inf)
+        return JointBounds(of=Bounded.LEAD, lower=-most, upper=most)
+
+
+def _driven(chain: ClosedChain) -> NDArray[np.bool_]:
+    """Which joints have motors."""
+    return ~np.isin(np.arange(chain.n), chain.passive)
 
 
 def _room(room: Array, rate: float, bound: Array, cut: np.ufunc) -> None:

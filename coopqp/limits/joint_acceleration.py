@@ -24,7 +24,7 @@ from pydantic import Field
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
-from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -70,6 +70,12 @@ class JointAcceleration(Limit):
             rows.lb[:], rows.ub[:] = lb, ub
 
         return tighten
+
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds:
+        """The same window."""
+        lower, upper = np.clip(self._ends(chain), -UNLIMITED, UNLIMITED)
+        step = self._limits(chain) * dt
+        return JointBounds(of=Bounded.BRAKING, lower=lower, upper=upper, step=step)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Acceleration left, from rest at first, and room left after braking to rest."""

@@ -12,7 +12,15 @@ import numpy as np
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import ROUNDING, JointBounds, Limit, LimitRows, Tighten, joint_margins
+from coopqp.limit import (
+    ROUNDING,
+    Bounded,
+    JointBounds,
+    Limit,
+    LimitRows,
+    Tighten,
+    joint_margins,
+)
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -55,11 +63,11 @@ class JointPosition(Limit):
 
         return tighten
 
-    def bounds(self, chain: ClosedChain, dt: float) -> JointBounds:
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds:
         """Of q."""
         lower, upper = self._ends(chain)
         speed = self.recovery_speed
-        return JointBounds(lower=lower, upper=upper, position=True, recovery_speed=speed)
+        return JointBounds(of=Bounded.POSITION, lower=lower, upper=upper, speed=speed)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance to both ends after each tick [rad, m]."""

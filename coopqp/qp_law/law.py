@@ -100,7 +100,7 @@ class QPLaw(Law):
         self._recovery = Recovery(problem, start, error_damping)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
-        self._soft_ticks = round(SOFT_FOR / problem.dt)
+        self._soft_ticks = soft_ticks(problem)
 
     @property
     def qp(self) -> QP:
@@ -215,3 +215,8 @@ class QPLaw(Law):
         command.say(*causes)
         command.scale = 0.0 if self._scales else 1.0
         return command
+
+
+def soft_ticks(problem: ControlProblem) -> int:
+    """For how many more ticks hard tasks stay soft that were given up."""
+    return round(SOFT_FOR / problem.dt)

@@ -11,6 +11,7 @@
 #include "../../coopqp/kernel/core/bounds.hpp"
 #include "../../coopqp/kernel/core/kernel.hpp"
 #include "../../coopqp/kernel/core/program.hpp"
+#include "../../coopqp/kernel/core/twist_limits.hpp"
 
 using namespace coopqp;
 
@@ -37,7 +38,7 @@ Placement somewhere(Random& random, double size) {
 
 // Everything that Python would own.
 struct Owner {
-    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard;
+    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing;
     void bind(Kernel& k, int n, int arms, int levels) {
         for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
         for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
@@ -45,8 +46,19 @@ struct Owner {
         R.assign(9, 0.0);
         pulls.assign(std::size_t(levels), 0.0);
         hard.assign(1, 0.0);
+        missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
-                   error.data(), drift.data(), seen.data(), pulls.data(), hard.data()};
+                   error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data()};
+    }
+
+    void remember(const std::vector<double>& old_pulls, const std::vector<double>& old_hard,
+                  const std::vector<double>& old_missing, Kernel& k) {
+        pulls = old_pulls;
+        hard = old_hard;
+        missing = old_missing;
+        k.bound.later_pulls = pulls.data();
+        k.bound.hard_pull = hard.data();
+        k.bound.missing = missing.data();
     }
 };
 
@@ -54,6 +66,7 @@ struct Case {
     std::unique_ptr<Kernel> kernel;
     Program program;
     Bounds bounds;
+    TwistLimits twist_limits;
     Owner owner;
 
     Status tick(double t) {
@@ -61,7 +74,9 @@ struct Case {
         if (status != Status::Optimal) return status;
         for (Level& level : kernel->levels) clear(level.wish, kernel->model().blocks);
         program.run(t, kernel->kinematics, kernel->model(), owner.q.data(), kernel->levels);
-        bounds.update(kernel->model(), owner.q.data(), kernel->lb, kernel->ub);
+        bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), kernel->lb, kernel->ub);
+        twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), kernel->G,
+                            kernel->h);
         return kernel->solve();
     }
 };
@@ -96,6 +111,7 @@ Case random_case(Random& random) {
     std::vector<double> q(n);
     for (double& x : q) x = uniform(random, -1.0, 1.0);
     k.place(q.data());
+    k.measure();
     for (int i = 1; i < model->holding; i++) {
         Arm& arm = model->arms[std::size_t(i)];
         double A[9], B[9], moved[3], R[9];
@@ -126,6 +142,13 @@ Case random_case(Random& random) {
     s.upper.assign(n, 2.0);
     s.second_order.assign(std::size_t(std::max(model->loops(), 0)) * n, 1e-4);
     s.steepest = 1e-4;
+    TwistLimits twist_limits;
+    if (whole(random, 0, 2) == 0) {
+        twist_limits.limits.push_back({0, {0.05, 0.08}, {0, 4}, {}, {0, 0, 0}, 0.0, 0.0});
+        twist_limits.limits.push_back({4, {}, {}, {0.05, 0.0, 0.0, 0.0, 0.05, 0.1},
+                                       {0, 0, 1}, k.p_WO[2] - 0.06, 10.0});
+        s.inequalities = 6;
+    }
     std::vector<Level> levels;
     Program program;
     const int count = whole(random, 1, 3);
@@ -134,6 +157,13 @@ Case random_case(Random& random) {
         const bool last = l == count - 1 && count > 1;
         const int rows = last ? 0 : whole(random, 1, 4);
         level.rows = rows;
+        // The first level may have hard rows, then scaled tasks of a row each, and then no others.
+        const bool scales = l == 0 && !last && count > 1 && whole(random, 0, 2) == 0;
+        if (l == 0 && !last) level.hard = std::min(whole(random, 0, 2), scales ? rows - 1 : rows);
+        level.shares = scales ? rows - level.hard : 0;
+        level.exact = level.hard + level.shares;
+        level.share.assign(std::size_t(rows), -1);
+        for (int k = 0; k < level.shares; k++) level.share[std::size_t(level.hard + k)] = k;
         for (auto* a : {&level.e, &level.rate, &level.wanted}) a->assign(std::size_t(rows), 0.0);
         level.gain.assign(std::size_t(rows), 5.0);
         level.weight.assign(std::size_t(rows), std::pow(10.0, uniform(random, -1, 2)));
@@ -170,8 +200,13 @@ Case random_case(Random& random) {
     Case made;
     const int arms_in_all = arms;
     made.program = program;
+    made.bounds = Bounds(n, s.dt);
     made.bounds.lower.assign(n, whole(random, 0, 1) ? -0.3 : -3.0);
     made.bounds.upper.assign(n, whole(random, 0, 1) ? 0.2 : 3.0);
+    const std::vector<double> least(n, -2.0), most(n, 2.0), step(n, 0.05);
+    made.bounds.take({JointLimit::Position, least, most, {}, 0.5});
+    if (whole(random, 0, 2) == 0) made.bounds.take({JointLimit::Braking, least, most, step, 0.0});
+    made.twist_limits = twist_limits;
     made.kernel = std::make_unique<Kernel>(std::move(arena), std::move(model), kept, s,
                                            std::move(levels));
     made.owner.bind(*made.kernel, int(n), arms_in_all, count);
@@ -202,7 +237,7 @@ int garbage(Random& random, Case& c) {
 int main(int count, char** given) {
     const unsigned long seed = count > 1 ? std::strtoul(given[1], nullptr, 10) : 0;
     const int cases = count > 2 ? std::atoi(given[2]) : 200;
-    int optimal = 0, ticks = 0, wrong = 0, faults = 0, missed = 0;
+    int optimal = 0, ticks = 0, wrong = 0, faults = 0, missed = 0, proofs = 0;
     for (int i = 0; i < cases; i++) {
         Random random(seed + (unsigned long)i);
         Case c;
@@ -214,8 +249,10 @@ int main(int count, char** given) {
         for (int k = 0; k < 20; k++) {
             const Status status = c.tick(0.01 * k);
             ticks++;
-            optimal += status == Status::Optimal;
-            if (status != Status::Optimal) break;
+            const bool done = status == Status::Optimal || status == Status::Shortened;
+            optimal += done;
+            proofs += status == Status::Infeasible;
+            if (!done) break;
             for (std::size_t j = 0; j < c.owner.q.size(); j++) {
                 wrong += !std::isfinite(c.owner.v[j]);
                 wrong += c.owner.v[j] < c.bounds.lower[j] || c.owner.v[j] > c.bounds.upper[j];
@@ -223,17 +260,19 @@ int main(int count, char** given) {
                 c.owner.v_last[j] = c.owner.v[j];
             }
 #ifdef COOPQP_FAULTS
-            const std::vector<double> pulls = c.owner.pulls;
-            if (c.tick(0.01 * k + 0.01) != Status::Optimal) break;
+            const std::vector<double> pulls = c.owner.pulls, missing = c.owner.missing;
+            const std::vector<double> hard = c.owner.hard;
+            const Status well = c.tick(0.01 * k + 0.01);
+            proofs += well == Status::Infeasible;
+            if (well != Status::Optimal) break;
             const std::vector<double> right = c.owner.v;
-            for (int kind = 1; kind <= int(Fault::ActiveForgotten); kind++) {
+            for (int kind = 1; kind <= int(Fault::FalseProof); kind++) {
                 if (Fault(kind) == Fault::StaleFactor)  // leave the factor of another pose
                     for (double& x : c.owner.q) x += 0.02;
                 if (Fault(kind) == Fault::StaleFactor) (void)c.tick(0.0);
                 if (Fault(kind) == Fault::StaleFactor)
                     for (double& x : c.owner.q) x -= 0.02;
-                c.owner.pulls = pulls;
-                c.kernel->bound.later_pulls = c.owner.pulls.data();
+                c.owner.remember(pulls, hard, missing, *c.kernel);
                 injected = Fault(kind);
                 const Status seen = c.tick(0.01 * k + 0.01);
                 injected = Fault::None;
@@ -241,19 +280,24 @@ int main(int count, char** given) {
                 for (std::size_t j = 0; j < right.size(); j++)
                     off = std::max(off, std::fabs(c.owner.v[j] - right[j]));
                 faults += seen != Status::Optimal;
+                // What is feasible must not be called infeasible, whatever is wrong inside.
+                if (seen == Status::Infeasible) {
+                    missed++;
+                    std::printf("seed %lu tick %d fault %d proves what is not so\n",
+                                seed + (unsigned long)i, k, kind);
+                }
                 if (seen == Status::Optimal && off > 2e-6) {
                     missed++;
                     std::printf("seed %lu tick %d fault %d passes, off by %g\n", seed + (unsigned long)i,
                                 k, kind, off);
                 }
             }
-            c.owner.pulls = pulls;
-            c.kernel->bound.later_pulls = c.owner.pulls.data();
+            c.owner.remember(pulls, hard, missing, *c.kernel);
 #endif
         }
         wrong += garbage(random, c);
     }
-    std::printf("%d ticks, %d optimal, %d wrong, %d faults caught, %d missed\n", ticks, optimal,
-                wrong, faults, missed);
+    std::printf("%d ticks, %d optimal, %d proved infeasible, %d wrong, %d faults caught, %d missed\n",
+                ticks, optimal, proofs, wrong, faults, missed);
     return wrong || missed || optimal == 0;
 }

@@ -38,7 +38,7 @@ def test_rows_are_those_of_python(task: Task, chain: ClosedChain) -> None:
         state = State(chain, q, t)
         stack.update(state)
         law.tick(State(chain, q, t))
-        found = np.reshape(law._engine.rows(0), (-1, chain.n + 2))
+        found = np.reshape(law.whole.engine.rows(0), (-1, chain.n + 2))
         asked = np.flatnonzero(np.abs(stack.J).sum(axis=1) > 0.0)  # a posture leaves joints out
         np.testing.assert_allclose(found[:, 0], stack.e[asked], atol=1e-12)
         np.testing.assert_allclose(found[:, 1:-1], stack.J[asked], atol=1e-12)

@@ -63,7 +63,7 @@ def test_rows_of_what_follows_way_points_are_those_of_python(
         state = State(chain, q, t)
         stack.update(state)
         law.tick(State(chain, q, t))
-        found = np.reshape(law._engine.rows(0), (-1, chain.n + 2))
+        found = np.reshape(law.whole.engine.rows(0), (-1, chain.n + 2))
         np.testing.assert_allclose(found[:, 0], stack.e, atol=1e-12)
         np.testing.assert_allclose(found[:, 1:-1], stack.J, atol=1e-12)
         np.testing.assert_allclose(found[:, -1], stack.rate, atol=1e-12)

@@ -1,25 +1,23 @@
 // Each level's answer against the program itself, as coopqp.solver.Verifier does it.
 //
 // The rows are those of the Jacobians, the tasks and the limits, never the factors that the answer
-// came from. Multipliers of loops and decided rows are found anew from the gradient; the factors
-// help to find them, but what is judged is what is left of the gradient, in joint space.
+// came from; what is judged is what is left of the gradient, in joint space (multipliers.hpp).
 #pragma once
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "hierarchy.hpp"
-#include "least_distance.hpp"
-#include "loops.hpp"
-#include "rows.hpp"
+#include "multipliers.hpp"
+#include "shares.hpp"
 
 namespace coopqp {
 
 constexpr int MOST_PASSES = 4;       // multipliers are refined until the certificate is good
+constexpr double FASTEST = 1e6;      // of joints without a limit, in proofs that there is no motion
 constexpr double ROUNDING = 1e-4;    // most that rounding excuses, as coopqp.solver
 constexpr double EPSILON = 2.220446049250313e-16;
-constexpr double SCALE_WEIGHT = 1e3;
+constexpr double CLEARLY = 1e-6;     // by how much constraints must clash to be called so [rad/s]
 
 struct Outcome {
     Status status;
@@ -29,15 +27,12 @@ struct Outcome {
 class Check {
   public:
     Check(const Model& model, const Rows& rows, const Loops& loops, Hierarchy& hierarchy,
-          const Settings& settings, const std::vector<Level>& levels,
+          Shares& shares, const Settings& settings, const std::vector<Level>& levels,
           const std::vector<std::vector<int>>& kept, Arena& arena)
-        : m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), s_(settings),
-          levels_(levels), kept_(kept), t_(arena.take(rows.stride())), g_(arena.take(rows.stride())),
-          box_(arena.take(rows.stride())), moved_(arena.take(rows.stride())),
-          y_(arena.take(std::size_t(hierarchy.width()))),
-          lambda_(arena.take(std::size_t(hierarchy.width()))), loop_y_(std::size_t(6 * std::max(model.loops(), 1))),
-          z_(std::size_t(settings.inequalities)), slack_(std::size_t(settings.inequalities)),
-          step_(std::size_t(hierarchy.width())) {}
+        : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
+          levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
+          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
+          y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
     double worst_primal = 0.0, worst_dual = 0.0;
@@ -51,7 +46,7 @@ class Check {
                   const LeastDistance& nearest, const double* lb, const double* ub,
                   const double* G, const std::vector<double>& h) {
         const double mu = std::min(d, SCALE_WEIGHT);
-        const double overrun = clip(v, lb, ub);
+        const double overrun = std::hypot(clip(v, lb, ub), l == 0 ? clip_shares() : 0.0);
         double above = 0.0, V[6];
         const int p = s_.inequalities;
         for (int i = 0; i < p; i++) {
@@ -65,21 +60,15 @@ class Check {
         gradient(l, d, v, V, nearest, G);
         double off = 0.0;
         Outcome outcome{Status::Optimal, 0.0};
-        std::fill(loop_y_.begin(), loop_y_.end(), 0.0);
-        clear(lambda_, hierarchy_.blocks());
+        if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
-            reduce(g_);
-            if (pass == 0 && l > 0) {
-                outcome.pull = pull(l, first, d, v);
-                reduce(g_);
-            }
-            balance_decided(first);
-            loops_.balance(g_, loop_y_.data());
+            y_.balance(first);
             off = distance(v, lb, ub, mu, nearest.active > 0);
+            if (l == 0 && shares_.count()) off = std::hypot(off, share_distance(mu));
             if (off <= s_.budget.accuracy) break;
         }
         if (l == 0)
-            for (int i = 0; i < levels_[0].hard; i++) outcome.pull += std::fabs(lambda_[i]);
+            for (int i = 0; i < levels_[0].exact; i++) outcome.pull += std::fabs(y_.of_exact(i));
         off += idle(mu);
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
@@ -95,7 +84,67 @@ class Check {
         return outcome;
     }
 
+    // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
+    // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
+    //   first: how many rows are exact, all of level 0.
+    bool excludes(int first, const LeastDistance& nearest, const double* lb, const double* ub,
+                  const double* G, const std::vector<double>& h) {
+        const Level& level = levels_[0];
+        clear(y_.g, m_.blocks);
+        y_.push_limits(nearest, G);
+        for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
+        double all = 0.0, asked = 0.0, widest2 = 0.0;
+        for (int i = 0; i < m_.blocks * LANES; i++) {
+            const double by = y_.box[i], most = std::max(std::fabs(lb[i]), std::fabs(ub[i]));
+            all += std::fabs(by);
+            if (by != 0.0) asked -= by * (by > 0.0 ? ub[i] : lb[i]);
+            widest2 += std::min(most, FASTEST) * std::min(most, FASTEST);
+        }
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
+            if (y_.of_rows[i] == 0.0) continue;
+            if (y_.of_rows[i] < 0.0) return false;
+            all += y_.of_rows[i];
+            asked -= y_.of_rows[i] * h[i];
+        }
+        std::size_t rows = 0;
+        for (const auto& of_loop : kept_) rows += of_loop.size();
+        for (std::size_t i = 0; i < rows; i++) asked -= y_.of_loops[i] * b_[i];
+        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.spare[std::size_t(s)]);
+        for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
+        double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
+        for (int k = 0; k < shares_.count(); k++) {
+            const double z = y_.of_shares[std::size_t(k)];
+            all += std::fabs(z);
+            asked -= std::max(z, 0.0);
+            off += std::fabs(z - y_.at_share(k));
+        }
+        return asked - off > CLEARLY * all;
+    }
+
   private:
+    // Put the shares between 0 and 1; by how much they were not.
+    double clip_shares() {
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            const double inside = std::min(std::max(shares_.share(k), 0.0), 1.0);
+            squares += (shares_.share(k) - inside) * (shares_.share(k) - inside);
+            shares_.share(k) = inside;
+        }
+        return std::sqrt(squares);
+    }
+
+    // The part of the shares in a projected gradient step.
+    double share_distance(double mu) const {
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            const double s = shares_.share(k);
+            const double step = s - (SCALE_WEIGHT * (s - 1.0) - y_.at_share(k)) / mu;
+            const double off = s - std::min(std::max(step, 0.0), 1.0);
+            squares += off * off;
+        }
+        return std::sqrt(squares);
+    }
+
     double clip(double* v, const double* lb, const double* ub) const {
         v4* x = lanes(v);
         const v4 *lo = lanes(lb), *hi = lanes(ub);
@@ -126,9 +175,10 @@ class Check {
     // What the level moves of what was decided before it.
     double decided_gap(int l, const double* v, const double* before, const double* V) const {
         double gap2 = 0.0, V_moved[6];
-        for (int s = 0; l == 0 && s < levels_[0].hard; s++) {
-            const double off =
-                rows_.times(levels_[0], s, v, V) - levels_[0].wanted[std::size_t(s)];
+        for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
+            const int k = levels_[0].share[std::size_t(s)];
+            const double off = rows_.times(levels_[0], s, v, V) -
+                               (k < 0 ? 1.0 : shares_.share(k)) * levels_[0].wanted[std::size_t(s)];
             gap2 += off * off;
         }
         if (l == 0) return gap2;
@@ -142,87 +192,26 @@ class Check {
         return gap2;
     }
 
-    // g = the level's gradient, with what active limits push; box_ has the part of bounds on v.
+    // g = the level's gradient, with what active limits push; y_.box has the part of bounds on v.
     void gradient(int l, double d, const double* v, const double* V, const LeastDistance& nearest,
                   const double* G) {
         const Level& level = levels_[std::size_t(l)];
         const double curvature = d + level.joint_weight;
         double tau[6] = {0, 0, 0, 0, 0, 0};
-        for (int b = 0; b < m_.blocks; b++) lanes(g_)[b] = lanes(v)[b] * curvature;
-        if (level.joint_weight > 0.0) add(g_, level.wish, -1.0, m_.blocks);
-        for (int s = level.hard; s < level.rows; s++) {
+        for (int b = 0; b < m_.blocks; b++) lanes(y_.g)[b] = lanes(v)[b] * curvature;
+        if (level.joint_weight > 0.0) add(y_.g, level.wish, -1.0, m_.blocks);
+        for (int s = level.exact; s < level.rows; s++) {
             const std::size_t i = std::size_t(s);
             const double missed = rows_.times(level, s, v, V) - level.wanted[i];
-            rows_.pull_row(level, s, level.weight[i] * missed, tau, g_);
+            rows_.pull_row(level, s, level.weight[i] * missed, tau, y_.g);
         }
-        rows_.pull_object(tau, g_);
-        clear(box_, m_.blocks);
-        std::fill(z_.begin(), z_.end(), 0.0);
-        const int n = m_.blocks * LANES;
-        for (int i = 0; i < nearest.active; i++) {
-            const int row = nearest.row(i);
-            if (row < n)
-                box_[row] = nearest.multiplier(i);
-            else {
-                z_[std::size_t(row - n)] = nearest.multiplier(i);
-                add(g_, G + std::size_t(row - n) * rows_.stride(), nearest.multiplier(i),
-                    m_.blocks);
-            }
-        }
-        add(g_, box_, 1.0, m_.blocks);
-    }
-
-    // y = U' Z' x
-    void reduce(const double* x) {
-        clear(y_, hierarchy_.blocks());
-        for (int z = 0; z < loops_.free; z++)
-            add(y_, hierarchy_.U(z), dot(loops_.Z + std::size_t(z) * rows_.stride(), x, m_.blocks),
-                hierarchy_.blocks());
-    }
-
-    // Multipliers of the rows decided before; what they push is added to g.
-    void balance_decided(int first) {
-        if (first == 0) return;
-        double tau[6] = {0, 0, 0, 0, 0, 0};
-        for (int k = first; k-- > 0;) {
-            double rest = -y_[k];
-            for (int j = k + 1; j < first; j++)
-                rest -= hierarchy_.row(hierarchy_.pivot_row(j))[k] * step_[std::size_t(j)];
-            step_[std::size_t(k)] = rest / hierarchy_.row(hierarchy_.pivot_row(k))[k];
-        }
-        for (int k = 0; k < first; k++) {
-            int at;
-            const int s = own_row(hierarchy_.pivot_row(k), at);
-            rows_.pull_row(levels_[std::size_t(at)], s, step_[std::size_t(k)], tau, g_);
-            lambda_[k] += step_[std::size_t(k)];
-        }
-        rows_.pull_object(tau, g_);
-    }
-
-    // LaterLevel.pull: how much the level pulls at the task rows decided before it, by how fast
-    // these turn. Damping is left out, or it would feed itself.
-    double pull(int l, int first, double d, const double* v) {
-        double lever = 0.0, sum = 0.0;
-        for (int k = 0; k < l; k++)
-            for (double of_row : levels_[std::size_t(k)].lever) lever = std::max(lever, of_row);
-        if (lever == 0.0 || first == 0) return 0.0;
-        copy(lambda_, y_, hierarchy_.blocks());
-        reduce(v);
-        for (int k = 0; k < first; k++) lambda_[k] -= d * y_[k];
-        for (int k = first; k < hierarchy_.width(); k++) lambda_[k] = 0.0;
-        for (int s = 0; s < hierarchy_.singular(); s++) {
-            const double sigma = hierarchy_.sigma(s);
-            if (sigma > NOISE)
-                sum += std::fabs(dot(hierarchy_.direction(s), lambda_, hierarchy_.blocks())) /
-                       (sigma * sigma);
-        }
-        clear(lambda_, hierarchy_.blocks());
-        return lever * sum;
+        rows_.pull_object(tau, y_.g);
+        y_.push_limits(nearest, G);
     }
 
     // Norm of a projected gradient step, an estimate of |v - v*|. g has the bounds' part in it.
     double distance(const double* v, const double* lb, const double* ub, double mu, bool active) {
-        const v4 *g = lanes(g_), *box = lanes(box_), *x = lanes(v);
+        const v4 *g = lanes(y_.g), *box = lanes(y_.box), *x = lanes(v);
         v4 squares = v4{};
         if (!active) {
             for (int b = 0; b < m_.blocks; b++) squares += g[b] * g[b];
@@ -242,9 +231,9 @@ class Check {
     // How far the inequalities' multipliers are from belonging to active rows only.
     double idle(double mu) const {
         double squares = 0.0;
-        for (std::size_t i = 0; i < z_.size(); i++) {
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
             const double off =
-                std::max(std::min(slack_[i], z_[i] / mu), -std::fabs(z_[i]));
+                std::max(std::min(slack_[i], y_.of_rows[i] / mu), -std::fabs(y_.of_rows[i]));
             squares += off * off;
         }
         return std::sqrt(squares);
@@ -259,7 +248,7 @@ class Check {
             if (level.joint_weight > 0.0)
                 lanes(size)[b] += larger(lanes(level.wish)[b], -lanes(level.wish)[b]);
         }
-        for (int s = level.hard; s < level.rows; s++) {
+        for (int s = level.exact; s < level.rows; s++) {
             dense(level, s);
             double moved = std::fabs(level.wanted[std::size_t(s)]);
             for (int i = 0; i < m_.blocks * LANES; i++) moved += std::fabs(t_[i] * v[i]);
@@ -267,14 +256,14 @@ class Check {
         }
         for (int k = 0; k < first; k++) {
             int at;
-            const int s = own_row(hierarchy_.pivot_row(k), at);
+            const int s = y_.own_row(hierarchy_.pivot_row(k), at);
             dense(levels_[std::size_t(at)], s);
-            grow(size, lambda_[k], t_);
+            grow(size, y_.lambda[k], t_);
         }
         std::size_t at = 0;
         for (int i = 1; i < m_.holding; i++)
             for (int r : kept_[std::size_t(i - 1)]) {
-                const double by = loop_y_[at++];
+                const double by = y_.of_loops[at++];
                 double unit[6] = {0, 0, 0, 0, 0, 0};
                 unit[r] = 1.0;
                 clear(t_, m_.blocks);
@@ -282,9 +271,26 @@ class Check {
                 rows_.pull(0, unit, -1.0, t_);
                 grow(size, by, t_);
             }
-        for (std::size_t i = 0; i < z_.size(); i++) grow(size, z_[i], G + i * rows_.stride());
-        return std::min(EPSILON * std::sqrt(dot(size, size, m_.blocks)),
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++)
+            grow(size, y_.of_rows[i], G + i * rows_.stride());
+        double squares = dot(size, size, m_.blocks);
+        if (l == 0) squares += share_rounding2();
+        return std::min(EPSILON * std::sqrt(squares),
                         ROUNDING * std::min(d, SCALE_WEIGHT));
+    }
+
+    double share_rounding2() const {
+        const Level& level = levels_[0];
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            double size = SCALE_WEIGHT * (1.0 + shares_.share(k)) +
+                          std::fabs(y_.of_shares[std::size_t(k)]);
+            for (int s = level.hard; s < level.exact; s++)
+                if (level.share[std::size_t(s)] == k)
+                    size += std::fabs(y_.of_exact(s) * level.wanted[std::size_t(s)]);
+            squares += size * size;
+        }
+        return squares;
     }
 
     void grow(double* size, double by, const double* row) const {
@@ -299,24 +305,17 @@ class Check {
         rows_.pull_object(tau, t_);
     }
 
-    // Which level a row of the hierarchy belongs to, and which of its rows it is.
-    int own_row(int s, int& level) const {
-        level = 0;
-        while (s >= levels_[std::size_t(level)].rows) s -= levels_[std::size_t(level++)].rows;
-        return s;
-    }
-
     const Model& m_;
     const Rows& rows_;
-    const Loops& loops_;
     Hierarchy& hierarchy_;
+    Shares& shares_;
     const Settings& s_;
     const std::vector<Level>& levels_;
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
-    double *t_, *g_, *box_, *moved_, *y_, *lambda_;
-    std::vector<double> loop_y_, z_, slack_;
-    std::vector<double> step_;
+    double *t_, *moved_;
+    std::vector<double> slack_;
+    Multipliers y_;
 };
 
 }  // namespace coopqp

@@ -14,6 +14,9 @@ enum class Fault {
     LimitsForgotten,  // the answer before limits were looked at
     WrongAnswer,      // a step along a free direction
     ActiveForgotten,  // a limit that binds, left out of the certificate
+    WrongShare,       // of a scaled task, less than could be
+    WrongWay,         // what a share of a scaled task moves
+    FalseProof,       // that limits leave nothing, where they do
 };
 
 #ifdef COOPQP_FAULTS

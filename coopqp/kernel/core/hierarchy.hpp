@@ -36,6 +36,17 @@ class Hierarchy {
     const double* U(int z) const { return U_ + z * width_; }
     int pivot_row(int coordinate) const { return pivots_[std::size_t(coordinate)]; }
 
+    // Take up all rows again that were left out.
+    void forget() { left_out_.clear(); }
+
+    // From the next begin on, decide nothing by the row that adds least to those before it.
+    void leave_out_smallest() {
+        int least = 0;
+        for (int k = 1; k < decided; k++)
+            if (std::fabs(row(pivot_row(k))[k]) < std::fabs(row(pivot_row(least))[least])) least = k;
+        left_out_.push_back(pivot_row(least));
+    }
+
     void begin() {
         decided = rows = 0;
         pivots_.clear();
@@ -53,6 +64,7 @@ class Hierarchy {
         for (int s = rows; s < rows + count; s++) {
             double beta = 0.0;
             if (decided >= free_) break;
+            if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
             const double onto = reflection(row(s), decided, blocks_, NOTHING, h_, beta);
             if (onto == 0.0) continue;
             for (int j = s + 1; j < rows + count; j++) reflect(row(j), h_, beta, blocks_);
@@ -119,7 +131,7 @@ class Hierarchy {
     int free_, blocks_, width_;
     double *U_, *Y_, *S_, *h_;
     std::vector<double> sigma_;
-    std::vector<int> pivots_;
+    std::vector<int> pivots_, left_out_;
     int singular_ = 0;
     bool identity_ = true;
 };

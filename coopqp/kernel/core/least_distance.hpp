@@ -1,6 +1,6 @@
 // The shortest u with lower <= M u <= upper, by the dual active set method of Goldfarb and Idnani
 // (1983) with the unit matrix as Hessian. It starts from nothing, so that a tick depends on its
-// state alone.
+// state alone. Where there is none, the active constraints and their multipliers say why.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -29,7 +29,7 @@ class LeastDistance {
           R_(std::size_t(columns + 1) * std::size_t(columns + 1)),
           d_(arena.take(std::size_t(width_))), h_(arena.take(std::size_t(width_))),
           normal_(arena.take(std::size_t(width_))), r_(std::size_t(columns + 1)),
-          order_(std::size_t(columns + 1)), multiplier_(std::size_t(columns + 1)),
+          multiplier_(std::size_t(columns + 1)),
           row_(std::size_t(columns + 1)), side_(std::size_t(columns + 1)), most_(columns + 1) {}
 
     double* column(int a) { return M + a * stride(); }
@@ -148,7 +148,7 @@ class LeastDistance {
                     full = true;
                 }
             }
-            if (!(step < std::numeric_limits<double>::infinity())) return Status::Infeasible;
+            if (!(step < std::numeric_limits<double>::infinity())) return contradict(row, side);
             if (moves)
                 for (int s = active; s < K_; s++) add(u, Q_ + s * width_, step * d_[s], blocks_);
             for (int i = 0; i < active; i++)
@@ -160,6 +160,16 @@ class LeastDistance {
             }
             drop(leaves);
         }
+    }
+
+    // The active constraints and one that they exclude: sum of multipliers times normals is zero.
+    Status contradict(int row, double side) {
+        for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] = -r_[std::size_t(i)];
+        row_[std::size_t(active)] = row;
+        side_[std::size_t(active)] = side;
+        multiplier_[std::size_t(active)] = 1.0;
+        active++;
+        return Status::Infeasible;
     }
 
     // The new normal, whose coordinates are d_, becomes the last active one.
@@ -235,7 +245,7 @@ class LeastDistance {
     double* Q_;
     std::vector<double> R_;
     double *d_, *h_, *normal_;
-    std::vector<double> r_, order_, multiplier_;
+    std::vector<double> r_, multiplier_;
     std::vector<int> row_;
     std::vector<double> side_;
     int most_, K_ = 0, blocks_ = 0;

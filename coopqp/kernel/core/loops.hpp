@@ -283,4 +283,16 @@ class StagedLoops final : public Loops {
     double *rows_, *nulls_, *touch_;
 };
 
+// Of the width that a chain needs.
+inline std::unique_ptr<Loops> make_loops(const Model& m, const std::vector<std::vector<int>>& kept,
+                                         Arena& arena) {
+    const int blocks = blocks_of(StagedLoops<2>::width(m));
+    if (blocks > 16) throw std::invalid_argument("two arms have too many joints");
+    if (blocks <= 2) return std::make_unique<StagedLoops<2>>(m, kept, arena);
+    if (blocks == 3) return std::make_unique<StagedLoops<3>>(m, kept, arena);
+    if (blocks == 4) return std::make_unique<StagedLoops<4>>(m, kept, arena);
+    if (blocks <= 6) return std::make_unique<StagedLoops<6>>(m, kept, arena);
+    return std::make_unique<StagedLoops<16>>(m, kept, arena);
+}
+
 }  // namespace coopqp

@@ -7,13 +7,19 @@
 
 namespace coopqp {
 
+constexpr double SCALE_WEIGHT = 1e3;  // as coopqp.qp_law.equations
+constexpr double OUTSIDE = 1e-9;      // as coopqp.limit.ROUNDING [rad, m]
+
 struct Budget {
     double equality, bound, accuracy, loop_position, loop_orientation;
 };
 
-// The tasks of one level. Rows first those of hard tasks (of the first level), then soft ones.
+// The tasks of one level. Rows first those of hard and scaled tasks (of the first level), then soft
+// ones.
 struct Level {
-    int rows = 0, hard = 0;
+    int rows = 0, hard = 0, exact = 0;  // exact: hard and scaled
+    std::vector<int> share;             // of each row which share it is scaled by; -1 if by none
+    int shares = 0;
     std::vector<double> e, rate, gain, weight, lever, wanted;
     std::vector<char> asks_velocity, twist;
     // A row sees the object's twist (rows, 8) or, where `twist` is 0, all joints (rows, lanes).
@@ -42,6 +48,7 @@ struct Bound {
     double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;
     double* hard_pull = nullptr;
+    double* missing = nullptr;  // what each share lacks to 1
 };
 
 }  // namespace coopqp
