@@ -39,14 +39,14 @@ from .trees import Change, Tree
 AGREE: dict[str, tuple[str, ...]] = {
     "robot": (
         "start", "start_deg", "start_near", "grasp", "grasps", "weights", "phases", "tasks",
-        "secondary", "limits",
+        "secondary", "limits", "plant", "disturbance",
     ),
     "start": ("grasp", "grasps", "limits"),
     "start_deg": ("grasp", "grasps", "limits"),
     "grasp": ("start", "start_deg"),
     "grasps": ("start", "start_deg"),
     "object": ("grasp", "grasps", "start", "limits"),
-    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration"),
+    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration", "plant"),
     "duration": ("tasks", "secondary", "dt"),
     "phases": ("secondary", "dt"),
     "plant": ("disturbance",),
