@@ -153,7 +153,7 @@ class Mutated:
             scenario = (self.path.parent / line[1]).read_text(encoding="utf-8").splitlines()
             at = [i for i, said in enumerate(scenario, 1) if self.path.name in said]
             return int(line[2]) in at if at else self.path.name in words
-        key = re.search(r"\.yaml:\d+: (\w+|robot: arm)\b", words)
+        key = re.search(r"\.yaml:\d+: (robot: arm|\w+)\b", words)
         judged = (*AGREE["robot"], "robot: arm")
         return key is not None and key[1] in judged and self.path.suffix != ".yaml"
 
