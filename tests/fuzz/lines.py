@@ -19,8 +19,8 @@ refusal names must be
   the first, if a part is missing.
 
 A refusal that names no line of the file must name one of another file: one that says a word that
-has changed in this one; of a robot's file a line of the scenario that is judged by the robot, and
-of a mesh the line that names it, or where the robot's file does so, that file's name.
+has changed in this one; of a robot's file a line of the scenario that is judged by the robot, as
+its arms are; of a mesh the line that names it, or where the robot's file does so, that file's name.
 Those of WHOLE need no line: they speak of a file as a whole.
 """
 
@@ -39,14 +39,14 @@ from .trees import Change, Tree
 AGREE: dict[str, tuple[str, ...]] = {
     "robot": (
         "start", "start_deg", "start_near", "grasp", "grasps", "weights", "phases", "tasks",
-        "secondary", "limits",
+        "secondary", "limits", "plant", "disturbance",
     ),
     "start": ("grasp", "grasps", "limits"),
     "start_deg": ("grasp", "grasps", "limits"),
     "grasp": ("start", "start_deg"),
     "grasps": ("start", "start_deg"),
     "object": ("grasp", "grasps", "start", "limits"),
-    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration"),
+    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration", "plant"),
     "duration": ("tasks", "secondary", "dt"),
     "phases": ("secondary", "dt"),
     "plant": ("disturbance",),
@@ -146,15 +146,16 @@ class Mutated:
 
     def is_other(self, words: str) -> bool:
         """Whether a refusal that names another file may do so."""
-        if any(word in words for word in self.words):
+        if any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", words) for word in self.words):
             return True
         line = re.search(r"(\w+\.yaml):(\d+): ", words)
         if line and self.path.suffix in MESHES:
             scenario = (self.path.parent / line[1]).read_text(encoding="utf-8").splitlines()
             at = [i for i, said in enumerate(scenario, 1) if self.path.name in said]
             return int(line[2]) in at if at else self.path.name in words
-        key = re.search(r"\.yaml:\d+: (\w+)", words)
-        return key is not None and key[1] in AGREE["robot"] and self.path.suffix != ".yaml"
+        key = re.search(r"\.yaml:\d+: (robot: arm|\w+)\b", words)
+        judged = (*AGREE["robot"], "robot: arm")
+        return key is not None and key[1] in judged and self.path.suffix != ".yaml"
 
 
 def _direct(part: Tree) -> Iterator[str]:
@@ -182,13 +183,13 @@ def _own(change: Change) -> Iterator[int]:
 def wrong_line(said: Sequence[str], mutated: Mutated) -> str:
     """What is wrong with the first of the lines said that names no line, or not the right one."""
     for words in said:
-        if any(whole in words for whole in WHOLE):
-            continue
         named = re.findall(rf"{re.escape(mutated.path.name)}:(\d+)", words)
         if any(not mutated.is_right(int(line)) for line in named):
             return "wrong line"
-        if not named and not re.search(r"\.\w+:\d+: ", words):
+        if named or any(whole in words for whole in WHOLE):
+            continue
+        if not re.search(r"\.\w+:\d+: ", words):
             return "no line"
-        if not named and not mutated.is_other(words):
+        if not mutated.is_other(words):
             return "other line"
     return ""
