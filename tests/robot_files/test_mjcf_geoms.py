@@ -9,7 +9,7 @@ import pytest
 
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.mjcf import read_mjcf
-from coopqp.robot_files.mjcf_defaults import with_defaults
+from coopqp.robot_files.mjcf_defaults import all_given
 from coopqp.robot_files.xml import read_xml
 
 FILE = """<mujoco>
@@ -20,15 +20,20 @@ FILE = """<mujoco>
 """
 TETRAHEDRON = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
 BAD = [
-    ("", '<geom type="box" size="1"/>', 4, "size: found 1 numbers, a box needs 3"),
-    ("", '<geom type="capsule" size="0.1"/>', 4, "size: found 1 numbers, a capsule needs 2"),
-    ("", "<geom/>", 4, "size: found 0 numbers, a sphere needs 1"),
-    ("", '<geom type="blob" size="1"/>', 4, "type: unknown type of geom 'blob'"),
-    ("", '<geom type="mesh"/>', 4, "needs a mesh"),
+    ("", '<geom type="box" size="1"/>', 4, "size: found '1'; a box needs 3 above 0"),
+    ("", '<geom type="capsule" size="0.1"/>', 4, "size: found '0.1'; a capsule needs 2 above 0"),
+    ("", "<geom/>", 4, "size: is missing; a sphere needs 1 above 0"),
+    ("", '<geom type="blob" size="1"/>', 4, "type: unknown type 'blob'; did you mean 'box'?"),
+    ("", '<geom type="mesh"/>', 4, "type: is mesh, but no mesh is named"),
     (TETRAHEDRON, '<geom type="mesh" mesh="n"/>', 4, "mesh: unknown mesh 'n'; known: m"),
-    ("", '<geom size="1" fromto="0 0 0 0 0 1"/>', 4, "fromto: is not for a sphere"),
+    ("", '<geom size="1" fromto="0 0 0 0 0 1"/>', 4, "fromto: a sphere has none"),
     ("", '<inertial pos="0 0 0" diaginertia="1 1 1"/>', 4, ": needs a mass"),
-    ('<default><geom type="box"/></default>', '<geom size="1 1"/>', 4, "size: found 2 numbers"),
+    (
+        '<default><geom type="box"/></default>',
+        '<geom size="1 1"/>',
+        4,
+        "size: found '1 1'; a box needs 3 above 0",
+    ),
     ("<default><default/></default>", "", 2, ": needs a class"),
     ('<compiler eulerseq="xyw"/>', '<geom size="1" euler="0 0 1"/>', 2, "eulerseq: found 'xyw'"),
     ('<asset><mesh name="m"/></asset>', '<geom type="mesh" mesh="m"/>', 2, ": needs a file, or"),
@@ -63,18 +68,11 @@ def test_defaults_give_what_mujoco_gives(tmp_path: Path) -> None:
         </body></body></body></worldbody></mujoco>"""
     )
     xml, theirs = read_xml(path, ["mujoco"], "MJCF"), mujoco.MjModel.from_xml_path(str(path))
-    found = {geom.get("name"): given for geom, given in with_defaults(xml, "geom")}
+    found = {given.element.get("name"): given.attributes for given in all_given(xml, "geom")}
     assert list(found) == ["floor", "one", "two", "three", "four"]
     for name, given in found.items():
         size = [float(number) for number in given["size"].split()]
         assert theirs.geom(name).size[: len(size)].tolist() == size
-
-
-def test_what_pinocchio_reads_over_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "m.xml"
-    path.write_text(FILE.format(top="", geom='<frame pos="0 0 1"><geom size="1"/></frame>'))
-    (told,) = read_mjcf(path).warnings
-    assert told == f"{path}:4: <frame>: is not read; write out what is in it"
 
 
 def test_colours_and_names_of_files_that_are_not_looked_at_harm_nothing(tmp_path: Path) -> None:

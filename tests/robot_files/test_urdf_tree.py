@@ -23,23 +23,31 @@ def joint(name: str, parent: str, child: str, *, kind: str = "fixed", inside: st
 @pytest.mark.parametrize(
     ("parts", "line", "words"),
     [
-        (links("a", "b") + joint("j", "a", "x"), 4, "<child> link: unknown link 'x'; known: a, b"),
-        (links("a", "b") + joint("j", "x", "b"), 4, "<parent> link: unknown link 'x'"),
-        (links("a", "b"), 3, "<link name=\"b\">: no joint moves it, nor link 'a'; one alone can"),
+        (links("a", "b") + joint("j", "a", "x"), 4, "<child> of joint j: unknown link 'x'"),
+        (links("a", "b") + joint("j", "x", "b"), 4, "<parent> of joint j: unknown link 'x'"),
+        (links("a", "b"), 3, '<link name="b">: is the child of no joint, as is link a;'),
         (
             links("a", "b", "c") + joint("j", "a", "c") + joint("k", "b", "c"),
             6,
-            "<joint name=\"k\">: link 'c' is moved by joint 'j' already",
+            "<child> of joint k: link c is the child of joint j already",
         ),
         (
             links("r", "a", "b") + joint("j", "a", "b") + joint("k", "b", "a"),
             5,
             "<joint name=\"j\">: link 'b' moves itself: the joints from it on go round",
         ),
-        (links("a") + joint("j", "a", "a"), 3, "<joint name=\"j\">: link 'a' moves itself"),
-        (links("a", ""), 3, "<link>: needs a name"),
-        (links("a", "b") + joint("", "a", "b"), 4, "<joint>: needs a name"),
-        (links("a", "b") + joint("j", "a", "b", kind="x"), 4, '<joint name="j">: is not a robot'),
+        (
+            links("a") + joint("j", "a", "a"),
+            2,
+            '<link name="a">: every link is the child of a joint',
+        ),
+        (links("a", ""), 3, "<link>: needs name"),
+        (links("a", "b") + joint("", "a", "b"), 4, "<joint>: needs name"),
+        (
+            links("a", "b") + joint("j", "a", "b", kind="x"),
+            4,
+            "<joint name=\"j\"> type: unknown type 'x'",
+        ),
         (
             links("a", "b") + joint("j", "a", "b", inside='<safety_controller soft="1"/>'),
             4,

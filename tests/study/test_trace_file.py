@@ -107,7 +107,7 @@ def test_files_that_are_no_traces_are_refused(tmp_path: Path) -> None:
     [
         ("\nqp,7,", "\nqp,8,", 9, "tick: found 8, needs 7; the trace is damaged"),
         ("\nqp,7,", "\nqpp,7,", 9, "tick: found 7, needs 0; the trace is damaged"),
-        ("\nqp,7,", "\nqp,7,0,", 9, r"found \d+ cells, but line 1 \d+; the trace is damaged"),
+        ("\nqp,7,", "\nqp,7,0,", 9, r"found \d+ cells, but line 1 \d+; it is damaged"),
         ("q[RWristYaw]", "q[LWristYaw]", 1, r"two columns are called 'q\[LWristYaw\]'"),
         ("\nqp,300,", "\npqp,0,", 301, "'qp' has 299 ticks, its scenario 300; the file is"),
         ("q[RWristYaw]", "q[wrist]", 1, r"has no column 'q\[RWristYaw\]'"),
