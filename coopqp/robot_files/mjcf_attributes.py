@@ -74,6 +74,7 @@ WORDS = {
     ("joint", "type"): ("free", "ball", "slide", "hinge"),
     ("geom", "type"): KINDS,
     ("joint", "limited"): ("true", "false", "auto"),
+    ("joint", "active"): ("true", "false"),
     ("compiler", "angle"): ("degree", "radian"),
     ("compiler", "coordinate"): ("local",),
     ("compiler", "autolimits"): ("true", "false"),

@@ -159,8 +159,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
 def _inputs(rows: Sequence[_Row], scenario: Scenario) -> dict[str, InputTrace]:
     """What was followed, by name."""
     found = {}
-    tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    for name, (kind, _) in wanted(tasks, State(scenario.chain)).items():
+    for name, kind in scenario.followed().items():
         kept = found[name] = no_input(kind, len(rows))
         for k, row in enumerate(rows):
             _read(row, f"followed[{name}].", kept.value[k])

@@ -44,7 +44,7 @@ AGREE: dict[str, tuple[str, ...]] = {
     "start": ("grasp", "grasps", "limits"),
     "start_deg": ("grasp", "grasps", "limits"),
     "grasp": ("start", "start_deg"),
-    "grasps": ("start", "start_deg"),
+    "grasps": ("grasps", "start", "start_deg"),
     "object": ("grasp", "grasps", "start", "limits"),
     "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration", "plant"),
     "duration": ("tasks", "secondary", "dt"),
@@ -123,7 +123,8 @@ class Mutated:
         if self.tree is None:
             first, last = trees.first_difference(self.old, self.new), self._read[1]
             whole = line == 1 and self.path.suffix == ".dae"
-            return whole or min(first, last) <= line <= last
+            end = len(self.new.rstrip().splitlines())  # where what comes after it is gone
+            return whole or min(first, last, end) <= line <= last
         if any(line in _own(change) for change in self.changes):
             return True
         at = [(path, part) for path, part in self.tree.walk() if part.first == line]

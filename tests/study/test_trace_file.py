@@ -160,3 +160,13 @@ def test_a_tick_of_a_later_phase_is_explained_as_it_was_despite_noise(tmp_path: 
 def test_a_tick_that_damps_by_what_it_missed_is_explained_as_it_was(tmp_path: Path) -> None:
     task = "duration: 1.0\ntasks:\n  - twist: {velocity: {x: 0.1, y: 0.15}}\n"
     assert off_the_trace(tmp_path, f"{HEAD}{task}{NO_DRIFT}plant: rigid_body\n", 40) < 1e-6
+
+
+def test_a_run_in_which_an_arm_lets_go_and_moves_is_read(tmp_path: Path) -> None:
+    """Its task is of one phase alone: there the arm moves by itself."""
+    seed = Path(__file__).parents[1] / "fuzz" / "seeds" / "phases.yaml"
+    scenario = load(seed)
+    path = tmp_path / "trace.csv"
+    path.write_text(files.trace_csv(compare(scenario)), encoding="utf-8")
+    held = scenario.held_by("qp")
+    assert len(recording_from_trace(path, scenario, "qp").v) == held.ticks
