@@ -143,7 +143,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         k, words = wrong
         raise CoopqpError(f"{rows[k].place}: {words}; {OTHER}")
     if missing := sorted(parts_of_phases(held) - {name for row in rows for name in row.errors}):
-        raise CoopqpError(f"{path}: has no error of '{missing[0]}'; {OTHER}")
+        raise CoopqpError(f"{rows[0].header}: has no error of '{missing[0]}'; {OTHER}")
     return Recording(
         controller=controller,
         q=q,

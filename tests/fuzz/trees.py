@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import re
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 from xml.parsers import expat
 
@@ -131,7 +133,13 @@ def of_yaml(text: str) -> Tree:
 
 def _line(mark: Any, text: str) -> int:
     """As editors number them; YAML has more line breaks than they."""
-    return len(re.findall(r"\r\n?|\n", text[: mark.index])) + 1
+    return bisect_left(_breaks(text), mark.index) + 1
+
+
+@lru_cache(maxsize=4)
+def _breaks(text: str) -> list[int]:
+    """Where lines end."""
+    return [found.start() for found in re.finditer(r"\r\n?|\n", text)]
 
 
 def _of_node(node: Node, text: str, first: int) -> Tree:
