@@ -136,9 +136,18 @@ class Mutated:
         said = {str(word) for path, part in at for word in (*path[-1:], *_direct(part))}
         if self.words & said:
             return True
+        if any(self._agree(c.path, path, 2) for c in self.changes for path, _ in at):
+            return True  # in a phase
         keys = {path[0] for path, _ in at if path}
         changed = {str(key) for c in self.changes for key in c.path[:1] or c.words}
         return any(keys & set(AGREE.get(key, ())) for key in changed)
+
+    @staticmethod
+    def _agree(changed: trees.Path, told: trees.Path, depth: int) -> bool:
+        """Whether both are in the same part, where one is checked against the other."""
+        if changed[:depth] != told[:depth] or min(len(changed), len(told)) <= depth:
+            return False
+        return told[depth] in AGREE.get(str(changed[depth]), ())
 
     def _cells(self, line: int) -> list[str]:
         """The first two words of a row of a table, which no other row has."""
@@ -148,6 +157,8 @@ class Mutated:
     def is_other(self, words: str) -> bool:
         """Whether a refusal that names another file may do so."""
         if any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", words) for word in self.words):
+            return True
+        if self.path.suffix in MESHES and "start in each other" in words:  # it names the bodies
             return True
         line = re.search(r"(\w+\.yaml):(\d+): ", words)
         if line and self.path.suffix in MESHES:
