@@ -114,8 +114,8 @@ class Mutated:
         for key in change.path:
             part = part.inside[key] if part else None
             attributes = part.inside.get(0) if part else None
-            name = attributes.inside.get("name") if attributes else None
-            found |= {name.word} if name else set()
+            names = [attributes.inside.get(key) for key in ("name", "joint1")] if attributes else []
+            found |= {name.word for name in names if name}
         return frozenset(found)
 
     def is_right(self, line: int) -> bool:

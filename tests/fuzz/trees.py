@@ -90,7 +90,8 @@ def changes(old: Tree, new: Tree, path: Path = (), above: tuple[int, ...] = ()) 
         found += changes(old.inside[a], new.inside[b], (*path, b), inner)
     for key in added:
         part = new.inside[key]
-        found.append(Change((*path, key), part.lines, inner, part.words | {str(key)}))
+        keys = {str(k) for path_in, _ in part.walk((key,)) for k in path_in[-1:]}
+        found.append(Change((*path, key), part.lines, inner, part.words | keys))
     if gone:
         words = frozenset(map(str, gone)).union(*(old.inside[key].words for key in gone))
         first, last = new.first, new.first
