@@ -188,6 +188,8 @@ def _own(change: Change) -> Iterator[int]:
         yield from change.above[-2:]
     if len(change.path) > 2 and change.path[0] in PARTS:
         yield change.above[2]
+    if len(change.path) > 4 and (change.path[0], change.path[2]) == ("phases", "tasks"):
+        yield change.above[4]
     if len(change.path) > 1 and change.path[0] in SLOTS:
         yield change.above[1]
 

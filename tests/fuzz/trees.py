@@ -57,6 +57,11 @@ class Tree:
         return frozenset(part.word for _, part in self.walk())
 
     @property
+    def keys(self) -> frozenset[str]:
+        """The keys in it."""
+        return frozenset(str(path[-1]) for path, _ in self.walk() if path)
+
+    @property
     def said(self) -> object:
         """What is compared: all but the lines."""
         return self.kind, self.word, [(key, part.said) for key, part in self.inside.items()]
@@ -90,10 +95,10 @@ def changes(old: Tree, new: Tree, path: Path = (), above: tuple[int, ...] = ()) 
         found += changes(old.inside[a], new.inside[b], (*path, b), inner)
     for key in added:
         part = new.inside[key]
-        keys = {str(k) for path_in, _ in part.walk((key,)) for k in path_in[-1:]}
-        found.append(Change((*path, key), part.lines, inner, part.words | keys))
+        found.append(Change((*path, key), part.lines, inner, part.words | part.keys | {str(key)}))
     if gone:
-        words = frozenset(map(str, gone)).union(*(old.inside[key].words for key in gone))
+        parts = [old.inside[key] for key in gone]
+        words = frozenset(map(str, gone)).union(*(part.words | part.keys for part in parts))
         first, last = new.first, new.first
         if new.kind == "table":
             first, last = int(gone[0]), int(gone[0]) + 1
@@ -205,7 +210,13 @@ def of_lines(text: str) -> Tree:
 
 
 def of_csv(text: str) -> Tree:
-    """The tree of a table: its rows, and the cells of each."""
+    """The tree of a table: its rows, and the cells of each.
+
+    Raises:
+        ValueError: it ends inside quotes.
+    """
+    if text.count('"') % 2:
+        raise ValueError("ends inside quotes")
     root = Tree("table", "", 1, 1, ordered=True)
     for number, line in enumerate(text.split("\n"), 1):
         cells = {i: Tree("cell", cell, number, number) for i, cell in enumerate(line.split(","))}
