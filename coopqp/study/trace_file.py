@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
 from coopqp.input import wanted
 from coopqp.qp_law.law import QPLaw
 from coopqp.recordings.column import split
@@ -63,7 +63,7 @@ class _Row:
         except ValueError:
             value = math.inf
         if not (math.isfinite(value) or (nan and math.isnan(value))):
-            words = f"{column}: found '{text[:40]}', needs a finite number; the trace is damaged"
+            words = f"{column}: found '{one_line(text[:40])}', needs a finite number; the trace is damaged"
             raise InvalidValueError(f"{self.place}: {words}")
         return value
 
@@ -107,7 +107,7 @@ class _Row:
         word = self.cells["status"]
         for name in word.split("+"):
             if name not in Status.__members__:
-                words = f"status: no status '{name[:40]}'; the trace is damaged"
+                words = f"status: no status '{one_line(name[:40])}'; the trace is damaged"
                 raise InvalidValueError(f"{self.place}: {words}")
         return word
 
