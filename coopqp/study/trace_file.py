@@ -63,8 +63,8 @@ class _Row:
         except ValueError:
             value = math.inf
         if not (math.isfinite(value) or (nan and math.isnan(value))):
-            words = f"{column}: found '{one_line(text[:40])}', needs a finite number; the trace is damaged"
-            raise InvalidValueError(f"{self.place}: {words}")
+            words = f"{column}: found '{one_line(text[:40])}', needs a finite number"
+            raise InvalidValueError(f"{self.place}: {words}; the trace is damaged")
         return value
 
     def numbers(self, key: str, joints: Sequence[str], *, nan: bool = False) -> list[float]:
