@@ -2,13 +2,16 @@
 # make test   the same with the test tools, and run the suite
 # make lint   style, types, direction of imports
 # make bench  one tick side by side with Pink
+# make sanitize  the kernel on random robots and garbage, watched by the compiler's sanitizers
 
 PYTHON ?= python3
 BIN := .venv/bin
 SCENARIO ?= scenarios/point_on_point.yaml
 OUT ?= out/point_on_point
 
-.PHONY: demo test lint bench clean
+CXX ?= c++
+
+.PHONY: demo test lint bench sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -25,14 +28,22 @@ lint: .venv/installed-test
 bench: .venv/installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist
 
+sanitize:
+	mkdir -p out
+	$(CXX) -std=c++17 -O1 -g -ffp-contract=off -Wall -Wextra -Werror -Wno-psabi -DCOOPQP_FAULTS \
+	  -fsanitize=address,undefined -fno-sanitize-recover=all tests/kernel/core.cpp -o out/core
+	out/core 0 2000
+
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/installed: pyproject.toml | .venv/bin/python
+KERNEL := hatch_build.py $(wildcard coopqp/kernel/*.[ch]pp coopqp/kernel/core/*.hpp)
+
+.venv/installed: pyproject.toml $(KERNEL) | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-.venv/installed-test: pyproject.toml | .venv/bin/python
+.venv/installed-test: pyproject.toml $(KERNEL) | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ .venv/installed
 

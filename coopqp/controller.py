@@ -17,8 +17,9 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.loop_observer import LoopObserver
+from coopqp.memory import Memory
 from coopqp.solver import Budget, Solver, Status
-from coopqp.state import Memory, State
+from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location, culprit, dotted
 
@@ -160,13 +161,22 @@ class Command:
 
 
 class Law(ABC):
-    """A controller built for one problem."""
+    """A controller built for one problem.
 
+    Attributes:
+        problem: what it was built for.
+        command: of the last tick.
+        compiled: whether the kernel has decided the last tick.
+    """
+
+    engine: ClassVar[str | None] = None
+    """What solves its QP: "kernel" or "python"; None for laws without one."""
     memory_sizes: Mapping[str, int] = {}
     """What the law must remember between ticks, and how many numbers; see ``State.memory``."""
 
     def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
         self.problem = problem
+        self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
         self._observer = LoopObserver(problem.chain, problem.dt)
 

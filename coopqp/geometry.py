@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from coopqp.checked import Array, Direction, Pose, Vector3, one_angle, spec, unit
 from coopqp.errors import InvalidValueError
 from coopqp.grasp import pose_matrix
-from coopqp.profile import Profile
+from coopqp.profile import KINDS, Profile
 from coopqp.signal import DIRECTION, POINT, POSE, Course, Instant, Moment, Signal, course
 from coopqp.state import PointOfObject, State
 
@@ -99,6 +99,7 @@ class Reference:
         RT: its axes as rows, R', shape (3, 3).
         omega: its angular velocity, in the world, shape (3,) [rad/s].
         moves: whether anything changes with time.
+        follows: whether it follows a signal.
     """
 
     def __init__(
@@ -126,8 +127,21 @@ class Reference:
         self._turning = turn.profile if turn else None
         self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
         self._slides = bool(self.c_dot.any())
-        follows = self._origin.moves or self._axes.moves
-        self.moves = follows or turn is not None or self._slides
+        self.follows = self._origin.moves or self._axes.moves
+        self.moves = self.follows or turn is not None or self._slides
+
+    def numbers(self) -> Array:
+        """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
+
+        The profile is kind, duration and delay; a reference that does not turn has zeros there.
+        What follows a signal is not in them.
+        """
+        turning = self._turning
+        profile = [0.0, 1.0, 0.0]
+        if turning:
+            profile = [float(KINDS.index(turning.kind)), turning.duration, turning.delay]
+        parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
+        return np.concatenate([*parts, [float(turning is not None)]])
 
     def update(self, at: Instant) -> None:
         """Go to where it is then."""
@@ -334,11 +348,27 @@ class RotationError:
             Q_r = pin.exp3(self._phi * share).dot(self._start)
         Q_e = Q.dot(Q_r.T)
         e[:] = pin.log3(Q_e)
-        # pinocchio's Jlog3 takes body velocities; Q_e' turns those of the reference into them.
-        J_log = pin.Jlog3(Q_e)
-        J_log.dot(Q_e.T).dot(RT, self.rows)
+        J_log = _inverse_left_jacobian(e)
+        J_log.dot(RT, self.rows)
         self.rows.dot(J_omega, J)
-        J_log.dot(turning, rate)
+        J_log.dot(Q_e.dot(turning), rate)
+
+
+def _inverse_left_jacobian(w: Array) -> Array:
+    """Jl^-1(w), with which log(exp(a) exp(w)) = w + Jl^-1(w) a for a small a; shape (3, 3).
+
+    Of pinocchio's Jlog3 cancellation leaves nine digits about an angle of 1e-4 rad.
+    """
+    x, y, z = w.tolist()
+    t2 = x * x + y * y + z * z
+    if t2 < 1e-3:
+        c = (1.0 + t2 / 60.0 * (1.0 + t2 / 42.0 * (1.0 + t2 / 40.0))) / 12.0
+    else:
+        half = 0.5 * math.sqrt(t2)
+        c = (1.0 - half / math.tan(half)) / t2
+    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    J: Array = np.eye(3) - 0.5 * S + c * S.dot(S)
+    return J
 
 
 class Approach:

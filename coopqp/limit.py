@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import lru_cache
 from typing import ClassVar
 
@@ -36,6 +37,61 @@ class LimitRows:
     ub: Array
     G: Array
     h: Array
+
+
+class Bounded(IntEnum):
+    """What bounds on joints are of, numbered as in ``kernel/core/bounds.hpp``.
+
+    Attributes:
+        VELOCITY: v.
+        POSITION: q, which no step may overrun.
+        BRAKING: q, which no joint may come to faster than it can brake.
+        LEAD: q - q_measured.
+    """
+
+    VELOCITY = 0
+    POSITION = 1
+    BRAKING = 2
+    LEAD = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointBounds:
+    """Bounds on each joint's velocity, for the kernel.
+
+    Attributes:
+        of: what is bounded.
+        lower, upper: its bounds, shape (n,).
+        step: of BRAKING, how much v may change in a tick, shape (n,) [rad/s, m/s].
+        speed: of POSITION, the fastest way back from outside [rad/s, m/s].
+    """
+
+    of: Bounded
+    lower: Array
+    upper: Array
+    step: Array | None = None
+    speed: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistBounds:
+    """Rows of a limit that see the object's twist alone, for the kernel.
+
+    Attributes:
+        components: of the twist in world axes whose size is bounded, upper sides, then lower ones.
+        bounds: their bounds [m/s, rad/s].
+        points: of the object, which stay on one side of a plane, in the object frame, shape (k, 3).
+        normal: of the plane, of length one, into the side that is allowed.
+        offset: n'p of the points on it [m].
+        gain: share of the distance that may be used up per second [1/s].
+    """
+
+    components: Sequence[int] = ()
+    bounds: Sequence[float] = ()
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    normal: Array = field(default_factory=lambda: np.zeros(3))
+    offset: float = 0.0
+    gain: float = 0.0
 
 
 Tighten = Callable[[State, LimitRows], None]
@@ -78,6 +134,15 @@ class Limit(ABC):
             chain: what is limited.
             dt: control period [s].
         """
+
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds | TwistBounds | None:
+        """The same as numbers for the kernel; None where it is neither of these.
+
+        Args:
+            chain: what is limited.
+            dt: control period [s].
+        """
+        return None
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """How far a run stayed away from this limit, for the audit.

@@ -10,6 +10,10 @@ from coopqp.checked import NonNegative, Positive, spec
 RAMP = 0.25
 
 
+#: The kinds, in the order in which the kernel numbers them.
+KINDS = ("step", "constant_velocity", "trapezoid", "quintic")
+
+
 @spec
 class Profile:
     """A motion law for references.

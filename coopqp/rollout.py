@@ -133,7 +133,7 @@ class _Recorder:
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
         self.e, self.rate = np.full((2, rows, len(stacks[0].e)), np.nan)
-        self.tick_us = np.zeros(ticks)
+        self.tick_us, self.compiled = np.zeros(ticks), np.zeros(ticks, bool)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
         self.status = [Status.OPTIMAL.name] * ticks
@@ -188,6 +188,7 @@ class _Recorder:
             self.measured[k] = measured
         self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
+        self.compiled[k] = self._law.compiled
         for name, kept in self.inputs.items():
             followed = state.inputs[name]
             kept.value[k], kept.rate[k] = followed.value, followed.rate
@@ -238,6 +239,7 @@ class _Recorder:
         return Trace(
             controller=controller,
             solver=solver,
+            engine=self._law.engine,
             dt=problem.dt,
             kappa=problem.kappa,
             joints=chain.joint_names,
@@ -270,6 +272,7 @@ class _Recorder:
             scale=self.scale,
             margins=self._margins(self.q, self.v),
             starts=self._starts(),
+            compiled=self.compiled,
             tick_us=self.tick_us,
             points=arm_points(chain, self.q),
             heeds=heeds,

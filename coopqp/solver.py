@@ -6,6 +6,7 @@ import enum
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg.blas import dnrm2
@@ -117,6 +118,9 @@ Solve = Callable[[], None]
 @spec
 class Solver(ABC):
     """A plug-in in ``solvers/``: settings, and how to open it on a QP's arrays."""
+
+    kernel_instead: ClassVar[bool] = False
+    """Whether the compiled kernel may take its place: it lands on the optimum itself too."""
 
     @abstractmethod
     def open(self, qp: QP, solution: Solution) -> Solve:

@@ -6,9 +6,7 @@ with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,36 +16,9 @@ from scipy.linalg import lapack
 
 from coopqp.checked import Array, vector
 from coopqp.closed_chain import ClosedChain
+from coopqp.memory import Memory
 from coopqp.rank import independent_rows, least_squares
 from coopqp.signal import Followed
-
-
-class Memory:
-    """What a law remembers from tick to tick, by name, in one array that can be recorded.
-
-    Args:
-        sizes: how many numbers go by each name.
-
-    Attributes:
-        numbers: all of them, zero at first.
-    """
-
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self.sizes = dict(sizes)
-        ends = list(itertools.accumulate(self.sizes.values(), initial=0))
-        self.numbers = np.zeros(ends[-1])
-        self._of = {
-            name: self.numbers[a:b]
-            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Copies of views are no views: a copy is made anew.
-        return _memory, (self.sizes, self.numbers)
-
-    def __getitem__(self, name: str) -> Array:
-        """The numbers of one name; a view, to be written to."""
-        return self._of[name]
 
 
 class State:
@@ -69,9 +40,6 @@ class State:
             commanded, q is the *commanded* configuration, the integral of the commands, and the
             measured one is ``q_measured``; where torques are, q is measured.
         p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
-        J_ext: [J_tsk; J_rel] of eq. (31), shape (6 N, n).
-        J_task: its first six rows, (v; omega) of the object in world axes.
-        J_rel: the other 6 L rows.
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop; open loops come last.
         gap: the part of it that is the model's error and not the motion's: constant, or slow. It
@@ -82,10 +50,6 @@ class State:
             what there is, as for joints that do exactly as told.
         corrected: share of the drift correction that the last tick did.
         inputs: what is made of what arrived from outside, by name; empty where nothing can.
-        J_joints: what each joint does to a body that it moves, shape (6, n), world axes: velocity
-            of the body's point that is at the world's origin, then angular velocity. A point p
-            of the body goes along a direction d at [d; p x d]' J_joints v.
-        J_loop, e_loop: the independent rows of J_rel and drift, for the solvers.
     """
 
     def __init__(
@@ -102,8 +66,9 @@ class State:
         self.v = np.zeros(n)
         self.memory = Memory({}) if memory is None else memory
         self.inputs = Followed()
-        self.J_ext = np.zeros((6 * arms, n))
-        self.J_task, self.J_rel = self.J_ext[:6], self.J_ext[6:]
+        self._J_ext = np.zeros((6 * arms, n))
+        self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
+        self._q_seen, self._stale = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
@@ -111,7 +76,7 @@ class State:
         self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
-        self.J_joints: Array = self._data.J
+        self._J_joints: Array = self._data.J
         self._J_arms = np.zeros((6 * arms, n))
         self._skew, self._lever_J = np.zeros((3, 3)), np.zeros((3, n))
         self._mean = np.zeros(6)
@@ -143,14 +108,77 @@ class State:
 
     def update(self) -> None:
         """Compute everything that follows from q; a law does it at the start of each tick."""
+        self._q_seen[:] = self.q
+        self._differentiate()
+        self._update_errors()
+        self.update_drift()
+
+    def _differentiate(self) -> None:
+        self._stale = False
         model, data = self._model, self._data
-        pin.computeJointJacobians(model, data, self.q)
+        pin.computeJointJacobians(model, data, self._q_seen)
         for frame, J in self._frames:
             pin.updateFramePlacement(model, data, frame)
             J[:] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        self._mixing.dot(self._J_arms, self.J_ext)
-        self._update_errors()
-        self.update_drift()
+        self._mixing.dot(self._J_arms, self._J_ext)
+
+    def written(self) -> tuple[Array, ...]:
+        """Arrays for the kernel to write instead of :meth:`update`, then :meth:`mark_stale`.
+
+        p_WO, R_WO, loop_error, drift and the q that they belong to.
+        """
+        return self.p_WO, self.R_WO, self.loop_error, self.drift, self._q_seen
+
+    def mark_stale(self) -> None:
+        """Say that the poses are up to date; Jacobians are computed when somebody asks for them."""
+        self._stale = True
+
+    def _refresh(self) -> None:
+        """Compute the Jacobians of the q that the poses belong to, if that is still to be done."""
+        if self._stale:
+            self._differentiate()
+            if self._rows_chosen:
+                self._update_loop_rows()
+
+    @property
+    def J_ext(self) -> Array:
+        """[J_tsk; J_rel] of eq. (31), shape (6 N, n)."""
+        self._refresh()
+        return self._J_ext
+
+    @property
+    def J_task(self) -> Array:
+        """Its first six rows, (v; omega) of the object in world axes."""
+        self._refresh()
+        return self._J_task
+
+    @property
+    def J_rel(self) -> Array:
+        """The other 6 L rows."""
+        self._refresh()
+        return self._J_rel
+
+    @property
+    def J_joints(self) -> Array:
+        """What each joint does to a body that it moves, shape (6, n), world axes.
+
+        Velocity of the body's point that is at the world's origin, then angular velocity. A point p
+        of the body goes along a direction d at [d; p x d]' J_joints v.
+        """
+        self._refresh()
+        return self._J_joints
+
+    @property
+    def J_loop(self) -> Array:
+        """The independent rows of J_rel, for the solvers."""
+        self._refresh()
+        return self._J_loop
+
+    @property
+    def e_loop(self) -> Array:
+        """The drift in these rows."""
+        self._refresh()
+        return self._e_loop
 
     def advance(self, v: Array, dt: float) -> None:
         """Go on to the next tick, with the velocity that was commanded: q + v dt, t + dt.
@@ -175,6 +203,7 @@ class State:
 
     def update_poses(self) -> None:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
+        self._q_seen[:] = self.q
         pin.forwardKinematics(self._model, self._data, self.q)
         for frame, _ in self._frames:
             pin.updateFramePlacement(self._model, self._data, frame)
@@ -223,6 +252,7 @@ class State:
         Args:
             joint: id into chain.model.joints; 0 is the world.
         """
+        self._refresh()
         return self._data.oMi[joint]
 
     def place(self, geometry: pin.GeometryModel, placed: pin.GeometryData) -> None:
@@ -232,6 +262,7 @@ class State:
             geometry: the bodies.
             placed: written.
         """
+        self._refresh()
         pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
 
     def point_jacobian(self, lever: Array, out: Array) -> None:
@@ -289,26 +320,19 @@ class State:
         rank = min(loops.rank, len(loops.kept))
         self._kept, self._closed = np.array(loops.kept, int), range(0, loops.closed, 6)
         self.closed_error = self.drift[: loops.closed]
-        self.J_loop, self.e_loop = self.J_rel[: loops.closed], self.closed_error
+        self._J_loop, self._e_loop = self._J_rel[: loops.closed], self.closed_error
         self._rows_chosen = loops.varying or len(loops.kept) < loops.closed
         if self._rows_chosen:
-            self.J_loop, self.e_loop = np.zeros((rank, self.chain.n)), np.zeros(rank)
+            self._J_loop, self._e_loop = np.zeros((rank, self.chain.n)), np.zeros(rank)
 
     def _update_loop_rows(self) -> None:
         rows = self._kept
         if self.chain.loops.varying:
-            rows = rows[independent_rows(self.J_rel[rows], most=len(self.e_loop))]
+            rows = rows[independent_rows(self._J_rel[rows], most=len(self._e_loop))]
             # At a singular pose fewer rows are independent; the missing ones ask for nothing.
-            self.J_loop[:], self.e_loop[:] = 0.0, 0.0
-        self.J_loop[: len(rows)] = self.J_rel[rows]
-        self.e_loop[: len(rows)] = self.drift[rows]
-
-
-def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    """A memory from what a copy is made of."""
-    memory = Memory(sizes)
-    memory.numbers[:] = numbers
-    return memory
+            self._J_loop[:], self._e_loop[:] = 0.0, 0.0
+        self._J_loop[: len(rows)] = self._J_rel[rows]
+        self._e_loop[: len(rows)] = self.drift[rows]
 
 
 def _state(

@@ -23,6 +23,7 @@ from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.mark import Mark
 from coopqp.profile import Profile
+from coopqp.program import Primitive
 from coopqp.row import Row
 from coopqp.signal import Instant
 from coopqp.state import State
@@ -74,6 +75,8 @@ class Task(ABC):
     """Unit of the error."""
     joint_space: ClassVar[bool] = False
     """Whether J is the identity, zero in rows that ask nothing: it steers joints, no object."""
+    all_joints: ClassVar[bool] = False
+    """In joint space: whether every row asks something, so that nothing is left free."""
     asks_velocity: ClassVar[bool] = False
     """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 
@@ -106,6 +109,14 @@ class Task(ABC):
         Args:
             start: the state from which the reference sets out.
         """
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """The same rows as a list of primitives, for the kernel; None where they are no such.
+
+        Args:
+            start: the state from which the reference sets out.
+        """
+        return None
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""

@@ -242,6 +242,7 @@ class Trace:
     Attributes:
         controller: its name.
         solver: name of its QP solver; None for laws without one.
+        engine: "kernel" or "python", whichever is asked first; None for laws without a QP.
         dt: control period [s]. kappa: gain of the drift correction [1/s].
         joints: names, shape (n,). units: of their coordinates, "rad" or "m".
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
@@ -277,6 +278,7 @@ class Trace:
         scale: least share of its speed at which a scaled task ran, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
+        compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
@@ -288,6 +290,7 @@ class Trace:
 
     controller: str = field(metadata={"join": _same})
     solver: str | None = field(metadata={"join": _same})
+    engine: str | None = field(metadata={"join": _same})
     dt: float = field(metadata={"join": _same})
     kappa: float = field(metadata={"join": _same})
     joints: tuple[str, ...] = field(metadata={"join": _same})
@@ -320,6 +323,7 @@ class Trace:
     scale: Array = field(metadata={"join": _ticks})
     margins: dict[Row, Array] = field(metadata={"join": _margins})
     starts: dict[Row, float] = field(metadata={"join": _starts})
+    compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
     tick_us: Array = field(metadata={"join": _ticks})
     points: dict[str, Array] = field(metadata={"join": _points})
     heeds: frozenset[str] = field(metadata={"join": _same})

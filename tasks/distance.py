@@ -19,6 +19,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach, Reference, last_end
 from coopqp.mark import Mark, SphereMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, radial
 from coopqp.signal import Instant, MovingPoint
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -80,6 +81,11 @@ class Distance(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        of = self.point, self.profile
+        return (radial(start, self._other(start), *of, self.length, planar=False),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """All points at the distance, and the point that goes there."""

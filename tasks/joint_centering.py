@@ -12,8 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import spec
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.program import Kind, Primitive
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -24,6 +25,7 @@ class JointCentering(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""
@@ -31,15 +33,24 @@ class JointCentering(Task):
 
     def bind(self, start: State) -> Evaluate:
         """No reference: the middles are constant."""
-        chain = start.chain
-        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle, scale = np.zeros(chain.n), np.zeros(chain.n)
-        lower, upper = chain.lower[limited], chain.upper[limited]
-        middle[limited] = 0.5 * (lower + upper)
-        scale[limited] = 2.0 / (upper - lower) ** 2
+        middle, scale = self._middles(start.chain)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             np.subtract(state.q, middle, out=rows.e)
             np.multiply(rows.e, scale, out=rows.e)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        middle, scale = self._middles(start.chain)
+        return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(middle, scale)),)
+
+    def _middles(self, chain: ClosedChain) -> tuple[Array, Array]:
+        """Middle and slope of each joint; zero for joints without limits."""
+        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+        middle, scale = np.zeros(chain.n), np.zeros(chain.n)
+        lower, upper = chain.lower[limited], chain.upper[limited]
+        middle[limited] = 0.5 * (lower + upper)
+        scale[limited] = 2.0 / (upper - lower) ** 2
+        return middle, scale

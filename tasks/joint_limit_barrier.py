@@ -18,8 +18,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import spec
+from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.program import Kind, Primitive
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -30,6 +31,7 @@ class JointLimitBarrier(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     width: Annotated[float, Field(ge=1e-3, lt=1.0)] = 0.05
     """Where the slope stops growing, as a share of half the joint's range."""
@@ -40,13 +42,8 @@ class JointLimitBarrier(Task):
 
     def bind(self, start: State) -> Evaluate:
         """No reference: limits and middles are constant."""
-        chain = start.chain
-        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle, per_half, per_range = np.zeros((3, chain.n))
-        lower, upper = chain.lower[limited], chain.upper[limited]
-        middle[limited] = 0.5 * (lower + upper)
-        per_half[limited], per_range[limited] = 2.0 / (upper - lower), 1.0 / (upper - lower)
-        most, x = 1.0 - self.width, np.zeros(chain.n)
+        middle, per_half, per_range = self._middles(start.chain)
+        most, x = 1.0 - self.width, np.zeros(start.chain.n)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             np.subtract(state.q, middle, out=x)
@@ -56,3 +53,17 @@ class JointLimitBarrier(Task):
             np.divide(rows.e, 1.0 - x * x, out=rows.e)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        numbers = self._middles(start.chain)
+        return (Primitive(kind=Kind.BARRIER, rows=(), length=1.0 - self.width, numbers=numbers),)
+
+    def _middles(self, chain: ClosedChain) -> tuple[Array, Array, Array]:
+        """Middle, 2 / range and 1 / range of each joint; zero for joints without limits."""
+        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+        middle, per_half, per_range = np.zeros((3, chain.n))
+        lower, upper = chain.lower[limited], chain.upper[limited]
+        middle[limited] = 0.5 * (lower + upper)
+        per_half[limited], per_range[limited] = 2.0 / (upper - lower), 1.0 / (upper - lower)
+        return middle, per_half, per_range

@@ -22,6 +22,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -86,6 +87,14 @@ class LineOnLine(Task):
             alignment.fill(state, e[2:], J[2:], rate[2:])
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        line = self._line(start)
+        offset = point(start, line, self.point, self.profile, (0, 1))
+        against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
+        axis = -np.array(self.axis) if against else np.array(self.axis)
+        return offset, lean(start, self._line(start), axis.tolist(), self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, and the point of the object's own."""

@@ -24,6 +24,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end, polar
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, tilt
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -92,6 +93,11 @@ class LineOnPlane(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        height = point(start, self._plane(start), self.point, self.profile, (2,))
+        return height, tilt(start, self._plane(start), self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's line."""

@@ -53,6 +53,7 @@ class Manipulability(Task):
 
     unit: ClassVar[str] = "1/rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=3)] = ALL
     """Directions in the world that count; for a planar robot those of its plane."""

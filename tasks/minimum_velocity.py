@@ -10,8 +10,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
+
 from coopqp.checked import spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.program import Kind, Primitive
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -22,6 +25,7 @@ class MinimumVelocity(Task):
 
     unit: ClassVar[str] = "rad"
     joint_space: ClassVar[bool] = True
+    all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The joints."""
@@ -35,3 +39,8 @@ class MinimumVelocity(Task):
             rows.rate[:] = 0.0
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        zero = np.zeros(start.chain.n)
+        return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(zero, zero)),)

@@ -18,6 +18,7 @@ from coopqp.geometry import RotationError, last_end
 from coopqp.grasp import pose_matrix
 from coopqp.mark import Mark, PoseMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, rotation
 from coopqp.signal import ROTATION, Course, Instant, MovingRotation, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -66,6 +67,11 @@ class Orientation(Task):
             error.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal is the goal."""
+        goal = self._course(start)
+        return None if goal.moves else (rotation(goal.R, self.profile, start.R_WO),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The orientation, wherever the object is."""

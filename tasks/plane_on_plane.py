@@ -20,6 +20,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -80,6 +81,11 @@ class PlaneOnPlane(Task):
             alignment.fill(state, e[1:], J[1:], rate[1:])
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        height = point(start, self._plane(start), self.point, self.profile, (2,))
+        return height, lean(start, self._plane(start), self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's own."""

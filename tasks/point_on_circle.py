@@ -21,6 +21,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import CircleMark, Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, radial
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -84,6 +85,12 @@ class PointOnCircle(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        circle, of = self._circle(start), (self.point, self.profile)
+        distance = radial(start, circle, *of, self.radius, planar=True)
+        return distance, point(start, self._circle(start), *of, (2,))
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The circle, and the point that goes there."""

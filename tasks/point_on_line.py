@@ -16,6 +16,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -62,6 +63,10 @@ class PointOnLine(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        return (point(start, self._line(start), self.point, self.profile, (0, 1)),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, and the point that goes there."""

@@ -14,6 +14,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -61,6 +62,10 @@ class PointOnPlane(Task):
             approach.shift(state.t, rows.e, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        return (point(start, self._plane(start), self.point, self.profile, (2,)),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point that goes there."""

@@ -12,9 +12,10 @@ import numpy as np
 
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, last_end
+from coopqp.geometry import Approach, Reference, last_end
 from coopqp.mark import Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point
 from coopqp.signal import POINT, Instant, MovingPoint, course
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -57,6 +58,11 @@ class PointOnPoint(Task):
             rows.J[:] = tracked.J
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        goal = Reference(self.goal, start=start, point=self.point)
+        return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, and the point that goes there."""

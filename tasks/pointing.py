@@ -19,6 +19,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, lean
 from coopqp.signal import Instant, MovingDirection
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -61,6 +62,10 @@ class Pointing(Task):
             alignment.fill(state, rows.e, rows.J, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        return (lean(start, self._reference(start), self.axis, self.profile),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The direction, wherever the object is."""

@@ -15,9 +15,10 @@ import numpy as np
 
 from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, RotationError, last_end, pose_course
+from coopqp.geometry import Approach, Reference, RotationError, last_end, pose_course
 from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, rotation
 from coopqp.signal import Instant, MovingPose, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -69,6 +70,15 @@ class Pose(Task):
             rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal is the goal."""
+        goal = pose_course(self.goal, start)
+        if goal.moves:
+            return None
+        x, y, z = goal.value[:3].tolist()
+        place = point(start, Reference((x, y, z)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
+        return place, rotation(goal.R, self.profile, start.R_WO)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, and the object's origin."""

@@ -20,6 +20,7 @@ from coopqp.errors import InvalidValueError, UnknownNameError, under
 from coopqp.geometry import Approach, last_end
 from coopqp.mark import Mark, PostureMark
 from coopqp.profile import Profile
+from coopqp.program import Kind, Primitive
 from coopqp.signal import Course, Instant, Reads, Signal, of_joints
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
@@ -76,6 +77,20 @@ class Posture(Task):
 
         return evaluate
 
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal is a goal."""
+        goal, q_start = _Goal(self.goal, start), start.q.copy()
+        if goal.moves:
+            return None
+        given = np.isfinite(goal.value)
+        way = np.where(given, goal.value - q_start, 0.0)
+        return (
+            Primitive(
+                kind=Kind.POSTURE, rows=tuple(np.flatnonzero(given).tolist()), profile=self.profile,
+                numbers=(q_start, way),
+            ),
+        )  # fmt: skip
+
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The arms as they shall stand, where that is constant."""
         if isinstance(self.goal, list):
@@ -90,6 +105,7 @@ class _Goal:
 
     Attributes:
         value, rate: shape (n,) [rad, m; rad/s, m/s]; NaN and zero where nothing is given.
+        moves: whether anything changes with time.
     """
 
     def __init__(
@@ -104,6 +120,7 @@ class _Goal:
                 self._courses.append((at, given.bind(kind, start, start.q[at])))
             else:
                 self.value[at] = given
+        self.moves = any(moving.moves for _, moving in self._courses)
 
     def update(self, at: Instant) -> None:
         """Go to where it is then."""

@@ -23,6 +23,7 @@ from coopqp.geometry import Approach, PointInReference, Reference, RotationError
 from coopqp.grasp import pose_matrix
 from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, point, rotation
 from coopqp.signal import ROTATION, Course, Instant, MovingDirection, MovingPoint, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -95,6 +96,13 @@ class Prismatic(Task):
                 rate[2:] += rotation.rows.dot(line.omega)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        line, R_goal = self._line(start), self._goal()
+        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
+        offset = point(start, line, self.point, self.profile, (0, 1))
+        return offset, rotation(Q_goal, self.profile, line.RT @ start.R_WO, line)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""

@@ -19,6 +19,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -79,6 +80,11 @@ class Revolute(Task):
             alignment.fill(state, e[3:], J[3:], rate[3:])
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        offset = point(start, self._hinge(start), self.point, self.profile, (0, 1, 2))
+        return offset, lean(start, self._hinge(start), self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The hinge, and the point that goes there."""

@@ -20,6 +20,7 @@ from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.geometry import last_end
 from coopqp.mark import Mark, TrackedMark
 from coopqp.profile import Profile
+from coopqp.program import Kind, Primitive
 from coopqp.signal import Course, Instant, Reads, Signal, of_twist
 from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -97,6 +98,19 @@ class Twist(Task):
             np.multiply(commanded.value[order], share, rows.rate)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As primitives; None where a signal commands it."""
+        if isinstance(self.velocity, Signal):
+            return None
+        rows = tuple(AXES.index(name) for name in self.rows(start.chain))
+        velocity = [self.velocity.get(axis, 0.0) for axis in AXES]  # type: ignore[call-overload]
+        return (
+            Primitive(
+                kind=Kind.TWIST, rows=rows, point=self.point, profile=self.profile,
+                velocity=velocity, planar=self.axes == "object",
+            ),
+        )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The point that moves."""

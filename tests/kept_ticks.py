@@ -28,7 +28,7 @@ def record(law: QPLaw, state: State, tick: int = 0) -> TickRecord:
 
 
 def first_tick(chain: ClosedChain, *tasks: Task, **settings: Any) -> TickRecord:
-    law = QPController().build(problem(chain, *tasks, **settings))
+    law = QPController().plain(problem(chain, *tasks, **settings))
     return record(law, law.start())
 
 

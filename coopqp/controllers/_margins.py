@@ -20,7 +20,7 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers._reference_model import ReferenceModel, memory_of
 from coopqp.errors import InvalidValueError
-from coopqp.state import Memory
+from coopqp.memory import Memory
 
 #: Least damping ratio of a pole: a swing is half as high as the one before, ln 2 / hypot(ln 2, pi).
 LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)

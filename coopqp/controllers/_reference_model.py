@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.state import Memory
+from coopqp.memory import Memory
 
 
 def memory_of(k: int) -> dict[str, int]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from coopqp.checked import NonNegative, Positive, spec
 from coopqp.controller import HEEDS_ALL, Controller, ControlProblem, Heeds, Law
+from coopqp.kernel.law import KernelLaw, required, why_not
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
 
 
@@ -21,6 +22,22 @@ class QPController(Controller):
     error_damping: NonNegative = ERROR_DAMPING
     """Share of the damping with which no step overshoots where arms are stretched; 0 for none."""
 
+    engine: Literal["auto", "python", "kernel"] = "auto"
+    """auto: the compiled kernel where it can do the problem; python: never; kernel: always."""
+
     def build(self, problem: ControlProblem) -> Law:
-        """Preallocate the QPs and open the solver on them."""
+        """Preallocate the QPs and open the solver, or the kernel, on them.
+
+        Raises:
+            InvalidValueError: engine is kernel, which cannot do this problem.
+        """
+        if self.engine == "kernel":
+            required(problem)
+        plain = self.plain(problem)
+        if self.engine == "python" or why_not(problem):
+            return plain
+        return KernelLaw(problem, plain, self.damping, self.error_damping)
+
+    def plain(self, problem: ControlProblem) -> QPLaw:
+        """The law in Python, whatever the engine: what studies look into."""
         return QPLaw(problem, self.damping, self.error_damping)

@@ -15,10 +15,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from coopqp.checked import Array, Positive, spec
+from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten
 from coopqp.state import State
 
 
@@ -38,25 +39,28 @@ class FollowingError(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds on the driven joints; what is not measured, or no number, bounds nothing."""
-        driven = ~np.isin(np.arange(chain.n), chain.passive)
-        lead, rate = np.zeros(chain.n), 1.0 / dt
-        below, above = np.zeros((2, chain.n))
+        driven = _driven(chain)
 
         def tighten(state: State, rows: LimitRows) -> None:
             measured = state.q_measured
-            if measured is None or np.shape(measured) != lead.shape:
+            if measured is None or np.shape(measured) != (chain.n,):
                 return
-            np.subtract(state.q, measured, lead)
+            lead = state.q - measured
             known = driven & np.isfinite(lead)
-            _room(-self.max - lead, rate, below, np.minimum)
-            _room(self.max - lead, rate, above, np.maximum)
+            # Cut so that standing still is allowed.
+            below = np.minimum((-self.max - lead) / dt, 0.0)
+            above = np.maximum((self.max - lead) / dt, 0.0)
             np.maximum(rows.lb, below, out=rows.lb, where=known)
             np.minimum(rows.ub, above, out=rows.ub, where=known)
 
         return tighten
 
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds:
+        """Of the driven joints' lead."""
+        most = np.where(_driven(chain), self.max, np.inf)
+        return JointBounds(of=Bounded.LEAD, lower=-most, upper=most)
 
-def _room(room: Array, rate: float, bound: Array, cut: np.ufunc) -> None:
-    """The speed that uses a room up in a tick, cut so that standing still is allowed."""
-    np.multiply(room, rate, bound)
-    cut(bound, 0.0, out=bound)
+
+def _driven(chain: ClosedChain) -> NDArray[np.bool_]:
+    """Which joints have motors."""
+    return ~np.isin(np.arange(chain.n), chain.passive)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten, joint_margins
+from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
 from coopqp.row import Row
 from coopqp.state import State
 
@@ -33,6 +33,11 @@ class JointVelocity(Limit):
             np.minimum(rows.ub, upper, out=rows.ub)
 
         return tighten
+
+    def program(self, chain: ClosedChain, dt: float) -> JointBounds:
+        """Constant."""
+        upper = self.scale * chain.velocity
+        return JointBounds(of=Bounded.VELOCITY, lower=-upper, upper=upper)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Speed left in each tick [rad/s, m/s]."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import AXES, AXIS_UNITS, ClosedChain
-from coopqp.limit import Limit, LimitRows, Tighten, states_along
+from coopqp.limit import Limit, LimitRows, Tighten, TwistBounds, states_along
 from coopqp.row import Row, Side
 from coopqp.state import State
 
@@ -56,6 +56,10 @@ class ObjectSpeed(Limit):
             rows.h[:] = bounds
 
         return tighten
+
+    def program(self, chain: ClosedChain, dt: float) -> TwistBounds:
+        """The same components."""
+        return TwistBounds(components=range(6)[self._part], bounds=self._bounds.tolist())
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Speed left in each tick, with the Jacobian at its beginning."""

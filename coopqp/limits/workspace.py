@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.checked import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, damp, movers
+from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers
 from coopqp.mark import Mark, PlaneMark
 from coopqp.row import Row
 from coopqp.state import State
@@ -94,6 +94,14 @@ class Workspace(Limit):
                 np.multiply(G[k:], points.moved, rows.G[k:])
 
         return tighten
+
+    def program(self, chain: ClosedChain, dt: float) -> TwistBounds | None:
+        """The same plane; none with frames, which move with some of the joints."""
+        if self.frames:
+            return None
+        n, _, offset = self._plane()
+        points = self._points(chain)
+        return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
 
     def room(self, chain: ClosedChain) -> RoomLeft:
         """Distance of each point from the plane [m]."""

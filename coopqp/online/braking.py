@@ -14,9 +14,10 @@ import numpy as np
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import QPController
+from coopqp.memory import Memory
 from coopqp.online.acceleration import acceleration_of
 from coopqp.solver import Status
-from coopqp.state import Memory, State
+from coopqp.state import State
 
 
 class Braking:

@@ -61,6 +61,8 @@ class QPLaw(Law):
     Attributes:
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
+        stacks: the soft tasks of each level. exact: the hard and scaled tasks.
+        bounds: the limits. recovery: of joints outside of them. probe: looks ahead at the loops.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
             soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
@@ -68,14 +70,16 @@ class QPLaw(Law):
             :attr:`LaterLevel.pull`.
     """
 
+    engine = "python"
+
     def __init__(
         self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
     ) -> None:
         super().__init__(problem)
         chain, start = problem.chain, State(problem.chain)
         self._error_damping, self._reach = error_damping, chain.reach
-        self._bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
-        self._exact = exact = ExactTasks(problem, start)
+        self.bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
+        self.exact = exact = ExactTasks(problem, start)
         stacks = [TaskStack(group, start) for group in groups(problem)]
         rows = (*chain.loops.solver_rows, *exact.rows)
         self.first = Level(problem, stacks[0], rows, bounds, damping, exact.scaled_names)
@@ -85,18 +89,18 @@ class QPLaw(Law):
             if later.nothing_free:
                 break
             self._later.append(later)
-        self._stacks = stacks[: len(self._later) + 1]
+        self.stacks = stacks[: len(self._later) + 1]
         self.memory_sizes = {
             "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
             "missing": len(exact.scaled_names), "later pulls": len(self._later),
         }  # fmt: skip
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
-        self._probe = LoopProbe(problem)
-        self._recovery = Recovery(problem, start, error_damping)
+        self.probe = LoopProbe(problem)
+        self.recovery = Recovery(problem, start, error_damping)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
-        self._soft_ticks = round(SOFT_FOR / problem.dt)
+        self._soft_ticks = soft_ticks(problem)
 
     @property
     def qp(self) -> QP:
@@ -125,33 +129,38 @@ class QPLaw(Law):
             v, causes = self.first.v, (status,)
             if self._stops:
                 state.memory["stopped"][0] = 1.0
-        if self._recovery.active:
-            v, causes = self._recovery.rescue(v, causes)
-            command.drift = min(command.drift, self._recovery.share)
+        if self.recovery.active:
+            v, causes = self.recovery.rescue(v, causes)
+            command.drift = min(command.drift, self.recovery.share)
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
         command.say(*causes)
-        self._probe.shorten(state, command)
+        self.probe.shorten(state, command)
         return command
 
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
-        first, m, kappa = self.first, len(state.e_loop), self._probe.kappa(state)
-        self._bounds.update(state)
-        if self._recovery.begins(state):
-            self._recovery.decide(state, self._bounds, state.e_loop, kappa)
-            self._recovery.tighten(self._bounds)
-            kappa = self._probe.kappa(state, self._recovery.share)
-        for stack in self._stacks:
+        first, m, kappa = self.first, len(state.e_loop), self.limit(state)
+        for stack in self.stacks:
             stack.update(state)
         extra = self._step_damping(first.tasks, state)
         if self._has_exact:
-            self._exact.update(state)
-            self._exact.fill(first.qp.A[m:], first.b[m:])
+            self.exact.update(state)
+            self.exact.fill(first.qp.A[m:], first.b[m:])
             extra += self._exact_damping(state)
-        first.assemble(self._bounds, extra)
+        first.assemble(self.bounds, extra)
         loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
+
+    def limit(self, state: State) -> float:
+        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
+        kappa = self.probe.kappa(state)
+        self.bounds.update(state)
+        if self.recovery.begins(state):
+            self.recovery.decide(state, self.bounds, state.e_loop, kappa)
+            self.recovery.tighten(self.bounds)
+            kappa = self.probe.kappa(state, self.recovery.share)
+        return kappa
 
     def _step_damping(self, tasks: TaskStack, state: State) -> float:
         return step_damping(tasks.bend(state.v), self.problem.dt, self._error_damping)
@@ -161,7 +170,7 @@ class QPLaw(Law):
 
         The multiplier of a scaled task is SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
         """
-        share, scaled = self._error_damping * self.problem.dt, self._exact.scaled
+        share, scaled = self._error_damping * self.problem.dt, self.exact.scaled
         if not self._scales:
             hard: float = share * self._reach * state.memory["pull"][0]
             return min(hard, MOST_HARD_DAMPING)
@@ -193,14 +202,14 @@ class QPLaw(Law):
         for i, later in enumerate(self._later):
             pull = step_damping(pulls[i], self.problem.dt, self._error_damping)
             extra = self._step_damping(later.level.tasks, state) + min(pull, MOST_DAMPING)
-            status, v = later.improve(state, self._bounds, v, status, extra)
+            status, v = later.improve(state, self.bounds, v, status, extra)
             pulls[i] = later.pull
         return v, (status,)
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The answer of a smaller problem."""
-        kappa = self._probe.kappa(state)
-        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self._recovery)
+        kappa = self.probe.kappa(state)
+        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self.recovery)
         self.command.scale = 0.0 if self._scales else 1.0
         self.command.drift = outcome.drift
         return outcome.v, outcome.causes
@@ -211,3 +220,8 @@ class QPLaw(Law):
         command.say(*causes)
         command.scale = 0.0 if self._scales else 1.0
         return command
+
+
+def soft_ticks(problem: ControlProblem) -> int:
+    """For how many more ticks hard tasks stay soft that were given up."""
+    return round(SOFT_FOR / problem.dt)

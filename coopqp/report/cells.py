@@ -43,7 +43,7 @@ COLUMNS = {
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
-    "solver": Column("Solver", "", "The QP solver; none for closed formulas."),
+    "solver": Column("Solver", "", "The QP solver, or the kernel; none for closed formulas."),
 }  # fmt: skip
 
 
@@ -83,8 +83,14 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         "loop": Cell(gap, opened),
         "failed": _failed(metrics),
         "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
-        "solver": Cell((metrics["solver"] or "none",)),
+        "solver": Cell((_solver(metrics),)),
     }
+
+
+def _solver(metrics: Mapping[str, Any]) -> str:
+    """What solved the QPs."""
+    engine = metrics["engine"] or {"name": "python"}
+    return "kernel" if engine["name"] == "kernel" else metrics["solver"] or "none"
 
 
 def _limit(trace: Trace, overrun: float, unit: str) -> Cell:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from coopqp.controller import Controller
+from coopqp.controllers.qp import QPController
+from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
@@ -19,7 +21,8 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    After it comes what limits cannot bound, what a tick is too long for, and goals that are far.
+    After it comes that the kernel is not built, what limits cannot bound, what a tick is too long
+    for, and goals that are far.
 
     Args:
         scenario: what is to be run.
@@ -34,11 +37,18 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
         *deaf_to,
+        *_without_kernel(chosen),
         *of_limits,
         *_coarse_steps(scenario),
         *far_goals(scenario),
         *_of_inputs(scenario),
     ]
+
+
+def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
+    """One line where ticks could be compiled, but are not."""
+    asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
+    return [native.MISSING] if asked and native.module() is None else []
 
 
 def _of_inputs(scenario: Scenario) -> Iterator[str]:

@@ -7,6 +7,8 @@ stop anywhere on the flat.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import daqp
 import numpy as np
 
@@ -31,6 +33,8 @@ WORTH_ANOTHER_TRY = (-1, -2)  # infeasible, cycling
 @spec
 class Daqp(Solver):
     """DAQP: dual active set, exact and the fastest here; the default."""
+
+    kernel_instead: ClassVar[bool] = True
 
     primal_tol: Positive = 1e-9
     """Largest overrun of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
+from coopqp.controllers.qp import QPController
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
 from coopqp.reading import absolute
@@ -42,9 +43,9 @@ def recorded_tick(
     if phase:
         # The arms that hold from here on took hold where the trace says that they were.
         problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
-        built = scenario.controllers[chosen].build(list(islice(problems, phase + 1))[-1])
-        assert isinstance(built, QPLaw)  # as in the first phase
-        law = built
+        plugin = scenario.controllers[chosen]
+        assert isinstance(plugin, QPController)  # as in the first phase
+        law = plugin.plain(list(islice(problems, phase + 1))[-1])
     state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = absolute(path.parent).name
     return record_tick(law, state, scenario=name, controller=chosen, tick=k)
@@ -73,8 +74,6 @@ def _qp_laws(scenario: Scenario, names: Sequence[str]) -> dict[str, QPLaw]:
     laws = {}
     for name in names:
         plugin = scenario.controllers.get(name)
-        if plugin is not None and not plugin.commands_torques:
-            law = plugin.build(scenario.held_by(name).problem())
-            if isinstance(law, QPLaw):
-                laws[name] = law
+        if isinstance(plugin, QPController):
+            laws[name] = plugin.plain(scenario.held_by(name).problem())
     return laws

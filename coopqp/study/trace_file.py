@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.controller import Law
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
 from coopqp.input import wanted
-from coopqp.qp_law.law import QPLaw
 from coopqp.recordings.column import split
 from coopqp.recordings.known import controllers_of, format_of
 from coopqp.scenario.scenario import Scenario
@@ -181,7 +181,7 @@ def _last_errors(rows: Sequence[_Row]) -> dict[str, float]:
 
 
 def state_from_trace(
-    path: Path, controller: str, tick: int, law: QPLaw, t_start: float = 0.0
+    path: Path, controller: str, tick: int, law: Law, t_start: float = 0.0
 ) -> State:
     """The state that a tick of a written trace decided from; the law's tick repeats it.
 
@@ -227,7 +227,7 @@ def state_from_trace(
     return state
 
 
-def _read_inputs(row: _Row, law: QPLaw, state: State) -> None:
+def _read_inputs(row: _Row, law: Law, state: State) -> None:
     """What was made of the inputs, into a state."""
     problem, followed = law.problem, Followed()
     for name, (kind, _) in wanted((*problem.tasks, *problem.secondary), law.start()).items():

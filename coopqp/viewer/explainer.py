@@ -11,6 +11,7 @@ from dataclasses import replace
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.controller_run import controller_of
+from coopqp.controllers import QPController
 from coopqp.errors import CoopqpError
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.scenario import Scenario
@@ -52,7 +53,8 @@ class _Own:
         held = turned(scenario, placed.dials).held_by(placed.law)
         chosen = controller_of(held, placed.law)
         self._problem = _problem(held, placed.starts)
-        self._law = chosen.build(self._problem)
+        ticks = chosen.plain if isinstance(chosen, QPController) else chosen.build
+        self._law = ticks(self._problem)
         # A law that keeps no limits is held back by none.
         heeded = self._problem.limits if "limits" in chosen.heeds else ()
         self._bounded = replace(self._problem, limits=heeded)

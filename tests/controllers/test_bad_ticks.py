@@ -149,9 +149,16 @@ def test_tick_leaves_the_state_alone_and_answers_alike_twice(
 ) -> None:
     law = controller.build(problem(chain, PointOnPoint(goal=NEAR, profile=STEP), limits=LIMITS))
     state = law.start()
-    arrays = (state.q, state.v, state.J_ext, state.loop_error, state.p_WO, state.R_WO)
-    before = [a.copy() for a in arrays]
-    first = law.tick(state).v.copy()
+
+    def arrays() -> list[Array]:
+        seen = state.q, state.v, state.J_ext, state.loop_error, state.p_WO, state.R_WO
+        return [a.copy() for a in seen]
+
+    before = arrays()
+    first, after = law.tick(state).v.copy(), arrays()
     np.testing.assert_array_equal(law.tick(state).v, first)
-    for a, b in zip(arrays, before, strict=True):
-        np.testing.assert_array_equal(a, b)
+    for a, b, c in zip(before, after, arrays(), strict=True):
+        # The kernel rounds otherwise than pinocchio, which has computed what there was before.
+        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-15 if law.compiled else 0.0)
+        np.testing.assert_array_equal(c, b)
+    np.testing.assert_array_equal(after[:2], before[:2])

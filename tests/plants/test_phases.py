@@ -13,7 +13,7 @@ from scenario_files import HEAD, NO_DRIFT, PHASES, TAIL, phased
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.controller import Command, ControlProblem
+from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controller_run import run
 from coopqp.disturbance import Disturbance
 from coopqp.errors import GraspError
@@ -21,7 +21,6 @@ from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.plant import PlantModel
 from coopqp.plants import Kinematic, Mujoco, RigidBody
-from coopqp.qp_law.law import QPLaw
 from coopqp.solvers import Daqp
 from coopqp.state import State
 
@@ -122,11 +121,11 @@ def test_the_law_sees_the_velocity_after_the_impact(
 ) -> None:
     first: dict[int, tuple[ClosedChain, Array, Array]] = {}
 
-    def tick(law: QPLaw, state: State, real: object = QPLaw.tick) -> Command:
+    def tick(law: Law, state: State, real: object = Law.tick) -> Command:
         first.setdefault(id(law), (state.chain, state.J_loop.copy(), state.v.copy()))
         return real(law, state)  # type: ignore[operator, no-any-return]
 
-    monkeypatch.setattr(QPLaw, "tick", tick)
+    monkeypatch.setattr(Law, "tick", tick)
     move = "posture: {name: away, goal: {left: [0.5, 0.5, -1.0, -0.7, 0.1]}, gain: 5,"
     text = HEAD + PHASES + NO_DRIFT + "plant: rigid_body\n"
     assert move in text

@@ -153,7 +153,7 @@ def test_faults_in_a_later_level_cost_only_that_level(chain: ClosedChain) -> Non
 
     centre = [JointCentering(name="centre")]
     law = PLAIN.build(problem(chain, REACH, secondary=centre, solver=SecondFails()))
-    alone = PLAIN.build(problem(chain, REACH))
+    alone = PLAIN.plain(problem(chain, REACH))
     command = law.tick(law.start())
     assert command.status is Status.INACCURATE
     np.testing.assert_array_equal(command.v, alone.tick(alone.start()).v)

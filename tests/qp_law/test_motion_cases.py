@@ -103,7 +103,7 @@ def test_joints_that_cannot_come_back_do_not_rattle(name: str) -> None:
 def test_a_hard_task_that_was_given_up_is_tried_again(chain: ClosedChain) -> None:
     """On the way a joint comes to its limit; at the goal nothing is in the way any more."""
     reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), mode="hard")
-    law = QPController().build(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
+    law = QPController().plain(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
     state = law.start()
     seen = [command.status for command in ticks(law, state, 300)]
     assert seen.count(Status.TASKS_GIVEN_UP) % 21 == 0
@@ -139,9 +139,9 @@ def test_a_slip_at_low_speed_does_not_freeze_the_arms(chain: ClosedChain) -> Non
 def test_zero_velocity_for_the_loop_budget_is_a_failed_tick(chain: ClosedChain) -> None:
     """A loop that is open beyond a budget which no step can keep."""
     reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), profile=Profile(kind="step"))
-    law = QPController().build(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
+    law = QPController().plain(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
     state = law.start(slightly_open(chain, 1e-4))
-    law._probe.within = lambda state, v: False  # type: ignore[method-assign]
+    law.probe.within = lambda state, v: False  # type: ignore[method-assign]
     command = law.tick(state)
     assert command.status is Status.LOOP_BUDGET
     assert not command.status.usable

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from coopqp.comparison import Comparison, compare
+from coopqp.controllers import QPController
 from coopqp.qp_law.law import QPLaw
 from coopqp.report import files
 from coopqp.scenario.loader import load
@@ -32,6 +33,6 @@ def trace_csv(compared: Comparison, tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.fixture(scope="session")
 def law(scenario: Scenario) -> QPLaw:
-    built = scenario.controllers["qp"].build(scenario.problem())
-    assert isinstance(built, QPLaw)
-    return built
+    controller = scenario.controllers["qp"]
+    assert isinstance(controller, QPController)
+    return controller.plain(scenario.problem())

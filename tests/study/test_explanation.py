@@ -254,8 +254,7 @@ def test_rows_that_firm_hands_rule_out_are_said_to_be_impossible(
 def test_pose_that_hinges_allow_is_not_impossible() -> None:
     """The same pose with a hinge in each hand has all six motions."""
     hinged = load("passive_grasp_pose").problem()
-    law = QPController().build(replace(hinged, tasks=(replace(POSE, gain=5.0),), budget=WIDE))
-    assert isinstance(law, QPLaw)
+    law = QPController().plain(replace(hinged, tasks=(replace(POSE, gain=5.0),), budget=WIDE))
     assert explain(record(law, law.start())).impossible == ()
 
 
@@ -274,8 +273,7 @@ def test_tick_that_misses_nothing_says_so(mode: str, chain: ClosedChain) -> None
 def test_ordinary_tick_meets_its_tasks(name: str) -> None:
     """No joint of these comes near a limit; all that is missing is what the damping costs."""
     given = coopqp.load(name).problem()
-    law = QPController().build(given)
-    assert isinstance(law, QPLaw)
+    law = QPController().plain(given)
     state = law.start()
     for tick, _ in enumerate(ticks(law, state, 200)):
         kept = record(law, state, tick)
@@ -346,8 +344,7 @@ def test_what_is_at_its_bound_comes_first_and_the_rest_is_said_to_come_next() ->
     slow = replace(
         load("point_on_point"), limits=(JointPosition(), JointVelocity(scale=0.05))
     ).problem()
-    law = QPController().build(slow)
-    assert isinstance(law, QPLaw)
+    law = QPController().plain(slow)
     state = law.start()
     for _ in ticks(law, state, 80):
         pass

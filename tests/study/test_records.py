@@ -143,7 +143,7 @@ def test_replay_checks_against_the_budget_of_the_run(chain: ClosedChain) -> None
 
 def test_recording_a_stop_keeps_the_memory_from_before_the_tick(chain: ClosedChain) -> None:
     """The state that the tick began with had not stopped yet."""
-    law = QPController().build(problem(chain, replace(POSE, mode="hard"), on_infeasible="stop"))
+    law = QPController().plain(problem(chain, replace(POSE, mode="hard"), on_infeasible="stop"))
     kept = record(law, law.start())
     assert kept.memory == [0.0] * len(law.start().memory.numbers)
 

@@ -35,7 +35,6 @@ def test_tick_of_a_written_trace_is_done_again_bit_for_bit(
 ) -> None:
     """A new law, the state from the file: the command of the run."""
     law = scenario.controllers["qp"].build(scenario.problem())
-    assert isinstance(law, QPLaw)
     state = state_from_trace(trace_csv, "qp", tick, law)
     trace = compared.traces["qp"]
     assert state.t == trace.t[tick]
@@ -57,7 +56,6 @@ def test_trace_with_acceleration_limits_and_shares_is_done_again(
     done = compare(given, controllers=["qp"])
     files.write(done, tmp_path)
     law = given.controllers["qp"].build(given.problem())
-    assert isinstance(law, QPLaw)
     command = law.tick(state_from_trace(tmp_path / "trace.csv", "qp", tick, law))
     np.testing.assert_array_equal(command.v, done.traces["qp"].v[tick])
     assert command.scale == done.traces["qp"].scale[tick]

@@ -1,0 +1,80 @@
+"""The kernel and the plain law side by side: ticks from Python in alternation, and whole runs.
+
+python benchmarks/kernel.py           a table in us, and ratios
+python benchmarks/kernel.py --runs    verified ticks a second on one and on two threads
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from statistics import median
+from time import perf_counter, perf_counter_ns
+
+from test_scaling import job
+
+from coopqp.controller import ControlProblem, Law
+from coopqp.controllers import QPController
+from coopqp.kernel.law import KernelLaw
+from coopqp.scenario.loader import load
+from coopqp.tasks import JointCentering
+
+ROUNDS, TICKS, MOTIONS = 15, 300, 40
+SCENARIOS = ("point_on_point", "baxter_tray", "two_pandas", "three_ur", "tiago_torso", "regrasp")
+ARMS = (2, 3, 4, 8)
+
+
+def problems() -> Iterator[tuple[str, ControlProblem]]:
+    """Shipped scenarios, then seven-joint arms round one object, all with joint centring."""
+    for name in SCENARIOS:
+        yield name, load(name).problem()
+    for count in ARMS:
+        yield f"{count} arms", replace(job(count), secondary=[JointCentering(gain=0.5)])
+
+
+def tick_us(law: Law) -> float:
+    """Median of a motion [us]."""
+    state, times = law.start(), []
+    for _ in range(TICKS):
+        before = perf_counter_ns()
+        command = law.tick(state)
+        times.append(perf_counter_ns() - before)
+        state.advance(command.v, law.problem.dt)
+    return 1e-3 * median(times)
+
+
+def table() -> None:
+    """Medians of rounds that take turns, and the best of each."""
+    print(f"{'':16} {'kernel':>8} {'python':>8} {'ratio':>7} {'best':>6} {'best':>6} {'ratio':>7}")
+    for name, problem in problems():
+        laws = [QPController(engine=engine).build(problem) for engine in ("kernel", "python")]
+        rounds = [[tick_us(law) for law in laws] for _ in range(ROUNDS)]
+        kernel, python = (sorted(times) for times in zip(*rounds, strict=True))
+        ratio = median(p / k for k, p in rounds)
+        line = f"{name:16} {median(kernel):8.2f} {median(python):8.1f} {ratio:7.1f}"
+        print(f"{line} {kernel[0]:6.2f} {python[0]:6.1f} {python[0] / kernel[0]:7.1f}", flush=True)
+
+
+def motions(law: Law) -> None:
+    """Many of them, one after the other."""
+    assert isinstance(law, KernelLaw)
+    for _ in range(MOTIONS):
+        law.run(law.start(), TICKS)
+
+
+def runs() -> None:
+    """Whole motions in C++, a kernel a thread."""
+    for name, problem in problems():
+        laws = [QPController(engine="kernel").build(problem) for _ in range(2)]
+        for count in (1, 2):
+            before = perf_counter()
+            with ThreadPoolExecutor(count) as pool:
+                list(pool.map(motions, laws[:count]))
+            rate = count * MOTIONS * TICKS / (perf_counter() - before)
+            print(f"{name:16} {count} threads {rate:10.0f} ticks/s", flush=True)
+
+
+if __name__ == "__main__":
+    runs() if "--runs" in sys.argv else table()

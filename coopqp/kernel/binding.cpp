@@ -1,0 +1,284 @@
+// The kernel as a Python class. Arrays are bound once; the GIL is released while it works.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/vector.h>
+
+#include <atomic>
+#include <cstdlib>
+
+#include "reading.hpp"
+
+using namespace nb::literals;
+
+// Of its own name in each variant, so that two of them may be imported side by side.
+namespace KERNEL_MODULE {
+
+// Rows that Python fills, and where they go.
+struct Filled {
+    const double *e, *J, *rate;
+    int level, at, rows;
+    double weight, gain;  // of joint objectives
+    bool joints;
+};
+
+struct FilledLimits {
+    const double *lb, *ub, *G, *h;
+    std::size_t rows;
+};
+
+class Engine {
+  public:
+    explicit Engine(const nb::dict& d) {
+        auto arena = std::make_unique<coopqp::Arena>();
+        auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
+        std::vector<coopqp::Level> levels;
+        for (nb::handle level : nb::cast<nb::list>(d["levels"]))
+            levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
+        const auto settings = settings_of(nb::cast<nb::dict>(d["settings"]));
+        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"])) {
+            program_.primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+            const auto& p = program_.primitives.back();
+            if (p.kind != coopqp::Kind::Posture) continue;
+            const std::size_t stride = std::size_t(model->blocks) * coopqp::LANES;
+            double* J = levels[std::size_t(p.level)].J + std::size_t(p.at) * stride;
+            for (std::size_t i = 0; i < p.rows.size(); i++)
+                J[i * stride + std::size_t(model->joints[std::size_t(p.rows[i])].lane)] = 1.0;
+        }
+        bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
+        for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
+            twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
+        const auto flags = integers(d, "kept");
+        std::vector<std::vector<int>> kept(flags.size() / 6);
+        for (std::size_t i = 0; i < flags.size(); i++)
+            if (flags[i]) kept[i / 6].push_back(int(i % 6));
+        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model), kept,
+                                                   settings, std::move(levels));
+    }
+
+    void bind_state(const Numbers& q, const Numbers& v_last, const Numbers& gap,
+                    const Written& p_WO, const Written& R_WO, const Written& loop_error,
+                    const Written& drift, const Written& q_seen,
+                    const Written& later_pulls, const Written& hard_pull,
+                    const Written& missing) {
+        auto& b = kernel_->bound;
+        b.q = q.data();
+        b.v_last = v_last.data();
+        b.gap = gap.data();
+        b.p_WO = p_WO.data();
+        b.R_WO = R_WO.data();
+        b.loop_error = loop_error.data();
+        b.drift = drift.data();
+        b.q_seen = q_seen.data();
+        b.later_pulls = later_pulls.data();
+        b.hard_pull = hard_pull.data();
+        b.missing = missing.data();
+        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, later_pulls,
+                                hard_pull, missing);
+    }
+
+    void bind_command(const Written& v) {
+        kernel_->bound.v = v.data();
+        command_ = nb::cast(v);
+    }
+
+    void bind_measured(const Numbers& q) {
+        bounds_.q_measured = q.data();
+        measured_ = nb::cast(q);
+    }
+
+    // Limits that Python fills: bounds beside those of the kernel, and rows after the kernel's.
+    void bind_limits(const Numbers& lb, const Numbers& ub, const Numbers& G, const Numbers& h) {
+        filled_limits_ = {lb.data(), ub.data(), G.data(), h.data(), h.size()};
+        limits_ = nb::make_tuple(lb, ub, G, h);
+    }
+
+    void bind_rows(const Numbers& e, const Numbers& J, const Numbers& rate, int level, int at,
+                   bool joints, double weight, double gain) {
+        filled_.push_back(
+            {e.data(), J.data(), rate.data(), level, at, int(e.size()), weight, gain, joints});
+        rows_.append(nb::make_tuple(e, J, rate));
+    }
+
+    void bind_reference(std::size_t primitive, const Numbers& c, const Numbers& RT,
+                        const Numbers& c_dot, const Numbers& omega) {
+        program_.primitives.at(primitive).reference.followed = {c.data(), RT.data(), c_dot.data(),
+                                                                omega.data()};
+        rows_.append(nb::make_tuple(c, RT, c_dot, omega));
+    }
+
+    // A whole tick of a problem of which Python fills nothing.
+    int tick(double t) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        nb::gil_scoped_release released;
+        const int status = evaluate(t);
+        return status ? status : int(kernel_->solve());
+    }
+
+    // The same where Python has filled limits, rows of some tasks, or what some of them follow.
+    int tick_with_rows(double t) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        nb::gil_scoped_release released;
+        const int status = evaluate(t);
+        if (status) return status;
+        for (const Filled& rows : filled_) take_rows(rows);
+        if (filled_limits_.lb) take_limits();
+        return int(kernel_->solve());
+    }
+
+    // The same within other bounds as well, with a gain of the drift correction, wherever joints are.
+    int tick_coming_back(double t, double kappa, const Numbers& lb, const Numbers& ub) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        nb::gil_scoped_release released;
+        const int status = evaluate(t);
+        if (status) return status;
+        for (const Filled& rows : filled_) take_rows(rows);
+        if (filled_limits_.lb) take_limits();
+        take_bounds(lb.data(), ub.data());
+        return int(kernel_->solve(kappa));
+    }
+
+    // Ticks and steps q += v dt until a tick is not optimal, from the state that is bound, on joints
+    // that do as told. Written: q before each tick and at the end, v of each tick. Returns how many
+    // ticks were done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v, const Written& q_now,
+            const Written& v_now, int ticks) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const std::size_t n = kernel_->model().joints.size();
+        if (q.size() < n * std::size_t(ticks + 1) || v.size() < n * std::size_t(ticks) ||
+            q_now.data() != kernel_->bound.q || v_now.data() != kernel_->bound.v_last)
+            return BUSY;
+        nb::gil_scoped_release released;
+        const double dt = kernel_->settings().dt;
+        const double* decided = kernel_->bound.v;
+        int done = 0;
+        for (; done < ticks; done++) {
+            std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
+            if (evaluate(t)) break;
+            if (kernel_->solve() != coopqp::Status::Optimal) break;
+            for (std::size_t j = 0; j < n; j++) {
+                q_now.data()[j] += dt * decided[j];
+                v_now.data()[j] = v.data()[std::size_t(done) * n + j] = decided[j];
+            }
+            t += dt;
+        }
+        std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
+        return done;
+    }
+
+    // e, J and rate of a level's rows, one row after the other, for tests.
+    std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
+
+    std::vector<double> worst() const {
+        return {kernel_->check().worst_primal, kernel_->check().worst_dual};
+    }
+
+  private:
+    static constexpr int BUSY = -1;
+
+    int evaluate(double t) {
+        const int status = int(kernel_->update(t));
+        if (status) return status;
+        for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
+        const auto& m = kernel_->model();
+        const auto& bound = kernel_->bound;
+        program_.run(t, kernel_->kinematics, m, bound.q, kernel_->levels);
+        bounds_.update(m, bound.q, bound.v_last, kernel_->lb, kernel_->ub);
+        twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), kernel_->G, kernel_->h);
+        return 0;
+    }
+
+    // One thread at a time: another is told so.
+    struct Use {
+        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_.test_and_set()) {}
+        ~Use() {
+            if (alone) engine.busy_.clear();
+        }
+        Engine& engine;
+        bool alone;
+    };
+
+    // Also where they are no numbers.
+    void take_bounds(const double* least, const double* most) {
+        const auto& joints = kernel_->model().joints;
+        for (std::size_t j = 0; j < joints.size(); j++) {
+            double &lb = kernel_->lb[joints[j].lane], &ub = kernel_->ub[joints[j].lane];
+            if (!(least[j] <= lb)) lb = least[j];
+            if (!(most[j] >= ub)) ub = most[j];
+        }
+    }
+
+    void take_limits() {
+        const FilledLimits& f = filled_limits_;
+        const auto& joints = kernel_->model().joints;
+        const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
+        take_bounds(f.lb, f.ub);
+        const std::size_t first = kernel_->h.size() - f.rows;
+        for (std::size_t i = 0; i < f.rows; i++) {
+            kernel_->h[first + i] = f.h[i];
+            for (std::size_t j = 0; j < n; j++)
+                kernel_->G[(first + i) * stride + std::size_t(joints[j].lane)] = f.G[i * n + j];
+        }
+    }
+
+    void take_rows(const Filled& rows) {
+        auto& level = kernel_->levels[std::size_t(rows.level)];
+        const auto& joints = kernel_->model().joints;
+        const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
+        if (rows.joints) {
+            for (std::size_t j = 0; j < n; j++)
+                level.wish[joints[j].lane] +=
+                    rows.weight * (rows.rate[j] - rows.gain * rows.e[j]);
+            return;
+        }
+        for (std::size_t s = 0; s < std::size_t(rows.rows); s++) {
+            const std::size_t to = std::size_t(rows.at) + s;
+            level.e[to] = rows.e[s];
+            level.rate[to] = rows.rate[s];
+            for (std::size_t j = 0; j < n; j++)
+                level.J[to * stride + std::size_t(joints[j].lane)] = rows.J[s * n + j];
+        }
+    }
+
+    std::unique_ptr<coopqp::Kernel> kernel_;
+    coopqp::Program program_;
+    coopqp::Bounds bounds_;
+    std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
+    coopqp::TwistLimits twist_limits_;
+    FilledLimits filled_limits_{};
+    std::vector<Filled> filled_;
+    nb::object state_, command_, limits_, measured_;
+    nb::list rows_;
+};
+
+}  // namespace KERNEL_MODULE
+
+using KERNEL_MODULE::Engine;
+
+NB_MODULE(KERNEL_MODULE, m) {
+    nb::class_<Engine>(m, "Engine")
+        .def(nb::init<const nb::dict&>())
+        .def("bind_state", &Engine::bind_state)
+        .def("bind_command", &Engine::bind_command)
+        .def("bind_limits", &Engine::bind_limits)
+        .def("bind_measured", &Engine::bind_measured)
+        .def("bind_rows", &Engine::bind_rows)
+        .def("bind_reference", &Engine::bind_reference)
+        .def("tick", &Engine::tick)
+        .def("tick_with_rows", &Engine::tick_with_rows)
+        .def("tick_coming_back", &Engine::tick_coming_back)
+        .def("run", &Engine::run)
+        .def("rows", &Engine::rows)
+        .def("worst", &Engine::worst);
+    m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
+    m.def("has_avx2", [] {
+#if defined(__x86_64__) || defined(__i386__)
+        return bool(__builtin_cpu_supports("avx2"));
+#else
+        return false;
+#endif
+    });
+}

@@ -1,0 +1,112 @@
+"""One program of the kernel: levels of tasks and limits, and who fills what of it each tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.kernel import native
+from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
+from coopqp.kernel.levels import Group, Levels
+from coopqp.kernel.limits import Limits
+from coopqp.memory import Memory
+from coopqp.qp_law.bounds import Bounds
+from coopqp.state import State
+
+
+class Outcome(IntEnum):
+    """What became of a tick of the kernel, numbered as in ``core/status.hpp``."""
+
+    BUSY = -1
+    OPTIMAL = 0
+    INACCURATE = 1
+    INFEASIBLE = 2
+    ITERATIONS = 3
+    NOT_FINITE = 4
+    EQUALITY = 5
+    BOUND = 6
+    SINGULAR = 7
+    OPENS = 8
+    OUTSIDE = 9
+    SHORTENED = 10
+    UNPROVEN = 11
+
+
+class Compiled:
+    """Tasks and limits that the kernel decides by.
+
+    Args:
+        problem: what to control.
+        groups: its tasks, a level each.
+        limits: its limits; whoever owns them updates them.
+        damping: cost of |v|^2.
+        error_damping: share of the damping that rules out any overshoot.
+        v: where velocities are written, shape (n,).
+
+    Attributes:
+        engine: of the compiled module.
+        alone: whether nothing is Python's.
+        outcome: of the last tick, one of :class:`Outcome`.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        groups: Sequence[Group],
+        limits: Limits,
+        damping: float,
+        error_damping: float,
+        v: Array,
+    ) -> None:
+        chain, filled = problem.chain, limits.filled
+        self._levels = levels = Levels(groups, State(chain))
+        self.alone = levels.compiled and limits.compiled
+        self.outcome = int(Outcome.BUSY)
+        found = native.module()
+        assert found is not None  # whoever builds this has asked coopqp.kernel.law.why_not
+        self.engine = found.Engine({
+            "model": flat_model(chain),
+            "kept": kept_rows(chain),
+            "levels": levels.flat,
+            "primitives": levels.primitives,
+            "joint_limits": limits.joints,
+            "twist_limits": limits.twist,
+            "settings": flat_settings(problem, damping, error_damping, limits.rows),
+        })  # fmt: skip
+        self.engine.bind_command(v)
+        if limits.q_measured is not None:
+            self.engine.bind_measured(limits.q_measured)
+        if filled is not None:
+            self.engine.bind_limits(filled.lb, filled.ub, filled.G, filled.h)
+        for task in levels.filled:
+            self.engine.bind_rows(*task.bound)
+        for primitive, at in levels.followed:
+            self.engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
+
+    def bind(self, state: State, memory: Memory) -> None:
+        """Show it the arrays of a state."""
+        remembered = (memory["later pulls"], memory["pull"], memory["missing"])
+        self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
+
+    def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
+        """Decide, and return what became of it: INFEASIBLE only where that is proved.
+
+        Where Python fills rows, the state's kinematics and the limits must be up to date.
+
+        Args:
+            state: of the tick, bound before.
+            within: bounds of joints that may be outside their limits; where there are none, a joint
+                outside is an outcome.
+            kappa: gain of the drift correction, with these bounds.
+        """
+        if self.alone and within is None:
+            self.outcome = self.engine.tick(state.t)
+            return self.outcome
+        self._levels.update(state)
+        if within is None:
+            self.outcome = self.engine.tick_with_rows(state.t)
+        else:
+            self.outcome = self.engine.tick_coming_back(state.t, kappa, within.lb, within.ub)
+        return self.outcome

@@ -1,0 +1,99 @@
+// Limits on each joint's velocity, as coopqp.limits has them.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "model.hpp"
+#include "problem.hpp"
+
+namespace coopqp {
+
+// One limit whose bounds change from tick to tick; what they mean depends on the kind.
+struct JointLimit {
+    enum Kind {
+        Velocity,  // lower, upper: of v
+        Position,  // of q; speed: fastest way back from outside
+        Braking,   // of q, which no joint may come to faster than it can brake; step: change of v
+        Lead,      // of q - q_measured
+    };
+    Kind kind;
+    std::vector<double> lower, upper, step;
+    double speed;
+};
+
+class Bounds {
+  public:
+    Bounds() = default;
+    Bounds(std::size_t joints, double dt)
+        : lower(joints, -1e300), upper(joints, 1e300), rate_(1.0 / dt), rounding_(OUTSIDE / dt),
+          dt_(dt) {}
+
+    std::vector<double> lower, upper;  // constant ones
+    const double* q_measured = nullptr;
+
+    void take(JointLimit limit) {
+        if (limit.kind != JointLimit::Velocity) return limits_.push_back(std::move(limit));
+        for (std::size_t j = 0; j < lower.size(); j++) {
+            lower[j] = std::max(lower[j], limit.lower[j]);
+            upper[j] = std::min(upper[j], limit.upper[j]);
+        }
+    }
+
+    // Limits tighten in their order, since braking heeds those before it.
+    void update(const Model& m, const double* q, const double* v, double* lb, double* ub) const {
+        for (std::size_t j = 0; j < lower.size(); j++) {
+            double least = lower[j], most = upper[j];
+            for (const JointLimit& limit : limits_) {
+                if (limit.kind == JointLimit::Position)
+                    keep_place(limit, j, q[j], least, most);
+                else if (limit.kind == JointLimit::Braking)
+                    brake(limit, j, q[j], v[j], least, most);
+                else if (q_measured && std::isfinite(q_measured[j]))
+                    lead(limit, j, q[j] - q_measured[j], least, most);
+            }
+            lb[m.joints[j].lane] = least;
+            ub[m.joints[j].lane] = most;
+        }
+    }
+
+  private:
+    void keep_place(const JointLimit& p, std::size_t j, double q, double& least,
+                    double& most) const {
+        const double below = (p.lower[j] - q) * rate_, above = (p.upper[j] - q) * rate_;
+        least = std::max(least, std::min(below, 0.0));
+        most = std::min(most, std::max(above, 0.0));
+        if (below > rounding_) most = std::min(most, p.speed);
+        if (above < -rounding_) least = std::max(least, -p.speed);
+    }
+
+    // Braking comes before the acceleration limit, other limits come before both.
+    void brake(const JointLimit& p, std::size_t j, double q, double v, double& least,
+               double& most) const {
+        const double step = p.step[j], low = -fastest(q - p.lower[j], step),
+                     high = fastest(p.upper[j] - q, step);
+        const double slowest = std::min(std::max(v - step, low), high);
+        const double quickest = std::min(std::max(v + step, low), high);
+        const double floor = least, ceiling = most;
+        least = std::min(std::max(slowest, floor), ceiling);
+        most = std::min(std::max(quickest, floor), ceiling);
+    }
+
+    // On the chords of coopqp.limits.joint_acceleration.
+    double fastest(double room, double step) const {
+        const double s = std::max(room * (2.0 / (step * dt_)), 0.0);
+        const double ticks = std::max(std::nearbyint(std::sqrt(s + 0.25)), 1.0);
+        return (s / ticks + ticks - 1.0) * (0.5 * step);
+    }
+
+    void lead(const JointLimit& p, std::size_t j, double ahead, double& least,
+              double& most) const {
+        least = std::max(least, std::min((p.lower[j] - ahead) * rate_, 0.0));
+        most = std::min(most, std::max((p.upper[j] - ahead) * rate_, 0.0));
+    }
+
+    std::vector<JointLimit> limits_;
+    double rate_ = 0.0, rounding_ = 0.0, dt_ = 0.0;
+};
+
+}  // namespace coopqp

@@ -1,0 +1,324 @@
+// Each level's answer against the program itself, as coopqp.solver.Verifier does it.
+//
+// The rows are those of the Jacobians, the tasks and the limits, never the factors that the answer
+// came from; what is judged is what is left of the gradient, in joint space (multipliers.hpp).
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "multipliers.hpp"
+#include "shares.hpp"
+
+namespace coopqp {
+
+constexpr int MOST_PASSES = 4;       // multipliers are refined until the certificate is good
+constexpr double FASTEST = 1e6;      // of joints without a limit, in proofs that there is no motion
+constexpr double ROUNDING = 1e-4;    // most that rounding excuses, as coopqp.solver
+constexpr double EPSILON = 2.220446049250313e-16;
+constexpr double CLEARLY = 3.5e-7;   // [rad/s] by which all constraints may give way and still clash
+
+struct Outcome {
+    Status status;
+    double pull;  // LaterLevel.pull, or the sum of the hard rows' multipliers
+};
+
+class Check {
+  public:
+    Check(const Model& model, const Rows& rows, const Loops& loops, Hierarchy& hierarchy,
+          Shares& shares, const Settings& settings, const std::vector<Level>& levels,
+          const std::vector<std::vector<int>>& kept, Arena& arena)
+        : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
+          levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
+          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
+          y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
+
+    // Largest residuals since the beginning, for who wants to know.
+    double worst_primal = 0.0, worst_dual = 0.0;
+
+    void aim(const double* b) { b_ = b; }
+
+    // Judge v, which is clipped to its bounds on the way.
+    //   first: how many coordinates of the hierarchy were decided when the level could choose.
+    //   d: damping. before: answer of the levels before.
+    Outcome judge(int l, int first, double d, double* v, const double* before,
+                  const LeastDistance& nearest, const double* lb, const double* ub,
+                  const double* G, const std::vector<double>& h) {
+        const double mu = std::min(d, SCALE_WEIGHT);
+        const double overrun = std::hypot(clip(v, lb, ub), l == 0 ? clip_shares() : 0.0);
+        double above = 0.0, V[6];
+        const int p = s_.inequalities;
+        for (int i = 0; i < p; i++) {
+            const std::size_t at = std::size_t(i);
+            slack_[at] = h[at] - dot(G + at * rows_.stride(), v, m_.blocks);
+            if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
+        }
+        above = std::sqrt(above);
+        rows_.object_twist(v, V);
+        const double gap = std::sqrt(loop_gap(v) + decided_gap(l, v, before, V));
+        gradient(l, d, v, V, nearest, G);
+        double off = 0.0;
+        Outcome outcome{Status::Optimal, 0.0};
+        if (l > 0) outcome.pull = y_.pull(l, first, d, v);
+        for (int pass = 0; pass < MOST_PASSES; pass++) {
+            y_.balance(first);
+            off = distance(v, lb, ub, mu, nearest.active > 0);
+            if (l == 0 && shares_.count()) off = std::hypot(off, share_distance(mu));
+            if (off <= s_.budget.accuracy) break;
+        }
+        if (l == 0)
+            for (int i = 0; i < levels_[0].exact; i++) outcome.pull += std::fabs(y_.of_exact(i));
+        off += idle(mu);
+        worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
+        worst_dual = std::max(worst_dual, off);
+        if (!(gap + off + above + overrun < std::numeric_limits<double>::infinity()))
+            outcome.status = Status::NotFinite;
+        else if (!(overrun <= s_.budget.bound && above <= s_.budget.bound))
+            outcome.status = Status::Bound;
+        else if (!(gap <= s_.budget.equality))
+            outcome.status = Status::Equality;
+        else if (!(off <= s_.budget.accuracy) &&
+                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, G) / mu))
+            outcome.status = Status::Inaccurate;
+        return outcome;
+    }
+
+    // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
+    // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
+    //   first: how many rows are exact, all of level 0.
+    bool excludes(int first, const LeastDistance& nearest, const double* lb, const double* ub,
+                  const double* G, const std::vector<double>& h) {
+        const Level& level = levels_[0];
+        clear(y_.g, m_.blocks);
+        y_.push_limits(nearest, G);
+        for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
+        double all = 0.0, asked = 0.0, widest2 = 0.0;
+        for (int i = 0; i < m_.blocks * LANES; i++) {
+            const double by = y_.box[i], most = std::max(std::fabs(lb[i]), std::fabs(ub[i]));
+            all += std::fabs(by);
+            if (by != 0.0) asked -= by * (by > 0.0 ? ub[i] : lb[i]);
+            widest2 += std::min(most, FASTEST) * std::min(most, FASTEST);
+        }
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
+            if (y_.of_rows[i] == 0.0) continue;
+            if (y_.of_rows[i] < 0.0) return false;
+            all += y_.of_rows[i];
+            asked -= y_.of_rows[i] * h[i];
+        }
+        std::size_t rows = 0;
+        for (const auto& of_loop : kept_) rows += of_loop.size();
+        for (std::size_t i = 0; i < rows; i++) {
+            all += std::fabs(y_.of_loops[i]);
+            asked -= y_.of_loops[i] * b_[i];
+        }
+        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.of_exact(s));
+        for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
+        double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
+        for (int k = 0; k < shares_.count(); k++) {
+            const double z = y_.of_shares[std::size_t(k)];
+            all += std::fabs(z);
+            asked -= std::max(z, 0.0);
+            off += std::fabs(z - y_.at_share(k));
+        }
+        return asked - off > CLEARLY * all;
+    }
+
+  private:
+    // Put the shares between 0 and 1; by how much they were not.
+    double clip_shares() {
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            const double inside = std::min(std::max(shares_.share(k), 0.0), 1.0);
+            squares += (shares_.share(k) - inside) * (shares_.share(k) - inside);
+            shares_.share(k) = inside;
+        }
+        return std::sqrt(squares);
+    }
+
+    // The part of the shares in a projected gradient step.
+    double share_distance(double mu) const {
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            const double s = shares_.share(k);
+            const double step = s - (SCALE_WEIGHT * (s - 1.0) - y_.at_share(k)) / mu;
+            const double off = s - std::min(std::max(step, 0.0), 1.0);
+            squares += off * off;
+        }
+        return std::sqrt(squares);
+    }
+
+    double clip(double* v, const double* lb, const double* ub) const {
+        v4* x = lanes(v);
+        const v4 *lo = lanes(lb), *hi = lanes(ub);
+        v4 squares = v4{};
+        for (int b = 0; b < m_.blocks; b++) {
+            const v4 inside = smaller(larger(x[b], lo[b]), hi[b]), over = x[b] - inside;
+            squares += over * over;
+            x[b] = inside;
+        }
+        return std::sqrt(sum(squares));
+    }
+
+    double loop_gap(const double* v) const {
+        if (m_.loops() < 1) return 0.0;
+        double V_0[6], V_i[6], gap2 = 0.0;
+        std::size_t at = 0;
+        rows_.twist(0, v, V_0);
+        for (int i = 1; i < m_.holding; i++) {
+            rows_.twist(i, v, V_i);
+            for (int r : kept_[std::size_t(i - 1)]) {
+                const double off = V_i[r] - V_0[r] - b_[at++];
+                gap2 += off * off;
+            }
+        }
+        return gap2;
+    }
+
+    // What the level moves of what was decided before it.
+    double decided_gap(int l, const double* v, const double* before, const double* V) const {
+        double gap2 = 0.0, V_moved[6];
+        for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
+            const int k = levels_[0].share[std::size_t(s)];
+            const double off = rows_.times(levels_[0], s, v, V) -
+                               (k < 0 ? 1.0 : shares_.share(k)) * levels_[0].wanted[std::size_t(s)];
+            gap2 += off * off;
+        }
+        if (l == 0) return gap2;
+        for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
+        rows_.object_twist(moved_, V_moved);
+        for (int k = 0; k < l; k++)
+            for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
+                const double off = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
+                gap2 += off * off;
+            }
+        return gap2;
+    }
+
+    // g = the level's gradient, with what active limits push; y_.box has the part of bounds on v.
+    void gradient(int l, double d, const double* v, const double* V, const LeastDistance& nearest,
+                  const double* G) {
+        const Level& level = levels_[std::size_t(l)];
+        const double curvature = d + level.joint_weight;
+        double tau[6] = {0, 0, 0, 0, 0, 0};
+        for (int b = 0; b < m_.blocks; b++) lanes(y_.g)[b] = lanes(v)[b] * curvature;
+        if (level.joint_weight > 0.0) add(y_.g, level.wish, -1.0, m_.blocks);
+        for (int s = level.exact; s < level.rows; s++) {
+            const std::size_t i = std::size_t(s);
+            const double missed = rows_.times(level, s, v, V) - level.wanted[i];
+            rows_.pull_row(level, s, level.weight[i] * missed, tau, y_.g);
+        }
+        rows_.pull_object(tau, y_.g);
+        y_.push_limits(nearest, G);
+    }
+
+    // Norm of a projected gradient step, an estimate of |v - v*|. g has the bounds' part in it.
+    double distance(const double* v, const double* lb, const double* ub, double mu, bool active) {
+        const v4 *g = lanes(y_.g), *box = lanes(y_.box), *x = lanes(v);
+        v4 squares = v4{};
+        if (!active) {
+            for (int b = 0; b < m_.blocks; b++) squares += g[b] * g[b];
+            const double free = std::sqrt(sum(squares)) / mu;
+            if (free <= s_.budget.accuracy) return free;
+            squares = v4{};
+        }
+        const v4 *lo = lanes(lb), *hi = lanes(ub);
+        for (int b = 0; b < m_.blocks; b++) {
+            const v4 step = x[b] - (g[b] - box[b]) / mu;
+            const v4 off = x[b] - smaller(larger(step, lo[b]), hi[b]);
+            squares += off * off;
+        }
+        return std::sqrt(sum(squares));
+    }
+
+    // How far the inequalities' multipliers are from belonging to active rows only.
+    double idle(double mu) const {
+        double squares = 0.0;
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
+            const double off =
+                std::max(std::min(slack_[i], y_.of_rows[i] / mu), -std::fabs(y_.of_rows[i]));
+            squares += off * off;
+        }
+        return std::sqrt(squares);
+    }
+
+    // What the last digits of the terms that cancel in the gradient amount to, times mu.
+    double rounding(int l, int first, double d, const double* v, const double* G) {
+        const Level& level = levels_[std::size_t(l)];
+        double* size = moved_;
+        for (int b = 0; b < m_.blocks; b++) {
+            lanes(size)[b] = larger(lanes(v)[b], -lanes(v)[b]) * (d + level.joint_weight);
+            if (level.joint_weight > 0.0)
+                lanes(size)[b] += larger(lanes(level.wish)[b], -lanes(level.wish)[b]);
+        }
+        for (int s = level.exact; s < level.rows; s++) {
+            dense(level, s);
+            double moved = std::fabs(level.wanted[std::size_t(s)]);
+            for (int i = 0; i < m_.blocks * LANES; i++) moved += std::fabs(t_[i] * v[i]);
+            grow(size, level.weight[std::size_t(s)] * moved, t_);
+        }
+        for (int k = 0; k < first; k++) {
+            int at;
+            const int s = y_.own_row(hierarchy_.pivot_row(k), at);
+            dense(levels_[std::size_t(at)], s);
+            grow(size, y_.lambda[k], t_);
+        }
+        std::size_t at = 0;
+        for (int i = 1; i < m_.holding; i++)
+            for (int r : kept_[std::size_t(i - 1)]) {
+                const double by = y_.of_loops[at++];
+                double unit[6] = {0, 0, 0, 0, 0, 0};
+                unit[r] = 1.0;
+                clear(t_, m_.blocks);
+                rows_.pull(i, unit, 1.0, t_);
+                rows_.pull(0, unit, -1.0, t_);
+                grow(size, by, t_);
+            }
+        for (std::size_t i = 0; i < y_.of_rows.size(); i++)
+            grow(size, y_.of_rows[i], G + i * rows_.stride());
+        double squares = dot(size, size, m_.blocks);
+        if (l == 0) squares += share_rounding2();
+        return std::min(EPSILON * std::sqrt(squares),
+                        ROUNDING * std::min(d, SCALE_WEIGHT));
+    }
+
+    double share_rounding2() const {
+        const Level& level = levels_[0];
+        double squares = 0.0;
+        for (int k = 0; k < shares_.count(); k++) {
+            double size = SCALE_WEIGHT * (1.0 + shares_.share(k)) +
+                          std::fabs(y_.of_shares[std::size_t(k)]);
+            for (int s = level.hard; s < level.exact; s++)
+                if (level.share[std::size_t(s)] == k)
+                    size += std::fabs(y_.of_exact(s) * level.wanted[std::size_t(s)]);
+            squares += size * size;
+        }
+        return squares;
+    }
+
+    void grow(double* size, double by, const double* row) const {
+        for (int i = 0; i < m_.blocks * LANES; i++) size[i] += std::fabs(by * row[i]);
+    }
+
+    // A task row over all joints, into t_.
+    void dense(const Level& level, int s) {
+        double tau[6] = {0, 0, 0, 0, 0, 0};
+        clear(t_, m_.blocks);
+        rows_.pull_row(level, s, 1.0, tau, t_);
+        rows_.pull_object(tau, t_);
+    }
+
+    const Model& m_;
+    const Rows& rows_;
+    Hierarchy& hierarchy_;
+    Shares& shares_;
+    const Settings& s_;
+    const std::vector<Level>& levels_;
+    const std::vector<std::vector<int>>& kept_;
+    const double* b_ = nullptr;
+    double *t_, *moved_;
+    std::vector<double> slack_;
+    Multipliers y_;
+};
+
+}  // namespace coopqp

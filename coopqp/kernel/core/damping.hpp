@@ -1,0 +1,68 @@
+// What a step needs that it does not overshoot, as coopqp.qp_law.equations.step_damping.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "rows.hpp"
+
+namespace coopqp {
+
+constexpr double MOST_HARD_DAMPING = 1.0;  // as coopqp.qp_law.law
+constexpr double MOST_DAMPING = 1e4;
+constexpr double LEAST_SPEED = 1e-4;       // as coopqp.qp_law.equations
+
+class StepDamping {
+  public:
+    StepDamping(const Rows& rows, const Settings& settings, int shares)
+        : rows_(rows), share_(settings.error_damping * settings.dt), reach_(settings.reach),
+          asked2_(std::size_t(shares)), wanted2_(std::size_t(shares)) {}
+
+    // Of level l, at the last velocity, in lanes.
+    double of(int l, const Level& level, const double* v_last, const Bound& bound) {
+        double V[6], bend = 0.0, extra = 0.0;
+        rows_.object_twist(v_last, V);
+        for (int s = level.exact; s < level.rows; s++)
+            bend += level.weight[std::size_t(s)] * of_row(level, s, v_last, V);
+        if (level.shares)
+            extra = std::min(share_ * SCALE_WEIGHT * of_scaled(level, v_last, V, bound.missing),
+                             MOST_DAMPING);
+        else if (level.exact)
+            extra = std::min(share_ * reach_ * bound.hard_pull[0], MOST_HARD_DAMPING);
+        if (l > 0) extra = std::min(share_ * bound.later_pulls[l - 1], MOST_DAMPING);
+        return share_ * bend + extra;
+    }
+
+  private:
+    // As coopqp.task.TaskStack.bends.
+    double of_row(const Level& level, int s, const double* v_last, const double* V) const {
+        const std::size_t i = std::size_t(s);
+        const double size = level.asks_velocity[i]
+                                ? rows_.times(level, s, v_last, V) - level.rate[i]
+                                : level.gain[i] * level.e[i];
+        return std::fabs(size) * level.lever[i];
+    }
+
+    // Multipliers of scaled tasks are known by what their shares lacked in the last tick.
+    double of_scaled(const Level& level, const double* v_last, const double* V,
+                     const double* missing) {
+        std::fill(asked2_.begin(), asked2_.end(), 0.0);
+        std::fill(wanted2_.begin(), wanted2_.end(), LEAST_SPEED * LEAST_SPEED);
+        for (int s = level.hard; s < level.exact; s++) {
+            const std::size_t k = std::size_t(level.share[std::size_t(s)]);
+            const double asked = of_row(level, s, v_last, V), wanted = level.wanted[std::size_t(s)];
+            asked2_[k] += asked * asked;
+            wanted2_[k] += wanted * wanted;
+        }
+        double pull = 0.0;
+        for (std::size_t k = 0; k < asked2_.size(); k++)
+            pull += missing[k] * std::sqrt(asked2_[k]) / wanted2_[k];
+        return pull;
+    }
+
+    const Rows& rows_;
+    double share_, reach_;
+    std::vector<double> asked2_, wanted2_;
+};
+
+}  // namespace coopqp

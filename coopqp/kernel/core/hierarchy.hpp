@@ -1,0 +1,139 @@
+// Levels in the null space of the loops, v = v_p + Z z, on one orthonormal basis z = U y.
+//
+// The rows of a level's tasks are reflected onto the next coordinates of y; what is left of y is
+// free for the levels after. In these coordinates a level's cost is that of its own few coordinates
+// and, for all others, of damping and joint objectives alone.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "problem.hpp"
+#include "reflections.hpp"
+#include "status.hpp"
+
+namespace coopqp {
+
+constexpr double NOISE = 1e-6;       // singular values of task rows up to this ask for nothing
+constexpr double NOTHING = 1e-13;    // left of a task row that others explain
+constexpr int MOST_SWEEPS = 30;
+
+class Hierarchy {
+  public:
+    Hierarchy(int free, int most_rows, Arena& arena)
+        : free_(free), blocks_(blocks_of(std::max(free, 1))), width_(blocks_ * LANES),
+          U_(arena.take(std::size_t(free + 1) * std::size_t(width_))),
+          Y_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
+          S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
+          h_(arena.take(std::size_t(width_))), sigma_(std::size_t(most_rows + 1)) {}
+
+    int decided = 0;  // coordinates of y
+    int rows = 0;     // of all levels so far
+
+    int blocks() const { return blocks_; }
+    int width() const { return width_; }
+    double* row(int s) { return Y_ + s * width_; }
+    const double* U(int z) const { return U_ + z * width_; }
+    int pivot_row(int coordinate) const { return pivots_[std::size_t(coordinate)]; }
+
+    // Take up all rows again that were left out.
+    void forget() { left_out_.clear(); }
+
+    // From the next begin on, decide nothing by the row that adds least to those before it.
+    void leave_out_smallest() {
+        int least = 0;
+        for (int k = 1; k < decided; k++)
+            if (std::fabs(row(pivot_row(k))[k]) < std::fabs(row(pivot_row(least))[least])) least = k;
+        left_out_.push_back(pivot_row(least));
+    }
+
+    void begin() {
+        decided = rows = 0;
+        pivots_.clear();
+        identity_ = true;
+        for (int z = 0; z < free_; z++) {
+            clear(U_ + z * width_, blocks_);
+            U_[z * width_ + z] = 1.0;
+        }
+    }
+
+    // Take up the next `count` rows, which were written to row(rows) ... in coordinates of z.
+    void append(int count) {
+        if (!identity_)
+            for (int s = rows; s < rows + count; s++) turn(row(s));
+        for (int s = rows; s < rows + count; s++) {
+            double beta = 0.0;
+            if (decided >= free_) break;
+            if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
+            const double onto = reflection(row(s), decided, blocks_, NOTHING, h_, beta);
+            if (onto == 0.0) continue;
+            for (int j = s + 1; j < rows + count; j++) reflect(row(j), h_, beta, blocks_);
+            for (int z = 0; z < free_; z++) reflect(U_ + z * width_, h_, beta, blocks_);
+            row(s)[decided] = onto;
+            for (int i = decided + 1; i < width_; i++) row(s)[i] = 0.0;
+            pivots_.push_back(s);
+            decided++;
+            identity_ = false;
+        }
+        rows += count;
+    }
+
+    // U' x, in place.
+    void turn(double* x) {
+        std::copy(x, x + width_, h_);
+        clear(x, blocks_);
+        for (int z = 0; z < free_; z++) add(x, U_ + z * width_, h_[z], blocks_);
+    }
+
+    // Singular values of all rows so far, largest nowhere in particular; false where one of the
+    // decided directions is noise. Afterwards sigma(i) and direction(i) are theirs.
+    bool singular_values() {
+        for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
+        const int b = blocks_of(std::max(decided, 1));
+        for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
+            bool turned = false;
+            for (int i = 0; i < rows; i++)
+                for (int j = i + 1; j < rows; j++) turned |= make_orthogonal(i, j, b);
+            if (!turned) break;
+        }
+        int found = 0;
+        singular_ = rows;
+        for (int s = 0; s < rows; s++) {
+            sigma_[std::size_t(s)] = std::sqrt(dot(S_ + s * width_, S_ + s * width_, b));
+            found += sigma_[std::size_t(s)] > NOISE;
+        }
+        return found == decided;
+    }
+    int singular() const { return singular_; }
+    double sigma(int s) const { return sigma_[std::size_t(s)]; }
+    // Row of length sigma along a right singular vector, in coordinates of y.
+    const double* direction(int s) const { return S_ + s * width_; }
+
+  private:
+    // One-sided Jacobi.
+    bool make_orthogonal(int i, int j, int b) {
+        double *x = S_ + i * width_, *y = S_ + j * width_;
+        const double xx = dot(x, x, b), yy = dot(y, y, b), xy = dot(x, y, b);
+        if (!(std::fabs(xy) > 1e-15 * std::sqrt(xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
+            return false;
+        const double zeta = (yy - xx) / (2 * xy);
+        const double t = (zeta >= 0 ? 1.0 : -1.0) / (std::fabs(zeta) + std::sqrt(1 + zeta * zeta));
+        const double c = 1 / std::sqrt(1 + t * t), s = c * t;
+        v4 *p = lanes(x), *q = lanes(y);
+        for (int k = 0; k < b; k++) {
+            const v4 a = p[k], d = q[k];
+            p[k] = a * c - d * s;
+            q[k] = a * s + d * c;
+        }
+        return true;
+    }
+
+    int free_, blocks_, width_;
+    double *U_, *Y_, *S_, *h_;
+    std::vector<double> sigma_;
+    std::vector<int> pivots_, left_out_;
+    int singular_ = 0;
+    bool identity_ = true;
+};
+
+}  // namespace coopqp

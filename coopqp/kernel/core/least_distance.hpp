@@ -1,0 +1,254 @@
+// The shortest u with lower <= M u <= upper, by the dual active set method of Goldfarb and Idnani
+// (1983) with the unit matrix as Hessian. It starts from nothing, so that a tick depends on its
+// state alone. Where there is none, the active constraints and their multipliers say why.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "reflections.hpp"
+#include "status.hpp"
+
+namespace coopqp {
+
+constexpr double OVERRUN = 1e-12;         // of a constraint that counts as met [rad/s, m/s]
+constexpr double IN_THE_SPAN = 1e-9;      // share of a normal that active ones leave of it
+constexpr int MOST_CHANGES = 400;         // of the active set
+
+class LeastDistance {
+  public:
+    // rows of M in padded lanes, most columns.
+    LeastDistance(int rows, int columns, Arena& arena)
+        : row_blocks_(blocks_of(rows)), width_(padded(std::max(columns, 1))),
+          M(arena.take(std::size_t(columns + 1) * std::size_t(padded(rows)))),
+          lower(arena.take(std::size_t(padded(rows)))),
+          upper(arena.take(std::size_t(padded(rows)))),
+          values_(arena.take(std::size_t(padded(rows)))), u(arena.take(std::size_t(width_))),
+          Q_(arena.take(std::size_t(width_) * std::size_t(width_))),
+          R_(std::size_t(columns + 1) * std::size_t(columns + 1)),
+          d_(arena.take(std::size_t(width_))), h_(arena.take(std::size_t(width_))),
+          normal_(arena.take(std::size_t(width_))), r_(std::size_t(columns + 1)),
+          multiplier_(std::size_t(columns + 1)),
+          row_(std::size_t(columns + 1)), side_(std::size_t(columns + 1)), most_(columns + 1) {}
+
+    double* column(int a) { return M + a * stride(); }
+    int stride() const { return row_blocks_ * LANES; }
+
+  private:
+    int row_blocks_, width_;
+
+  public:
+    double *M, *lower, *upper;
+    int active = 0;
+
+  private:
+    double* values_;
+
+  public:
+    double* u;
+
+    int row(int i) const { return row_[std::size_t(i)]; }
+    // Multiplier of M u <= upper, positive there, negative at lower.
+    double multiplier(int i) const {
+        return side_[std::size_t(i)] * multiplier_[std::size_t(i)];
+    }
+
+    // For tests of the check.
+    void spoil() {
+        if (active) multiplier_[0] = 1.5 * multiplier_[0] + 1e-6;
+    }
+
+    Status solve(int columns) {
+        K_ = columns;
+        blocks_ = blocks_of(std::max(columns, 1));
+        active = 0;
+        clear(u, blocks_);
+        for (int s = 0; s < K_; s++) {
+            clear(Q_ + s * width_, blocks_);
+            Q_[s * width_ + s] = 1.0;
+        }
+        for (int change = 0; change < MOST_CHANGES; change++) {
+            double side;
+            const int worst = most_violated(side);
+            if (worst < 0) return polish();
+            const Status status = bring_in(worst, side, change);
+            if (status != Status::Optimal) return status;
+        }
+        return Status::Iterations;
+    }
+
+  private:
+    double& R(int i, int j) { return R_[std::size_t(i * most_ + j)]; }
+
+    // M u in values_; the constraint that is violated most, or -1.
+    int most_violated(double& side) {
+        evaluate();
+        const v4 *lo = lanes(lower), *hi = lanes(upper), *x = lanes(values_);
+        v4 most = v4{} + OVERRUN;
+        for (int b = 0; b < row_blocks_; b++)
+            most = larger(most, larger(x[b] - hi[b], lo[b] - x[b]));
+        const double worst = std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
+        if (!(worst > OVERRUN)) return -1;
+        for (int i = 0; i < stride(); i++) {
+            const bool above = values_[i] - upper[i] >= worst;
+            if (!above && !(lower[i] - values_[i] >= worst)) continue;
+            for (int a = 0; a < active; a++)
+                if (row_[std::size_t(a)] == i) return -1;  // rounding
+            side = above ? 1.0 : -1.0;
+            return i;
+        }
+        return -1;
+    }
+
+    void evaluate() {
+        clear(values_, row_blocks_);
+        for (int a = 0; a < K_; a++)
+            if (u[a] != 0.0) add(values_, column(a), u[a], row_blocks_);
+    }
+
+    double limit(int row, double side) const { return side > 0 ? upper[row] : lower[row]; }
+
+    // Make the constraint hold, by one or more steps; constraints that push no more are dropped.
+    Status bring_in(int row, double side, int& change) {
+        double pushed = 0.0;  // multiplier of the new one
+        for (int a = 0; a < K_; a++) normal_[a] = -side * column(a)[row];
+        for (int a = K_; a < blocks_ * LANES; a++) normal_[a] = 0.0;
+        const double size2 = dot(normal_, normal_, blocks_);
+        for (;; change++) {
+            if (change >= MOST_CHANGES) return Status::Iterations;
+            double free2 = 0.0;
+            for (int s = 0; s < K_; s++) {
+                d_[s] = dot(Q_ + s * width_, normal_, blocks_);
+                if (s >= active) free2 += d_[s] * d_[s];
+            }
+            for (int i = active; i-- > 0;) {
+                double rest = d_[i];
+                for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
+                r_[std::size_t(i)] = rest / R(i, i);
+            }
+            double dual = std::numeric_limits<double>::infinity();
+            int leaves = -1;
+            for (int i = 0; i < active; i++)
+                if (r_[std::size_t(i)] > 0.0) {
+                    const double step = multiplier_[std::size_t(i)] / r_[std::size_t(i)];
+                    if (step < dual) {
+                        dual = step;
+                        leaves = i;
+                    }
+                }
+            const bool moves = free2 > IN_THE_SPAN * IN_THE_SPAN * size2;
+            double step = dual;
+            bool full = false;
+            if (moves) {
+                const double missing = -side * limit(row, side) - dot(normal_, u, blocks_);
+                const double primal = missing / free2;
+                if (primal <= dual) {
+                    step = primal;
+                    full = true;
+                }
+            }
+            if (!(step < std::numeric_limits<double>::infinity())) return contradict(row, side);
+            if (moves)
+                for (int s = active; s < K_; s++) add(u, Q_ + s * width_, step * d_[s], blocks_);
+            for (int i = 0; i < active; i++)
+                multiplier_[std::size_t(i)] -= step * r_[std::size_t(i)];
+            pushed += step;
+            if (full) {
+                append(row, side, pushed);
+                return Status::Optimal;
+            }
+            drop(leaves);
+        }
+    }
+
+    // The active constraints and one that they exclude: sum of multipliers times normals is zero.
+    Status contradict(int row, double side) {
+        for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] = -r_[std::size_t(i)];
+        row_[std::size_t(active)] = row;
+        side_[std::size_t(active)] = side;
+        multiplier_[std::size_t(active)] = 1.0;
+        active++;
+        return Status::Infeasible;
+    }
+
+    // The new normal, whose coordinates are d_, becomes the last active one.
+    void append(int row, double side, double pushed) {
+        const int q = active;
+        double beta = 0.0;
+        for (int s = K_; s < blocks_ * LANES; s++) d_[s] = 0.0;
+        const double onto = reflection(d_, q, blocks_, 0.0, h_, beta);
+        // Q2 <- Q2 (I - beta h h')
+        clear(normal_, blocks_);
+        for (int s = q; s < K_; s++) add(normal_, Q_ + s * width_, h_[s], blocks_);
+        for (int s = q; s < K_; s++) add(Q_ + s * width_, normal_, -beta * h_[s], blocks_);
+        for (int i = 0; i < q; i++) R(i, q) = d_[i];
+        R(q, q) = onto;
+        row_[std::size_t(q)] = row;
+        side_[std::size_t(q)] = side;
+        multiplier_[std::size_t(q)] = pushed;
+        active++;
+    }
+
+    // Givens rotations make R triangular again without column `at`.
+    void drop(int at) {
+        for (int j = at; j + 1 < active; j++) {
+            const std::size_t to = std::size_t(j), from = std::size_t(j + 1);
+            row_[to] = row_[from];
+            side_[to] = side_[from];
+            multiplier_[to] = multiplier_[from];
+            for (int i = 0; i <= j + 1; i++) R(i, j) = R(i, j + 1);
+        }
+        active--;
+        for (int j = at; j < active; j++) {
+            const double a = R(j, j), b = R(j + 1, j), size = std::hypot(a, b);
+            if (size == 0.0) continue;
+            const double c = a / size, s = b / size;
+            for (int k = j; k < active; k++) {
+                const double x = R(j, k), y = R(j + 1, k);
+                R(j, k) = c * x + s * y;
+                R(j + 1, k) = c * y - s * x;
+            }
+            v4 *p = lanes(Q_ + j * width_), *q = lanes(Q_ + (j + 1) * width_);
+            for (int i = 0; i < blocks_; i++) {
+                const v4 x = p[i], y = q[i];
+                p[i] = x * c + y * s;
+                q[i] = y * c - x * s;
+            }
+        }
+    }
+
+    // u and multipliers from the active set itself, without the rounding of the steps to it.
+    Status polish() {
+        if (!active) return Status::Optimal;
+        clear(u, blocks_);
+        for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] = 0.0;
+        for (int pass = 0; pass < 2; pass++) {
+            evaluate();
+            for (int i = 0; i < active; i++) {
+                const std::size_t at = std::size_t(i);
+                double rest = -side_[at] * (limit(row_[at], side_[at]) - values_[row_[at]]);
+                for (int j = 0; j < i; j++) rest -= R(j, i) * d_[j];
+                d_[i] = rest / R(i, i);
+            }
+            for (int i = 0; i < active; i++) add(u, Q_ + i * width_, d_[i], blocks_);
+            for (int i = active; i-- > 0;) {
+                double rest = d_[i];
+                for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
+                r_[std::size_t(i)] = rest / R(i, i);
+                multiplier_[std::size_t(i)] += r_[std::size_t(i)];
+            }
+        }
+        return Status::Optimal;
+    }
+
+    double* Q_;
+    std::vector<double> R_;
+    double *d_, *h_, *normal_;
+    std::vector<double> r_, multiplier_;
+    std::vector<int> row_;
+    std::vector<double> side_;
+    int most_, K_ = 0, blocks_ = 0;
+};
+
+}  // namespace coopqp

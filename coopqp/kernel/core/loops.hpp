@@ -1,0 +1,298 @@
+// The loops eliminated arm by arm, by orthogonal transformations alone.
+//
+//     J_i v_i - J_0 v_0 = b_i,   i = 1 .. L
+//
+// Stage i sees arm i's own joints and the carry: what the stages before leave of arm 0's joints and
+// of those that move several arms. Reflections split both into what loop i decides and what it
+// leaves free. Of the latter only six directions, and one for each joint that moves several arms,
+// still move arm 0: they are the next carry, the rest is finished. So each stage costs the same
+// however many arms there are, and the finished directions are an orthonormal basis Z of the null
+// space of all loops. With two arms this is the factorisation of the 6 x n matrix itself.
+#pragma once
+#include <memory>
+#include <stdexcept>
+#include <vector>
+
+#include "kinematics.hpp"
+#include "reflections.hpp"
+
+namespace coopqp {
+
+constexpr double DEPENDENT = 1e-9;   // of a loop row, what others leave of it [m/rad, 1]
+constexpr double UNTOUCHED = 1e-14;  // motion of arm 0 below which a direction does not move it
+
+class Loops {
+  public:
+    virtual ~Loops() = default;
+
+    int free = 0;          // columns of Z
+    double* Z = nullptr;   // (free, lanes)
+
+    // Factor at the Jacobians of the model; false where independent rows are not so.
+    virtual bool factor() = 0;
+    // Motion of least norm with J_loop v = b; b as State.e_loop is ordered.
+    virtual void particular(const double* b, double* v) const = 0;
+    // y with J_loop' y nearest to -t, added to y; J_loop' y is added to t.
+    virtual void balance(double* t, double* y) const = 0;
+};
+
+template <int B>
+class StagedLoops final : public Loops {
+    static constexpr int WIDTH = B * LANES;
+
+    struct Stage {
+        int arm, carry, next = 0;
+        std::vector<int> kept;
+        Reflections<B> decide, compress;
+        double* E;  // the carry's directions, (carry, lanes); of the first stage none
+        bool compresses = false;
+
+        int rows() const { return int(kept.size()); }
+        int left(const Model& m) const {
+            return carry + int(m.arms[std::size_t(arm)].own.size()) - rows();
+        }
+    };
+
+  public:
+    // kept: which of each loop's six rows are independent.
+    StagedLoops(const Model& model, const std::vector<std::vector<int>>& kept, Arena& arena)
+        : m_(model), rows_(arena.take(8 * WIDTH)), nulls_(arena.take(WIDTH * WIDTH)),
+          touch_(arena.take((6 + MOST_SHARED) * WIDTH)) {
+        shared_ = shared_lanes(model);
+        const int touches = 6 + int(shared_.size());
+        int carry = model.base_lanes;
+        for (int i = 1; i < model.holding; i++) {
+            Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, false};
+            const int left = s.left(model);
+            if (left < 0) throw std::invalid_argument("a loop has fewer joints than rows");
+            const bool last = i == model.holding - 1;
+            s.next = last ? 0 : std::min(left, touches);
+            s.compresses = !last && left > touches;
+            s.decide.open(arena, s.rows(), carry + int(model.arms[std::size_t(i)].own.size()));
+            if (s.compresses) s.compress.open(arena, touches, left);
+            if (i > 1) s.E = arena.take(std::size_t(carry) * lanes_of(model));
+            carry = s.next;
+            free += left - s.next;
+            stages_.push_back(std::move(s));
+        }
+        if (model.holding < 2)
+            for (int l = 0; l < model.base_lanes; l++) alone_.push_back(l);
+        for (int l : model.loose_lanes) alone_.push_back(l);
+        Z = arena.take((std::size_t(free) + alone_.size()) * lanes_of(model));
+        const int stride = lanes_of(model);
+        for (std::size_t i = 0; i < alone_.size(); i++)
+            Z[(std::size_t(free) + i) * std::size_t(stride) + std::size_t(alone_[i])] = 1.0;
+        free += int(alone_.size());
+    }
+
+    // Lanes that a chain's widest stage takes; more than WIDTH cannot be done.
+    static int width(const Model& model) {
+        const int carry = std::max(model.base_lanes, 6 + int(shared_lanes(model).size()));
+        int most = 0;
+        for (int i = 1; i < model.holding; i++)
+            most = std::max(most, carry + int(model.arms[std::size_t(i)].own.size()));
+        return most;
+    }
+
+    bool factor() override {
+        double* finished = Z;
+        for (std::size_t i = 0; i < stages_.size(); i++) {
+            Stage& s = stages_[i];
+            fill_rows(s);
+            if (!s.decide.factor(rows_, s.rows(), DEPENDENT, true)) return false;
+            const int left = s.left(m_);
+            for (int k = 0; k < left; k++) {
+                double* null = nulls_ + k * WIDTH;
+                clear(null, B);
+                null[s.rows() + k] = 1.0;
+                s.decide.to_old(null);
+            }
+            if (s.compresses) compress(s, left);
+            for (int k = 0; k < left; k++) {
+                const bool carried = k < s.next;
+                double* to = carried ? stages_[i + 1].E + k * stride() : finished;
+                direction(s, nulls_ + k * WIDTH, to);
+                if (!carried) finished += stride();
+            }
+        }
+        return true;
+    }
+
+    void particular(const double* b, double* v) const override {
+        clear(v, m_.blocks);
+        alignas(64) double x[WIDTH];
+        for (const Stage& s : stages_) {
+            clear(x, B);
+            for (int k = 0; k < s.rows(); k++) {
+                double rest = b[k] - along_base(s, s.kept[std::size_t(k)], v);
+                for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * x[j];
+                x[k] = rest / s.decide.L(k, k);
+            }
+            s.decide.to_old(x);
+            add_direction(s, x, v);
+            b += s.rows();
+        }
+    }
+
+    void balance(double* t, double* y) const override {
+        if (stages_.empty()) return;
+        alignas(64) double x[WIDTH], g[MOST_BASE];
+        double rho[MOST_STAGES][6];
+        const int base = m_.base_blocks;
+        int at = 0;
+        copy(g, t, base);
+        for (std::size_t i = 0; i < stages_.size(); i++) {
+            const Stage& s = stages_[i];
+            gather(s, g, t, x);
+            s.decide.to_new(x);
+            for (int k = 0; k < s.rows(); k++) rho[i][k] = x[k];
+            const int left = s.left(m_);
+            for (int k = 0; k < left; k++) x[k] = x[s.rows() + k];
+            for (int k = left; k < WIDTH; k++) x[k] = 0.0;
+            if (s.compresses) s.compress.to_new(x);
+            for (int k = 0; k < s.next; k++) g[k] = x[k];
+            at += s.rows();
+        }
+        alignas(64) double w[MOST_BASE] = {};
+        for (std::size_t i = stages_.size(); i-- > 0;) {
+            const Stage& s = stages_[i];
+            at -= s.rows();
+            if (i + 1 < stages_.size()) {
+                clear(x, B);
+                if (s.E)
+                    for (int c = 0; c < s.carry; c++) x[c] = dot(w, s.E + c * stride(), base);
+                else
+                    for (int c = 0; c < s.carry; c++) x[c] = w[c];
+                s.decide.to_new(x);
+                for (int k = 0; k < s.rows(); k++) rho[i][k] += x[k];
+            }
+            double step[6];
+            for (int k = s.rows(); k-- > 0;) {
+                double rest = -rho[i][k];
+                for (int j = k + 1; j < s.rows(); j++) rest -= s.decide.L(j, k) * step[j];
+                step[k] = rest / s.decide.L(k, k);
+            }
+            const Arm& arm = m_.arms[std::size_t(s.arm)];
+            for (int k = 0; k < s.rows(); k++) {
+                const int r = s.kept[std::size_t(k)];
+                y[at + k] += step[k];
+                add(w, m_.J_base(s.arm, r), step[k], base);
+                add(w, m_.J_base(0, r), -step[k], base);
+                if (arm.own_blocks) add(t + arm.first, m_.J_own(s.arm, r), step[k], arm.own_blocks);
+            }
+        }
+        add(t, w, 1.0, base);
+    }
+
+  private:
+    static constexpr int MOST_SHARED = 6, MOST_STAGES = 16, MOST_BASE = WIDTH;
+    // Of joints in block 0 that move another arm than the first.
+    static std::vector<int> shared_lanes(const Model& model) {
+        std::vector<int> shared;
+        for (std::size_t i = 1; i < model.arms.size(); i++)
+            for (int j : model.arms[i].base) {
+                const int lane = model.joints[std::size_t(j)].lane;
+                if (std::find(shared.begin(), shared.end(), lane) == shared.end())
+                    shared.push_back(lane);
+            }
+        return shared;
+    }
+    static std::size_t lanes_of(const Model& model) { return std::size_t(model.blocks) * LANES; }
+    int stride() const { return m_.blocks * LANES; }
+
+    // Rows of one loop over [carry | own].
+    void fill_rows(const Stage& s) {
+        const int base = m_.base_blocks;
+        const Arm& arm = m_.arms[std::size_t(s.arm)];
+        alignas(64) double moved[MOST_BASE];
+        for (int k = 0; k < s.rows(); k++) {
+            const int r = s.kept[std::size_t(k)];
+            double* row = rows_ + k * WIDTH;
+            clear(row, B);
+            const v4 *Ji = lanes(m_.J_base(s.arm, r)), *J0 = lanes(m_.J_base(0, r));
+            for (int b = 0; b < base; b++) lanes(moved)[b] = Ji[b] - J0[b];
+            for (int c = 0; c < s.carry; c++)
+                row[c] = s.E ? dot(moved, s.E + c * stride(), base) : moved[c];
+            const double* own = m_.J_own(s.arm, r);
+            for (std::size_t j = 0; j < arm.own.size(); j++) row[std::size_t(s.carry) + j] = own[j];
+        }
+    }
+
+    // Turn the directions left so that the first of them alone move arm 0 and shared joints.
+    void compress(Stage& s, int left) {
+        const int base = m_.base_blocks, touches = 6 + int(shared_.size());
+        alignas(64) double moved[MOST_BASE], turned[WIDTH * WIDTH];
+        for (int k = 0; k < touches; k++) clear(touch_ + k * WIDTH, B);
+        for (int i = 0; i < left; i++) {
+            clear(moved, base);
+            const double* null = nulls_ + i * WIDTH;
+            if (s.E)
+                for (int c = 0; c < s.carry; c++) add(moved, s.E + c * stride(), null[c], base);
+            else
+                for (int c = 0; c < s.carry; c++) moved[c] = null[c];
+            for (int r = 0; r < 6; r++) touch_[r * WIDTH + i] = dot(m_.J_base(0, r), moved, base);
+            for (std::size_t k = 0; k < shared_.size(); k++)
+                touch_[(6 + int(k)) * WIDTH + i] = moved[shared_[k]];
+        }
+        s.compress.factor(touch_, touches, UNTOUCHED, false);
+        alignas(64) double mix[WIDTH];
+        for (int k = 0; k < left; k++) {
+            clear(mix, B);
+            mix[k] = 1.0;
+            s.compress.to_old(mix);
+            double* to = turned + k * WIDTH;
+            clear(to, B);
+            for (int i = 0; i < left; i++) add(to, nulls_ + i * WIDTH, mix[i], B);
+        }
+        copy(nulls_, turned, left * B);
+    }
+
+    // A direction over [carry | own] as one of all joints.
+    void direction(const Stage& s, const double* x, double* v) const {
+        clear(v, m_.blocks);
+        add_direction(s, x, v);
+    }
+
+    void add_direction(const Stage& s, const double* x, double* v) const {
+        if (s.E)
+            for (int c = 0; c < s.carry; c++)
+                add(v, s.E + c * stride(), x[c], m_.arms[std::size_t(s.arm)].first / LANES);
+        else
+            for (int c = 0; c < s.carry; c++) v[c] += x[c];
+        const Arm& arm = m_.arms[std::size_t(s.arm)];
+        double* own = v + arm.first;
+        for (std::size_t j = 0; j < arm.own.size(); j++) own[j] += x[std::size_t(s.carry) + j];
+    }
+
+    void gather(const Stage& s, const double* carry, const double* t, double* x) const {
+        const Arm& arm = m_.arms[std::size_t(s.arm)];
+        clear(x, B);
+        for (int c = 0; c < s.carry; c++) x[c] = carry[c];
+        for (std::size_t j = 0; j < arm.own.size(); j++)
+            x[std::size_t(s.carry) + j] = t[std::size_t(arm.first) + j];
+    }
+
+    double along_base(const Stage& s, int r, const double* v) const {
+        return dot(m_.J_base(s.arm, r), v, m_.base_blocks) -
+               dot(m_.J_base(0, r), v, m_.base_blocks);
+    }
+
+    const Model& m_;
+    std::vector<Stage> stages_;
+    std::vector<int> shared_, alone_;
+    double *rows_, *nulls_, *touch_;
+};
+
+// Of the width that a chain needs.
+inline std::unique_ptr<Loops> make_loops(const Model& m, const std::vector<std::vector<int>>& kept,
+                                         Arena& arena) {
+    const int blocks = blocks_of(StagedLoops<2>::width(m));
+    if (blocks > 16) throw std::invalid_argument("two arms have too many joints");
+    if (blocks <= 2) return std::make_unique<StagedLoops<2>>(m, kept, arena);
+    if (blocks == 3) return std::make_unique<StagedLoops<3>>(m, kept, arena);
+    if (blocks == 4) return std::make_unique<StagedLoops<4>>(m, kept, arena);
+    if (blocks <= 6) return std::make_unique<StagedLoops<6>>(m, kept, arena);
+    return std::make_unique<StagedLoops<16>>(m, kept, arena);
+}
+
+}  // namespace coopqp

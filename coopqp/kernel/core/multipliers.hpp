@@ -1,0 +1,153 @@
+// What pushes at a gradient: active limits, and the loops and decided rows that balance them.
+//
+// Multipliers of loops and decided rows are found from the gradient itself, by the factors; what
+// they push is taken from the rows themselves, so that what is left of the gradient tells the truth.
+#pragma once
+#include <cmath>
+#include <vector>
+
+#include "hierarchy.hpp"
+#include "least_distance.hpp"
+#include "loops.hpp"
+#include "rows.hpp"
+
+namespace coopqp {
+
+class Multipliers {
+  public:
+    Multipliers(const Model& model, const Rows& rows, const Loops& loops, Hierarchy& hierarchy,
+                const std::vector<Level>& levels, int inequalities, Arena& arena)
+        : g(arena.take(rows.stride())), box(arena.take(rows.stride())),
+          lambda(arena.take(std::size_t(hierarchy.width()))),
+          of_loops(std::size_t(6 * std::max(model.loops(), 1))),
+          of_rows(std::size_t(inequalities)), of_shares(std::size_t(levels[0].shares)),
+          spare(std::size_t(levels[0].exact)),
+          m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), levels_(levels),
+          y_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
+
+    double* g;       // the gradient, with all that pushes, over the joints
+    double* box;     // of bounds on v, over the joints
+    double* lambda;  // of the rows decided before, by coordinate
+    std::vector<double> of_loops, of_rows, of_shares;  // of_rows: of G
+    std::vector<double> spare;  // of exact rows that depend on others
+
+    // Add what active limits push to g; multipliers of others begin at zero.
+    void push_limits(const LeastDistance& nearest, const double* G) {
+        std::fill(of_loops.begin(), of_loops.end(), 0.0);
+        std::fill(of_rows.begin(), of_rows.end(), 0.0);
+        std::fill(of_shares.begin(), of_shares.end(), 0.0);
+        std::fill(spare.begin(), spare.end(), 0.0);
+        clear(lambda, hierarchy_.blocks());
+        clear(box, m_.blocks);
+        const int n = m_.blocks * LANES, shares = n + padded(int(of_rows.size()));
+        const int exact = shares + padded(int(of_shares.size()));
+        double tau[6] = {0, 0, 0, 0, 0, 0};
+        for (int i = 0; i < nearest.active; i++) {
+            const int row = nearest.row(i);
+            const double by = nearest.multiplier(i);
+            if (row < n) {
+                box[row] = by;
+            } else if (row < shares) {
+                of_rows[std::size_t(row - n)] = by;
+                add(g, G + std::size_t(row - n) * rows_.stride(), by, m_.blocks);
+            } else if (row < exact) {
+                of_shares[std::size_t(row - shares)] = by;
+            } else {
+                spare[std::size_t(row - exact)] = -by;
+                rows_.pull_row(levels_[0], row - exact, -by, tau, g);
+            }
+        }
+        rows_.pull_object(tau, g);
+        add(g, box, 1.0, m_.blocks);
+    }
+
+    // Let the first `first` coordinates' rows and the loops push against g, what is left of it.
+    void balance(int first) {
+        if (first) balance_decided(first);
+        loops_.balance(g, of_loops.data());
+    }
+
+    // LaterLevel.pull: how much a level, whose gradient is g, pulls at the task rows decided before
+    // it, by how fast these turn. Damping is left out, or it would feed itself.
+    double pull(int l, int first, double damping, const double* v) {
+        double lever = 0.0, all = 0.0;
+        for (int k = 0; k < l; k++)
+            for (double of_row : levels_[std::size_t(k)].lever) lever = std::max(lever, of_row);
+        if (lever == 0.0 || first == 0) return 0.0;
+        reduce(g);
+        copy(lambda, y_, hierarchy_.blocks());
+        reduce(v);
+        for (int k = 0; k < first; k++) lambda[k] -= damping * y_[k];
+        for (int k = first; k < hierarchy_.width(); k++) lambda[k] = 0.0;
+        for (int s = 0; s < hierarchy_.singular(); s++) {
+            const double sigma = hierarchy_.sigma(s);
+            if (sigma > NOISE)
+                all += std::fabs(dot(hierarchy_.direction(s), lambda, hierarchy_.blocks())) /
+                       (sigma * sigma);
+        }
+        clear(lambda, hierarchy_.blocks());
+        return lever * all;
+    }
+
+    // Multiplier of an exact row, of which the first coordinates are.
+    double of_exact(int s) const {
+        double by = spare[std::size_t(s)];
+        for (int k = 0; k < hierarchy_.decided && hierarchy_.pivot_row(k) <= s; k++)
+            if (hierarchy_.pivot_row(k) == s) by += lambda[k];
+        return by;
+    }
+
+    // What multipliers of scaled rows push at a share.
+    double at_share(int k) const {
+        const Level& level = levels_[0];
+        double all = 0.0;
+        for (int s = level.hard; s < level.exact; s++)
+            if (level.share[std::size_t(s)] == k)
+                all += of_exact(s) * level.wanted[std::size_t(s)];
+        return all;
+    }
+
+    // Which level a row of the hierarchy belongs to, and which of its rows it is.
+    int own_row(int s, int& level) const {
+        level = 0;
+        while (s >= levels_[std::size_t(level)].rows) s -= levels_[std::size_t(level++)].rows;
+        return s;
+    }
+
+  private:
+    // y = U' Z' x
+    void reduce(const double* x) {
+        clear(y_, hierarchy_.blocks());
+        for (int z = 0; z < loops_.free; z++)
+            add(y_, hierarchy_.U(z), dot(loops_.Z + std::size_t(z) * rows_.stride(), x, m_.blocks),
+                hierarchy_.blocks());
+    }
+
+    void balance_decided(int first) {
+        reduce(g);
+        for (int k = first; k-- > 0;) {
+            double rest = -y_[k];
+            for (int j = k + 1; j < first; j++)
+                rest -= hierarchy_.row(hierarchy_.pivot_row(j))[k] * step_[std::size_t(j)];
+            step_[std::size_t(k)] = rest / hierarchy_.row(hierarchy_.pivot_row(k))[k];
+        }
+        double tau[6] = {0, 0, 0, 0, 0, 0};
+        for (int k = 0; k < first; k++) {
+            int at;
+            const int s = own_row(hierarchy_.pivot_row(k), at);
+            rows_.pull_row(levels_[std::size_t(at)], s, step_[std::size_t(k)], tau, g);
+            lambda[k] += step_[std::size_t(k)];
+        }
+        rows_.pull_object(tau, g);
+    }
+
+    const Model& m_;
+    const Rows& rows_;
+    const Loops& loops_;
+    Hierarchy& hierarchy_;
+    const std::vector<Level>& levels_;
+    double* y_;
+    std::vector<double> step_;
+};
+
+}  // namespace coopqp

@@ -1,0 +1,54 @@
+// What a kernel is built for: everything that does not change from tick to tick.
+#pragma once
+#include <memory>
+#include <vector>
+
+#include "lanes.hpp"
+
+namespace coopqp {
+
+constexpr double SCALE_WEIGHT = 1e3;  // as coopqp.qp_law.equations
+constexpr double OUTSIDE = 1e-9;      // as coopqp.limit.ROUNDING [rad, m]
+
+struct Budget {
+    double equality, bound, accuracy, loop_position, loop_orientation;
+};
+
+// The tasks of one level. Rows first those of hard and scaled tasks (of the first level), then soft
+// ones.
+struct Level {
+    int rows = 0, hard = 0, exact = 0;  // exact: hard and scaled
+    std::vector<int> share;             // of each row which share it is scaled by; -1 if by none
+    int shares = 0;
+    std::vector<double> e, rate, gain, weight, lever, wanted;
+    std::vector<char> asks_velocity, twist;
+    // A row sees the object's twist (rows, 8) or, where `twist` is 0, all joints (rows, lanes).
+    double *T = nullptr, *J = nullptr;
+    // Joint objectives together: |v - wish|^2 with one weight for all joints.
+    double joint_weight = 0.0;
+    double* wish = nullptr;  // weight times the wished velocities, in lanes
+};
+
+struct Settings {
+    double dt, kappa, damping, error_damping, reach;
+    Budget budget;
+    std::vector<double> lower, upper;        // position limits, beyond which a joint is outside
+    std::vector<double> second_order;        // (L, n): how far v^2 opens each loop
+    double steepest;                         // the largest of them
+    int inequalities = 0;                    // rows of G
+};
+
+// Arrays that Python owns; they stay where they are while a kernel is bound to them.
+struct Bound {
+    const double* q = nullptr;
+    const double* v_last = nullptr;
+    double* v = nullptr;
+    const double* gap = nullptr;
+    double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
+    double* q_seen = nullptr;  // the q that these belong to
+    double* later_pulls = nullptr;
+    double* hard_pull = nullptr;
+    double* missing = nullptr;  // what each share lacks to 1
+};
+
+}  // namespace coopqp

@@ -1,0 +1,352 @@
+// Tasks as lists of primitives: rows over the object's twist, or over the joints.
+//
+// Formulas and letters are those of coopqp.geometry and of the tasks' own files.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "kinematics.hpp"
+#include "problem.hpp"
+
+namespace coopqp {
+
+constexpr double PI = 3.14159265358979323846;
+constexpr double TINY = 1e-12;  // as coopqp.geometry
+constexpr double CONE = 0.02;
+constexpr double RAMP = 0.25;   // as coopqp.profile
+
+// As coopqp.profile.Profile.
+struct Profile {
+    enum Kind { Step, ConstantVelocity, Trapezoid, Quintic };
+    Kind kind = Step;
+    double duration = 1.0, delay = 0.0;
+
+    void at(double t, double& share, double& speed) const {
+        share = 1.0;
+        speed = 0.0;
+        if (t >= (kind == Step ? delay : delay + duration)) return;
+        const double x = (t - delay) / duration;
+        if (x < 0.0) {
+            share = 0.0;
+        } else if (kind == Quintic) {
+            share = x * x * x * (10.0 + x * (6.0 * x - 15.0));
+            speed = 30.0 * x * x * (1.0 - x) * (1.0 - x) / duration;
+        } else if (kind == ConstantVelocity) {
+            share = x;
+            speed = 1.0 / duration;
+        } else {
+            trapezoid(x, share, speed);
+        }
+    }
+
+  private:
+    void trapezoid(double x, double& share, double& speed) const {
+        const double top = 1.0 / (1.0 - RAMP), left = 1.0 - x;
+        if (x < RAMP) {
+            share = 0.5 * top * x * x / RAMP;
+            speed = top * x / RAMP / duration;
+        } else if (x <= 1.0 - RAMP) {
+            share = top * (x - 0.5 * RAMP);
+            speed = top / duration;
+        } else {
+            share = 1.0 - 0.5 * top * left * left / RAMP;
+            speed = top * left / RAMP / duration;
+        }
+    }
+};
+
+// Where a reference is that follows a signal: arrays that Python fills before each tick.
+struct Followed {
+    const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
+};
+
+// As coopqp.geometry.Reference.
+struct Reference {
+    double c_0[3], RT_0[9], c_dot[3], turn[3];
+    Profile turning;
+    bool turns = false, moves = false;
+    double c[3], RT[9], omega[3];
+    Followed followed;
+
+    void begin() {
+        std::copy(c_0, c_0 + 3, c);
+        std::copy(RT_0, RT_0 + 9, RT);
+        std::fill(omega, omega + 3, 0.0);
+    }
+
+    void update(double t) {
+        if (followed.c) return follow();
+        if (!moves) return;
+        for (int i = 0; i < 3; i++) c[i] = c_0[i] + c_dot[i] * t;
+        if (!turns) return;
+        double share, speed, w[3], R[9];
+        turning.at(t, share, speed);
+        for (int i = 0; i < 3; i++) w[i] = turn[i] * share;
+        exp3(w, R);
+        product_transposed(RT_0, R, RT);
+        for (int i = 0; i < 3; i++) omega[i] = turn[i] * speed;
+    }
+
+    void follow() {
+        moves = true;
+        std::copy(followed.c, followed.c + 3, c);
+        std::copy(followed.RT, followed.RT + 9, RT);
+        std::copy(followed.c_dot, followed.c_dot + 3, c_dot);
+        std::copy(followed.omega, followed.omega + 3, omega);
+    }
+};
+
+enum class Kind { Point, Radial, Lean, Tilt, Rotation, Twist, Centering, Barrier, Posture };
+
+struct Primitive {
+    Kind kind;
+    int level, at;          // where its rows go
+    std::vector<int> rows;  // which of the kind's rows
+    Reference reference;
+    Profile profile;
+    double p_O[3], a_O[3];     // point and axis of the object
+    double e_start[3], phi[3]; // error, and turn, at the start
+    double length;             // distance; barrier's end
+    double Q_start[9];
+    double velocity[6];
+    bool planar;               // radial: in the plane of the first two axes; twist: object's axes
+    double weight, gain;       // of joint objectives
+    std::vector<double> numbers;  // of joint objectives, by joint
+};
+
+class Program {
+  public:
+    std::vector<Primitive> primitives;
+
+    // Fill all rows for time t.
+    void run(double t, const Kinematics& k, const Model& m, const double* q,
+             std::vector<Level>& levels) {
+        for (Primitive& p : primitives) {
+            Level& level = levels[std::size_t(p.level)];
+            if (p.kind < Kind::Centering) p.reference.update(t);
+            switch (p.kind) {
+                case Kind::Point: point(p, t, k, level); break;
+                case Kind::Radial: radial(p, t, k, level); break;
+                case Kind::Lean: lean(p, t, k, level); break;
+                case Kind::Tilt: tilt(p, t, k, level); break;
+                case Kind::Rotation: rotation(p, t, k, level); break;
+                case Kind::Twist: twist(p, t, k, level); break;
+                case Kind::Centering: centering(p, m, q, level); break;
+                case Kind::Barrier: barrier(p, m, q, level); break;
+                case Kind::Posture: posture(p, t, m, q, level); break;
+            }
+        }
+    }
+
+  private:
+    // A row that sees the velocity of a point, at `lever` from the origin, along d.
+    static void along(double* T, const double* d, const double* lever) {
+        for (int i = 0; i < 3; i++) T[i] = d[i];
+        cross3(lever, d, T + 3);
+    }
+
+    static void about(double* T, const double* d) {
+        for (int i = 0; i < 3; i++) {
+            T[i] = 0.0;
+            T[3 + i] = d[i];
+        }
+    }
+
+    // e_r = (1 - s) e_start, as coopqp.geometry.Approach.
+    static void approach(const Primitive& p, double t, int count, Level& level) {
+        double share, speed;
+        p.profile.at(t, share, speed);
+        if (!(share < 1.0)) return;
+        for (int i = 0; i < count; i++) {
+            level.e[std::size_t(p.at + i)] -= p.e_start[i] * (1.0 - share);
+            level.rate[std::size_t(p.at + i)] -= p.e_start[i] * speed;
+        }
+    }
+
+    // Where the point is from the reference's origin: lever, gap in the world, x in its own axes.
+    struct Seen {
+        double lever[3], gap[3], x[3], drag[3];
+    };
+
+    static Seen see(const Primitive& p, const Kinematics& k) {
+        Seen s;
+        const Reference& r = p.reference;
+        times3(k.R_WO, p.p_O, s.lever);
+        for (int i = 0; i < 3; i++) s.gap[i] = k.p_WO[i] + s.lever[i] - r.c[i];
+        times3(r.RT, s.gap, s.x);
+        cross3(r.omega, s.gap, s.drag);
+        for (int i = 0; i < 3; i++) s.drag[i] += r.c_dot[i];
+        return s;
+    }
+
+    static void point(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Seen s = see(p, k);
+        for (std::size_t i = 0; i < p.rows.size(); i++) {
+            const std::size_t at = std::size_t(p.at) + i;
+            const double* d = p.reference.RT + 3 * p.rows[i];
+            level.e[at] = s.x[p.rows[i]];
+            level.rate[at] = p.reference.moves ? dot3(d, s.drag) : 0.0;
+            along(level.T + 8 * at, d, s.lever);
+        }
+        approach(p, t, int(p.rows.size()), level);
+    }
+
+    static void radial(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Seen s = see(p, k);
+        const double z = p.planar ? 0.0 : s.x[2];
+        const double away = std::hypot(std::hypot(s.x[0], s.x[1]), z);
+        double u[3] = {1.0, 0.0, 0.0}, d[3];
+        if (away > TINY) {
+            u[0] = s.x[0] / away;
+            u[1] = s.x[1] / away;
+            u[2] = z / away;
+        }
+        transposed_times3(p.reference.RT, u, d);
+        const std::size_t at = std::size_t(p.at);
+        level.e[at] = away - p.length;
+        level.rate[at] = p.reference.moves ? dot3(d, s.drag) : 0.0;
+        along(level.T + 8 * at, d, s.lever);
+        approach(p, t, 1, level);
+    }
+
+    // A unit vector by its angle from the third axis and its way from it.
+    struct Polar {
+        double angle, sine, way[2];
+    };
+
+    static Polar polar(const double* y) {
+        Polar seen;
+        seen.sine = std::hypot(y[0], y[1]);
+        seen.way[0] = seen.sine > TINY ? y[0] / seen.sine : 1.0;
+        seen.way[1] = seen.sine > TINY ? y[1] / seen.sine : 0.0;
+        seen.angle = std::atan2(seen.sine, y[2]);
+        return seen;
+    }
+
+    // As coopqp.geometry.Alignment.
+    static void lean(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Reference& r = p.reference;
+        double share, speed, C[9], axis[3], y[3];
+        p.profile.at(t, share, speed);
+        std::copy(r.RT, r.RT + 9, C);
+        if (share < 1.0) {
+            double w[3], R[9];
+            for (int i = 0; i < 3; i++) w[i] = p.phi[i] * (share - 1.0);
+            exp3(w, R);
+            product(R, r.RT, C);
+        }
+        times3(k.R_WO, p.a_O, axis);
+        times3(C, axis, y);
+        const Polar seen = polar(y);
+        const double theta = seen.angle, u = seen.way[0], w = seen.way[1];
+        const double lowest = (PI - CONE) / std::tan(PI - CONE);
+        double h = theta < 1.0 ? 1.0 : lowest;
+        if (seen.sine > TINY) h = std::max(theta * std::cos(theta) / seen.sine, lowest);
+        const double rest = 1.0 - h;
+        const double E[2][3] = {{-rest * u * w, h + rest * u * u, -theta * w},
+                                {-h - rest * w * w, rest * u * w, theta * u}};
+        for (int i = 0; i < 2; i++) {
+            const std::size_t at = std::size_t(p.at + i);
+            double EC[3];
+            transposed_times3(C, E[i], EC);
+            level.e[at] = theta * seen.way[i];
+            level.rate[at] = -speed * dot3(E[i], p.phi) + (r.moves ? dot3(EC, r.omega) : 0.0);
+            about(level.T + 8 * at, EC);
+        }
+    }
+
+    // The angle of a line to the plane of the reference's first two axes.
+    static void tilt(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Reference& r = p.reference;
+        double axis[3], y[3], across[3];
+        times3(k.R_WO, p.a_O, axis);
+        times3(r.RT, axis, y);
+        const Polar seen = polar(y);
+        const double aside[3] = {seen.way[1], -seen.way[0], 0.0};
+        transposed_times3(r.RT, aside, across);
+        const std::size_t at = std::size_t(p.at);
+        level.e[at] = 0.5 * PI - seen.angle;
+        level.rate[at] = dot3(across, r.omega);
+        about(level.T + 8 * at, across);
+        approach(p, t, 1, level);
+    }
+
+    // As coopqp.geometry.RotationError.
+    static void rotation(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Reference& r = p.reference;
+        double share, speed, w[3], R[9], Q[9], Q_r[9], Q_e[9], e[3], left[9], turned[3];
+        p.profile.at(t, share, speed);
+        for (int i = 0; i < 3; i++) w[i] = p.phi[i] * share;
+        exp3(w, R);
+        product(R, p.Q_start, Q_r);
+        product(r.RT, k.R_WO, Q);
+        product_transposed(Q, Q_r, Q_e);
+        log3(Q_e, e);
+        inverse_left_jacobian(e, left);
+        for (int i = 0; i < 3; i++) w[i] = p.phi[i] * speed;
+        times3(Q_e, w, turned);
+        for (int i = 0; i < 3; i++) {
+            const std::size_t at = std::size_t(p.at + i);
+            double row[3];
+            transposed_times3(r.RT, left + 3 * i, row);
+            level.e[at] = e[i];
+            level.rate[at] =
+                dot3(left + 3 * i, turned) + (r.moves ? dot3(row, r.omega) : 0.0);
+            about(level.T + 8 * at, row);
+        }
+    }
+
+    static void twist(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        double share, speed, lever[3];
+        p.profile.at(t, share, speed);
+        times3(k.R_WO, p.p_O, lever);
+        for (std::size_t i = 0; i < p.rows.size(); i++) {
+            const std::size_t at = std::size_t(p.at) + i;
+            const int axis = p.rows[i] % 3;
+            double d[3];
+            for (int j = 0; j < 3; j++)
+                d[j] = p.planar ? k.R_WO[3 * j + axis] : (j == axis ? 1.0 : 0.0);
+            if (p.rows[i] < 3)
+                along(level.T + 8 * at, d, lever);
+            else
+                about(level.T + 8 * at, d);
+            level.e[at] = 0.0;
+            level.rate[at] = p.velocity[p.rows[i]] * share;
+        }
+    }
+
+    // numbers: middles, scales.
+    static void centering(const Primitive& p, const Model& m, const double* q, Level& level) {
+        const std::size_t n = m.joints.size();
+        for (std::size_t j = 0; j < n; j++)
+            level.wish[m.joints[j].lane] -=
+                p.weight * (p.gain * ((q[j] - p.numbers[j]) * p.numbers[n + j]));
+    }
+
+    // numbers: middles, 2 / range, 1 / range.
+    static void barrier(const Primitive& p, const Model& m, const double* q, Level& level) {
+        const std::size_t n = m.joints.size();
+        for (std::size_t j = 0; j < n; j++) {
+            const double x = std::min(
+                std::max((q[j] - p.numbers[j]) * p.numbers[n + j], -p.length), p.length);
+            const double e = x * p.numbers[2 * n + j] / (1.0 - x * x);
+            level.wish[m.joints[j].lane] -= p.weight * (p.gain * e);
+        }
+    }
+
+    // numbers: starts, ways; a row for each joint in `rows`, whose J is set once.
+    static void posture(const Primitive& p, double t, const Model& m, const double* q,
+                        Level& level) {
+        double share, speed;
+        p.profile.at(t, share, speed);
+        const std::size_t n = m.joints.size();
+        for (std::size_t i = 0; i < p.rows.size(); i++) {
+            const std::size_t at = std::size_t(p.at) + i, j = std::size_t(p.rows[i]);
+            level.e[at] = q[j] - p.numbers[j] - p.numbers[n + j] * share;
+            level.rate[at] = p.numbers[n + j] * speed;
+        }
+    }
+};
+
+}  // namespace coopqp

@@ -1,0 +1,96 @@
+// Rows brought to lower-triangular form by Householder reflections from the right: rows = L Q'.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "lanes.hpp"
+
+namespace coopqp {
+
+__attribute__((always_inline)) inline void reflect(double* x, const double* h, double beta,
+                                                   int blocks) {
+    v4* a = lanes(x);
+    const v4* t = lanes(h);
+    v4 s = t[0] * a[0];
+    for (int b = 1; b < blocks; b++) s += t[b] * a[b];
+    const double u = beta * sum(s);
+    for (int b = 0; b < blocks; b++) a[b] -= t[b] * u;
+}
+
+// The reflection of a row's lanes from `first` on onto lane `first`; returns what lane `first`
+// becomes, and 0 where less than `least` is there.
+inline double reflection(const double* row, int first, int blocks, double least, double* h,
+                         double& beta) {
+    v4* t = lanes(h);
+    const v4* a = lanes(row);
+    for (int b = 0; b < blocks; b++) t[b] = a[b];
+    for (int i = 0; i < first; i++) h[i] = 0.0;
+    v4 squares = t[0] * t[0];
+    for (int b = 1; b < blocks; b++) squares += t[b] * t[b];
+    const double size2 = sum(squares);
+    if (!(size2 > least * least)) return 0.0;
+    const double size = std::sqrt(size2), onto = h[first] > 0 ? -size : size;
+    h[first] -= onto;
+    beta = -1.0 / (onto * h[first]);
+    return onto;
+}
+
+// Up to `most` rows of B blocks of four lanes, of which the first `width` hold coordinates.
+template <int B>
+class Reflections {
+  public:
+    static constexpr int WIDTH = B * LANES;
+
+    void open(Arena& arena, int most, int width) {
+        most_ = most;
+        width_ = width;
+        h_ = arena.take(std::size_t(most) * WIDTH);
+        L_.assign(std::size_t(most) * std::size_t(most), 0.0);
+        beta_.assign(std::size_t(most), 0.0);
+    }
+
+    int rank() const { return rank_; }
+    double L(int row, int pivot) const { return L_[std::size_t(row * most_ + pivot)]; }
+
+    // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
+    // `least` brings no reflection; false where that is not allowed.
+    bool factor(double* rows, int count, double least, bool independent) {
+        rank_ = 0;
+        const int most = std::min(most_, width_);
+        for (int s = 0; s < count; s++) {
+            double *row = rows + s * WIDTH, *h = h_ + rank_ * WIDTH, beta = 0.0;
+            const double onto = rank_ < most ? reflection(row, rank_, B, least, h, beta) : 0.0;
+            if (onto == 0.0) {
+                if (independent) return false;
+                continue;
+            }
+            if (s < most_) {
+                double* L = &L_[std::size_t(s * most_)];
+                for (int k = 0; k < rank_; k++) L[k] = row[k];
+                L[rank_] = onto;
+            }
+            beta_[std::size_t(rank_)] = beta;
+            for (int j = s + 1; j < count; j++) reflect(rows + j * WIDTH, h, beta, B);
+            rank_++;
+        }
+        return true;
+    }
+
+    // Q' x, coordinates in the new basis, of which the first `rank` are those that the rows see.
+    void to_new(double* x) const {
+        for (int s = 0; s < rank_; s++) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+    }
+
+    // Q x.
+    void to_old(double* x) const {
+        for (int s = rank_; s-- > 0;) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+    }
+
+  private:
+    double* h_ = nullptr;
+    std::vector<double> beta_, L_;
+    int most_ = 0, width_ = 0, rank_ = 0;
+};
+
+}  // namespace coopqp

@@ -1,0 +1,129 @@
+// Exact rows: hard ones, and scaled ones up to shares that are as large as can be,
+//
+//     v = v_0 + sum_k s_k V_k,   0 <= s_k <= 1
+//
+// V_k is the shortest motion that does all of task k and nothing of the other exact ones. In
+// orthonormal coordinates the cost is d/2 |x + sum_k s_k x_k|^2 + W/2 sum_k (s_k - 1)^2.
+#pragma once
+#include <cmath>
+#include <vector>
+
+#include "faults.hpp"
+#include "hierarchy.hpp"
+
+namespace coopqp {
+
+constexpr double CONSISTENT = 3e-7;  // by which rows that depend on others may differ [rad/s]
+
+class Shares {
+  public:
+    // Of the first level.
+    Shares(const Level& level, Hierarchy& hierarchy, int lanes, Arena& arena)
+        : hierarchy_(hierarchy), count_(level.shares), exact_(level.exact), lanes_(lanes),
+          width_(hierarchy.width()), ways_(arena.take(std::size_t((count_ + 1) * lanes))),
+          coordinates_(arena.take(std::size_t((count_ + 1) * width_))),
+          R_(std::size_t((count_ + 1) * (count_ + 1))), s_(std::size_t(count_ + 1)),
+          c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
+
+    int count() const { return count_; }
+    double share(int k) const { return s_[std::size_t(k)]; }
+    double& share(int k) { return s_[std::size_t(k)]; }
+    double* way(int k) { return ways_ + k * lanes_; }              // V_k, over the joints
+    double* coordinates(int k) { return coordinates_ + k * width_; }  // x_k
+
+    // Coordinates x that do what hard rows ask for, and of scaled ones the share that is best where
+    // no limit binds; residual: what is missing in all rows. Returns how many coordinates that
+    // takes: one a row, but for rows that depend on others.
+    int take(const Level& level, const double* residual, double* x, double d) {
+        int rank = 0;
+        while (rank < hierarchy_.decided && hierarchy_.pivot_row(rank) < exact_) rank++;
+        const auto wanted = [&level](int s) { return level.wanted[std::size_t(s)]; };
+        const auto share_of = [&level](int s) { return level.share[std::size_t(s)]; };
+        solve(rank, x, &spare_[0],
+              [&](int s) { return residual[s] - (share_of(s) < 0 ? 0.0 : wanted(s)); });
+        for (int k = 0; k < count_; k++)
+            solve(rank, coordinates(k), &spare_[std::size_t((k + 1) * exact_)],
+                  [&](int s) { return share_of(s) == k ? wanted(s) : 0.0; });
+        choose(x, d);
+        if (fault(Fault::WrongShare) && count_) share(0) *= 0.999;
+        if (fault(Fault::WrongWay) && count_) coordinates(0)[0] += 1e-3;
+        for (int k = 0; k < count_; k++)
+            add(x, coordinates(k), s_[std::size_t(k)], hierarchy_.blocks());
+        return rank;
+    }
+
+    // What a row that depends on others asks of a share, and what it lacks; no others ask.
+    double asks(int s, int k) const { return spare_[std::size_t((k + 1) * exact_ + s)]; }
+    double lacks(int s) const {
+        double lacks = spare_[std::size_t(s)], all = 0.0;
+        for (int k = 0; k < count_; k++) {
+            lacks += asks(s, k) * share(k);
+            all += std::fabs(asks(s, k));
+        }
+        return all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
+    }
+
+  private:
+    // The shares that cost least where nothing else binds.
+    void choose(const double* x, double d) {
+        const int blocks = width_ / LANES;
+        for (int i = 0; i < count_; i++) {
+            c_[std::size_t(i)] = SCALE_WEIGHT - d * dot(coordinates(i), x, blocks);
+            for (int j = i; j < count_; j++)
+                R(i, j) = d * dot(coordinates(i), coordinates(j), blocks);
+            R(i, i) += SCALE_WEIGHT;
+        }
+        for (int i = 0; i < count_; i++) {  // R'R, in place
+            for (int k = 0; k < i; k++)
+                for (int j = i; j < count_; j++) R(i, j) -= R(k, i) * R(k, j);
+            const double root = std::sqrt(R(i, i));
+            for (int j = i; j < count_; j++) R(i, j) /= root;
+        }
+        for (int i = 0; i < count_; i++) {
+            for (int k = 0; k < i; k++) c_[std::size_t(i)] -= R(k, i) * c_[std::size_t(k)];
+            c_[std::size_t(i)] /= R(i, i);
+        }
+        back(c_.data(), s_.data());
+    }
+
+  public:
+    // Column a of R^-1: how the shares go with a direction in which the cost bends by one.
+    void direction(int a, double* out) {
+        for (int i = 0; i < count_; i++) c_[std::size_t(i)] = i == a ? 1.0 : 0.0;
+        back(c_.data(), out);
+    }
+
+  private:
+    template <class Side>
+    void solve(int rank, double* x, double* spare, Side side) {
+        clear(x, hierarchy_.blocks());
+        for (int s = 0, k = 0; s < exact_; s++) {
+            double rest = side(s);
+            for (int j = 0; j < k; j++) rest -= hierarchy_.row(s)[j] * x[j];
+            spare[s] = 0.0;
+            if (k < rank && hierarchy_.pivot_row(k) == s) {
+                x[k] = rest / hierarchy_.row(s)[k];
+                k++;
+            } else {
+                spare[s] = rest;
+            }
+        }
+    }
+
+    double& R(int i, int j) { return R_[std::size_t(i * count_ + j)]; }
+
+    void back(const double* c, double* out) {
+        for (int i = count_; i-- > 0;) {
+            double rest = c[i];
+            for (int j = i + 1; j < count_; j++) rest -= R(i, j) * out[j];
+            out[i] = rest / R(i, i);
+        }
+    }
+
+    Hierarchy& hierarchy_;
+    int count_, exact_, lanes_, width_;
+    double *ways_, *coordinates_;
+    std::vector<double> R_, s_, c_, spare_;
+};
+
+}  // namespace coopqp

@@ -1,0 +1,158 @@
+"""A problem as flat arrays, which is all that the kernel knows of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
+from coopqp.limit import JointBounds, TwistBounds, movers
+
+Flat = dict[str, Any]
+
+LARGE = 1e300  # stands for no limit
+
+
+def flat_model(chain: ClosedChain) -> Flat | None:
+    """Joints with their axes turned to z, and the arms; None where a joint is of another kind.
+
+    Args:
+        chain: the closed chain.
+    """
+    model = chain.model
+    turned = {0: np.eye(3)}
+    slides, parents, placements = [], [], []
+    for j in range(1, model.njoints):
+        axis = _axis(model.joints[j])
+        if axis is None or model.idx_vs[j] != j - 1:
+            return None
+        slides.append(float(axis[0]))
+        turned[j] = _z_along(axis[1])
+        parent = int(model.parents[j])
+        parents.append(float(parent - 1))
+        X = model.jointPlacements[j]
+        placements.append(
+            _placement(turned[parent].T @ X.rotation @ turned[j], turned[parent].T @ X.translation)
+        )
+    tips, objects = [], []
+    for frame in chain.frames:
+        f = model.frames[frame]
+        tips.append(float(f.parentJoint - 1))
+        A = turned[f.parentJoint].T
+        objects.append(_placement(A @ f.placement.rotation, A @ f.placement.translation))
+    return {
+        "parents": np.array(parents),
+        "slides": np.array(slides),
+        "placements": np.concatenate(placements),
+        "tips": np.array(tips),
+        "object_placements": np.concatenate(objects),
+        "alpha": np.ascontiguousarray(chain.alpha),
+        "holding": float(chain.holding),
+    }
+
+
+def flat_settings(
+    problem: ControlProblem, damping: float, error_damping: float, inequalities: int
+) -> Flat:
+    """Numbers of a problem that hold for all ticks.
+
+    Args:
+        problem: what to control.
+        damping: cost of |v|^2.
+        error_damping: share of the damping that rules out any overshoot.
+        inequalities: how many rows of limits there are.
+    """
+    chain, budget = problem.chain, problem.budget
+    joints = [chain.model.frames[frame].parentJoint for frame in chain.frames[: chain.holding]]
+    moved = movers(chain, joints)
+    per_arm = moved * moved.sum(axis=1, keepdims=True)
+    second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
+    return {
+        "dt": problem.dt,
+        "kappa": problem.kappa,
+        "damping": damping,
+        "error_damping": error_damping,
+        "reach": chain.reach,
+        "budget": np.array(
+            [
+                budget.equality,
+                budget.bound,
+                budget.accuracy,
+                budget.loop_position,
+                budget.loop_orientation,
+            ]
+        ),
+        "lower": np.maximum(chain.lower, -LARGE),
+        "upper": np.minimum(chain.upper, LARGE),
+        "second_order": np.ascontiguousarray(second_order).ravel(),
+        "inequalities": float(inequalities),
+    }
+
+
+def flat_joint_limit(bounds: JointBounds) -> Flat:
+    """Bounds on the joints, as numbers."""
+    return {
+        "kind": float(bounds.of),
+        "lower": np.maximum(bounds.lower, -LARGE),
+        "upper": np.minimum(bounds.upper, LARGE),
+        "step": np.zeros(0) if bounds.step is None else bounds.step,
+        "speed": float(bounds.speed),
+    }
+
+
+def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
+    """Rows that see the object's twist, as numbers.
+
+    Args:
+        bounds: on the twist.
+        at: the first of the rows.
+    """
+    return {
+        "at": float(at),
+        "components": np.array(bounds.components, float),
+        "bounds": np.array(bounds.bounds, float),
+        "points": np.array(bounds.points, float).ravel(),
+        "normal": np.array(bounds.normal, float),
+        "offset": float(bounds.offset),
+        "gain": float(bounds.gain),
+    }
+
+
+def kept_rows(chain: ClosedChain) -> Array:
+    """1 for each loop row that the solvers see, shape (6 L,) of the closed loops."""
+    kept = np.zeros(chain.loops.closed)
+    kept[list(chain.loops.kept)] = 1.0
+    return kept
+
+
+def _axis(joint: pin.JointModel) -> tuple[bool, Array] | None:
+    """Whether a joint slides, and along or about which axis."""
+    if joint.nq != 1 or joint.nv != 1:
+        return None
+    data = joint.createData()
+    joint.calc(data, np.zeros(joint.idx_q + 1))
+    S = np.asarray(data.S).ravel()
+    linear, angular = S[:3], S[3:]
+    if linear.any() and angular.any():
+        return None
+    slides = bool(linear.any())
+    return slides, linear if slides else angular
+
+
+def _z_along(axis: Array) -> Array:
+    """A rotation A with A e_z along the axis."""
+    d = axis / np.linalg.norm(axis)
+    if d[2] == 1.0:
+        return np.eye(3)
+    least = int(np.argmin(np.abs(d)))
+    x = np.eye(3)[least] - d[least] * d
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(d, x), d])
+
+
+def _placement(R: Array, p: Array) -> Array:
+    return np.concatenate([R.ravel(), p])

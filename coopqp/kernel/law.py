@@ -1,0 +1,307 @@
+"""A tick by the kernel, or by the plain law where the kernel has no verified answer.
+
+The kernel does what the plain law does when all is well: the loops, hard, scaled and soft tasks,
+any number of levels, limits, the check and the look ahead. Where it proves that hard and scaled
+tasks leave no motion they become soft, for as long as in the plain law, as a second program of the
+kernel. Joints that are outside their limits have their way back from the plain law, within which
+the kernel decides. All that is rarer is written once, in the plain law, which decides every tick
+that the kernel does not: drift that is corrected in part, acceleration limits that are given up.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Command, ControlProblem, Law
+from coopqp.errors import InvalidValueError
+from coopqp.kernel import native
+from coopqp.kernel.compiled import Compiled, Outcome
+from coopqp.kernel.flat import flat_model, kept_rows
+from coopqp.kernel.levels import Group
+from coopqp.kernel.limits import Limits
+from coopqp.limit import movers
+from coopqp.memory import Memory
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import ALL_OF_IT
+from coopqp.qp_law.law import QPLaw, soft_ticks
+from coopqp.solver import Status
+from coopqp.state import State
+
+#: Numbers, not members: a tick compares them.
+OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
+INFEASIBLE, OUTSIDE = int(Outcome.INFEASIBLE), int(Outcome.OUTSIDE)
+ALL_WELL = {OPTIMAL: (Status.OPTIMAL,), SHORTENED: (Status.STEP_SHORTENED,)}
+GIVEN_UP = {
+    OPTIMAL: (Status.TASKS_GIVEN_UP,),
+    SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
+}
+STANDS = (Status.INFEASIBLE,)
+#: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
+MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
+AT_ONCE = 1000  # ticks of a run without Python
+
+
+class KernelLaw(Law):
+    """The QP law, compiled.
+
+    Args:
+        problem: what to control.
+        plain: the same law in Python, for ticks that the kernel leaves to it.
+        damping: cost of |v|^2.
+        error_damping: share of the damping that rules out any overshoot.
+
+    Attributes:
+        plain: as given.
+        whole: the problem, compiled.
+        softened: the same with all tasks soft, and no later levels; None where all are anyway.
+    """
+
+    engine = "kernel"
+
+    def __init__(
+        self, problem: ControlProblem, plain: QPLaw, damping: float, error_damping: float
+    ) -> None:
+        super().__init__(problem)
+        self.plain, self.memory_sizes = plain, plain.memory_sizes
+        self._limits = limits = Limits(problem, State(problem.chain))
+        hard, scaled = plain.exact.hard.tasks, plain.exact.scaled.tasks
+        first, *later = (stack.tasks for stack in plain.stacks)
+        settings = limits, damping, error_damping, self.command.v
+        whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
+        self.whole = Compiled(problem, whole, *settings)
+        self.softened: Compiled | None = None
+        if hard or scaled:
+            self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
+        self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
+        self._soft_ticks, self._scales = soft_ticks(problem), bool(scaled)
+        self._asked = False  # whether the kernel has been asked in this tick, and what it said
+        self._said = OPTIMAL
+        self._bound: tuple[Any, ...] = ()
+
+    def tick(self, state: State) -> Command:
+        """The command for the next dt; without a line of Python between where nothing needs it."""
+        self._asked, self._said = False, OPTIMAL
+        if self._alone(state) and self._ready(state) and not self._stopped[0]:
+            self._asked = True
+            if self._decides(state):
+                state.mark_stale()
+                state.corrected = 1.0
+                return self.command
+        return super().tick(state)
+
+    def decide(self, state: State) -> Command:
+        """Fill what Python has to, and let the kernel decide; the plain law where it does not."""
+        self.compiled = False
+        if not self._asked and self._ready(state):
+            if self._stopped[0]:
+                self._stand_still()
+                return self.command
+            self._limits.update(state)
+            if self._decides(state):
+                return self.command
+        if self._said == OUTSIDE and self._comes_back(state):
+            return self.command
+        other, command = self.plain.decide(state), self.command
+        command.v[:] = other.v
+        command.scale, command.drift = other.scale, other.drift
+        command.say(*other.causes)
+        return command
+
+    def _decides(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> bool:
+        """Whether the kernel has an answer, which is the command then.
+
+        Args:
+            state: of the tick.
+            within: bounds of joints that may be outside their limits, if they may.
+            kappa: drift gain with these bounds.
+        """
+        self.compiled = False
+        if self._soft[0] <= 0.0:
+            self._said = said = self.whole.tick(state, within, kappa)
+            if said in ALL_WELL:
+                self._say(ALL_WELL[said])
+                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
+                return True
+            if said != INFEASIBLE or (not self.softened and self._gives_up):
+                return False
+        if self._gives_up and not self._softens(state, within):
+            return False
+        if not self._gives_up:
+            self._stand_still()
+        self._pull[0] = self._missing[:] = 0.0
+        return True
+
+    def _softens(self, state: State, within: Bounds | None) -> bool:
+        """Whether there is an answer with all tasks soft."""
+        if self.softened is None or state.corrected < ALL_OF_IT:
+            return False
+        kappa = self.plain.probe.kappa(state) if within else 0.0
+        self._said = said = self.softened.tick(state, within, kappa)
+        if said not in GIVEN_UP:
+            return False
+        self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
+        self._say(GIVEN_UP[said])
+        self.command.scale = 0.0 if self._scales else 1.0
+        return True
+
+    def _comes_back(self, state: State) -> bool:
+        """Whether there is an answer that brings joints back that are outside their limits.
+
+        The way back is the plain law's; the kernel decides within it.
+        """
+        command, recovery, pull = self.command, self.plain.recovery, state.memory["recovery"]
+        before = pull[0]
+        kappa = self.plain.limit(state)
+        if not self._decides(state, self.plain.bounds, kappa):
+            pull[0] = before
+            return False
+        v, causes = recovery.rescue(command.v, command.causes)
+        command.say(*causes)
+        command.drift = min(command.drift, recovery.share)
+        if v is not command.v:
+            command.v[:] = v
+            command.scale = 1.0
+            self.plain.probe.shorten(state, command)
+        return True
+
+    def run(self, state: State, ticks: int) -> tuple[Array, Array]:
+        """Many ticks at once on joints that do as told, the same as one by one.
+
+        Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
+        Python fills rows or limits, or joints are measured, every tick is one of :meth:`tick`.
+
+        Args:
+            state: where it begins, of :meth:`start`; written, so that it is where it ends.
+            ticks: how many.
+
+        Returns:
+            q before each tick and at the end, shape (T + 1, n), and v, shape (T, n).
+        """
+        n, dt = self.problem.chain.n, self.problem.dt
+        q, v = np.zeros((ticks + 1, n)), np.zeros((ticks, n))
+        done = 0
+        while done < ticks:
+            if self._alone(state) and self._ready(state) and not self._waits:
+                rest = min(ticks - done, AT_ONCE)  # in between signals are heard
+                made = self.whole.engine.run(state.t, q[done:], v[done:], state.q, state.v, rest)
+                for _ in range(max(made, 0)):
+                    state.t += dt  # as tick by tick, to the last digit
+                done += max(made, 0)
+                state.mark_stale()
+                if made == rest:
+                    continue
+            if done < ticks:
+                q[done], v[done] = state.q, self.tick(state).v
+                state.advance(v[done], dt)
+                done += 1
+        q[ticks] = state.q
+        state.update()
+        return q, v
+
+    def _say(self, causes: tuple[Status, ...]) -> None:
+        self.compiled = True
+        self.command.drift = 1.0
+        self.command.causes, self.command.note = causes, ""
+
+    def _stand_still(self) -> None:
+        """As the problem wants it where not everything can hold."""
+        self._say(STANDS)
+        self.command.v[:] = 0.0
+        self.command.scale = 0.0 if self._scales else 1.0
+        self._stopped[0] = float(self.problem.on_infeasible == "stop")
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the law stands still, or hard tasks were given up a moment ago."""
+        return bool(self._stopped[0] or self._soft[0])
+
+    @property
+    def _gives_up(self) -> bool:
+        return self.problem.on_infeasible == "scale"
+
+    def _alone(self, state: State) -> bool:
+        """Whether nothing of a tick is Python's: no rows, no sensors, no inputs to complain of."""
+        inputs = state.inputs
+        measured = state.q_measured is not None
+        return self._alone_at_all and not (measured or inputs.stale or inputs.refused)
+
+    def _ready(self, state: State) -> bool:
+        """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""
+        memory, bound = state.memory, self._bound
+        if (
+            len(bound) == 5
+            and state is bound[0]
+            and state.q is bound[1]
+            and state.v is bound[2]
+            and state.gap is bound[3]
+            and memory is bound[4]
+        ):
+            return True
+        if not self._fits(state) or not _plain_numbers(state.q, state.v, state.gap):
+            return False
+        if memory.sizes != self.memory_sizes:
+            state.memory = memory = Memory(self.memory_sizes)
+        for compiled in (self.whole, self.softened):
+            if compiled is not None:
+                compiled.bind(state, memory)
+        self._bound = (state, state.q, state.v, state.gap, memory)
+        self._stopped, self._soft = memory["stopped"], memory["soft"]
+        self._pull, self._missing = memory["pull"], memory["missing"]
+        return True
+
+
+def _plain_numbers(*arrays: Array) -> bool:
+    """Whether arrays are as the kernel reads them."""
+    return all(a.dtype == np.float64 and a.flags.c_contiguous for a in arrays)
+
+
+def why_not(problem: ControlProblem) -> str:
+    """Why the kernel cannot do a problem; empty where it can."""
+    chain = problem.chain
+    if native.module() is None:
+        return native.MISSING
+    if not problem.solver.kernel_instead:
+        return "the scenario asks for another solver"
+    if chain.loops.varying:
+        return "which loop rows depend on others changes with the pose"
+    if flat_model(chain) is None:
+        return "a joint is neither a hinge nor a slide"
+    if chain.n <= len(chain.loops.kept):
+        return "the loops leave no motion"
+    return _unfit(chain)
+
+
+def _unfit(chain: ClosedChain) -> str:
+    """What of a chain the compiled arrays do not hold, loop by loop."""
+    moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
+    shared = moved.sum(axis=0) > 1.0
+    first = np.count_nonzero(shared | (moved[0] > 0.0))
+    others = (moved[1 : chain.holding] * ~shared).sum(axis=1)
+    widest = max(first, 6 + np.count_nonzero(shared)) + others.max(initial=0.0)
+    if widest > MOST_LANES and chain.holding > 1:
+        return f"two arms have more than {MOST_LANES} joints together"
+    if np.count_nonzero(shared) > MOST_SHARED:
+        return f"more than {MOST_SHARED} joints move several arms"
+    carry, kept = int(first), kept_rows(chain).reshape(-1, 6).sum(axis=1)
+    for own, rows in zip(others, kept, strict=True):
+        left = int(carry + own - rows)
+        if left < 0:
+            return "a loop has fewer joints than rows"
+        carry = min(left, 6 + int(np.count_nonzero(shared)))
+    if chain.holding - 1 > MOST_LOOPS:
+        return f"there are more than {MOST_LOOPS} loops"
+    return ""
+
+
+def required(problem: ControlProblem) -> None:
+    """Refuse what the kernel cannot do.
+
+    Raises:
+        InvalidValueError: with the reason.
+    """
+    if reason := why_not(problem):
+        raise InvalidValueError(f"engine: kernel cannot do this: {reason}; use engine: auto")

@@ -1,0 +1,167 @@
+"""The tasks of a problem as levels of rows, in the order of the plain law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.geometry import Reference
+from coopqp.kernel.flat import Flat
+from coopqp.program import Primitive
+from coopqp.state import State
+from coopqp.task import Task, TaskStack
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A task whose rows Python fills, for the kernel to read.
+
+    Attributes:
+        stack: of this task alone.
+        level, at: where its rows go: level, and the first of its rows.
+        joints: whether J is the identity, so that the task has no rows there.
+    """
+
+    stack: TaskStack
+    level: int
+    at: int
+    joints: bool
+
+    @property
+    def bound(self) -> tuple[Any, ...]:
+        """What the kernel is to read, and where it goes."""
+        (task,) = self.stack.tasks
+        weight, gain = float(task.weight), float(task.gain)
+        block = self.stack.e, self.stack.J, self.stack.rate
+        return *block, self.level, self.at, self.joints, weight, gain
+
+
+@dataclass
+class _Rows:
+    """Numbers of a level's rows, one each."""
+
+    gain: list[float] = field(default_factory=list)
+    weight: list[float] = field(default_factory=list)
+    lever: list[float] = field(default_factory=list)
+    asks_velocity: list[float] = field(default_factory=list)
+    twist: list[float] = field(default_factory=list)
+    share: list[float] = field(default_factory=list)
+
+    def take(self, task: Task, levers: Array, share: int, *, twist: bool) -> None:
+        count = len(levers)
+        self.gain += [float(task.gain)] * count
+        self.weight += [float(task.weight)] * count
+        self.lever += levers.tolist()
+        self.asks_velocity += [float(task.asks_velocity)] * count
+        self.twist += [float(twist)] * count
+        self.share += [float(share)] * count
+
+
+@dataclass(frozen=True)
+class Group:
+    """The tasks of one level, by their modes.
+
+    Attributes:
+        soft, hard, scaled: those of each mode; later levels have soft ones alone.
+    """
+
+    soft: Sequence[Task]
+    hard: Sequence[Task] = ()
+    scaled: Sequence[Task] = ()
+
+
+class Levels:
+    """Tasks level by level.
+
+    Args:
+        groups: a level each.
+        start: the state from which their references set out.
+
+    Attributes:
+        flat: each level's numbers.
+        primitives: the tasks that the kernel evaluates itself, as numbers.
+        filled: the others.
+        followed: references that signals move, and whose primitive each is.
+    """
+
+    def __init__(self, groups: Sequence[Group], start: State) -> None:
+        self.flat: list[Flat] = []
+        self.primitives: list[Flat] = []
+        self.filled: list[Filled] = []
+        self.followed: list[tuple[int, Reference]] = []
+        self._start = start
+        for level, group in enumerate(groups):
+            self.flat.append(self._level(level, group))
+
+    @property
+    def compiled(self) -> bool:
+        """Whether nothing is Python's."""
+        return not (self.filled or self.followed)
+
+    def update(self, state: State) -> None:
+        """Fill what Python fills, at a state."""
+        state.lock()
+        try:
+            for _, reference in self.followed:
+                reference.update(state)
+        finally:
+            state.unlock()
+        for task in self.filled:
+            task.stack.update(state)
+
+    def _level(self, level: int, group: Group) -> Flat:
+        rows, joint_weight = _Rows(), 0.0
+        for task in group.hard:
+            self._take(level, task, rows)
+        hard = len(rows.gain)
+        for share, task in enumerate(group.scaled):
+            self._take(level, task, rows, share)
+        exact = len(rows.gain)
+        for task in group.soft:
+            joints = task.joint_space and task.all_joints
+            self._take(level, task, rows, joints=joints)
+            joint_weight += float(task.weight) if joints else 0.0
+        numbers = {name: np.array(values, float) for name, values in vars(rows).items()}
+        sizes = {"hard": hard, "exact": exact, "shares": len(group.scaled)}
+        return {
+            **numbers,
+            **{name: float(size) for name, size in sizes.items()},
+            "joint_weight": joint_weight,
+        }
+
+    def _take(
+        self, level: int, task: Task, rows: _Rows, share: int = -1, *, joints: bool = False
+    ) -> None:
+        """Add a task's rows to a level, as primitives where it has any."""
+        program, at = task.program(self._start), len(rows.gain)
+        stack = TaskStack([task], self._start)
+        if program is None or any(primitive.of_joints != joints for primitive in program):
+            self.filled.append(Filled(stack, level, at, joints))
+            if not joints:
+                rows.take(task, stack.levers, share, twist=False)
+            return
+        for primitive in program:
+            if primitive.reference.follows:
+                self.followed.append((len(self.primitives), primitive.reference))
+            self.primitives.append(
+                {
+                    **primitive.flat(),
+                    "level": float(level),
+                    "at": float(at),
+                    "weight": float(task.weight),
+                    "gain": float(task.gain),
+                }
+            )
+            at += len(primitive.rows)
+        if not joints:
+            count = at - len(rows.gain)
+            rows.take(task, stack.levers[:count], share, twist=_sees_twist(program))
+
+
+def _sees_twist(program: Sequence[Primitive]) -> bool:
+    """Whether a task's rows are those of the object's twist."""
+    return all(not primitive.over_joints for primitive in program)

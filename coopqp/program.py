@@ -1,0 +1,179 @@
+"""A task as a list of geometric primitives, which the compiled kernel can evaluate.
+
+A primitive is a few rows of one kind: a point seen from a reference, a distance, an axis that
+leans, a line's angle to a plane, a rotation, a twist, or a wish for the joints. Whatever a task's
+reference needs from the start is read from the start state here, once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array, Vector3, unit
+from coopqp.geometry import PointInReference, Reference, polar
+from coopqp.profile import KINDS, Profile
+from coopqp.state import State
+
+AT_ONCE = Profile(kind="step")
+
+
+class Kind(IntEnum):
+    """What a primitive does, numbered as in ``kernel/core/program.hpp``."""
+
+    POINT = 0
+    RADIAL = 1
+    LEAN = 2
+    TILT = 3
+    ROTATION = 4
+    TWIST = 5
+    CENTERING = 6
+    BARRIER = 7
+    POSTURE = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Primitive:
+    """A few rows of a task.
+
+    Attributes:
+        kind: what it does.
+        rows: which of the kind's rows, in the task's order; for a posture, which joints.
+        reference: the frame that the object is steered to.
+        profile: how the error goes to zero, or the wish to its goal.
+        point: of the object, in the object frame [m].
+        axis: of the object, in the object frame, of length one.
+        e_start: error at the start, one number a row.
+        phi: rotation vector from start to goal [rad].
+        Q_start: orientation at the start, shape (3, 3).
+        length: a distance [m]; for a barrier, where its slope stops to grow.
+        velocity: of a twist, six numbers [m/s, rad/s].
+        planar: for a distance, whether it is measured in the plane of the reference's first two
+            axes; for a twist, whether it is along the object's axes.
+        numbers: of joint objectives, one after the other, each by joint.
+    """
+
+    kind: Kind
+    rows: tuple[int, ...]
+    reference: Reference = field(default_factory=Reference)
+    profile: Profile = AT_ONCE
+    point: Vector3 = (0.0, 0.0, 0.0)
+    axis: Sequence[float] = (0.0, 0.0, 1.0)
+    e_start: Sequence[float] = ()
+    phi: Sequence[float] = (0.0, 0.0, 0.0)
+    Q_start: Array = field(default_factory=lambda: np.eye(3))
+    length: float = 0.0
+    velocity: Sequence[float] = (0.0,) * 6
+    planar: bool = False
+    numbers: Sequence[Array] = ()
+
+    @property
+    def of_joints(self) -> bool:
+        """Whether it is a wish for all joints, which has no rows of its own."""
+        return self.kind in (Kind.CENTERING, Kind.BARRIER)
+
+    @property
+    def over_joints(self) -> bool:
+        """Whether its rows are of joints, not of the object's twist."""
+        return self.kind is Kind.POSTURE
+
+    def flat(self) -> dict[str, Any]:
+        """As numbers."""
+        return {
+            "kind": float(self.kind),
+            "rows": np.array(self.rows, float),
+            "reference": self.reference.numbers(),
+            "profile": profile_numbers(self.profile),
+            "point": np.array(self.point, float),
+            "axis": np.array(self.axis, float),
+            "e_start": np.resize(np.append(self.e_start, np.zeros(3)), 3),
+            "phi": np.array(self.phi, float),
+            "Q_start": np.ascontiguousarray(self.Q_start, float),
+            "length": float(self.length),
+            "velocity": np.array(self.velocity, float),
+            "planar": float(self.planar),
+            "numbers": np.concatenate([np.zeros(0), *self.numbers]),
+        }
+
+
+def profile_numbers(profile: Profile) -> Array:
+    """Kind, duration and delay, shape (3,)."""
+    return np.array([KINDS.index(profile.kind), profile.duration, profile.delay], float)
+
+
+def point(
+    start: State, reference: Reference, p_O: Vector3, profile: Profile, rows: tuple[int, ...]
+) -> Primitive:
+    """A point's place along some of the reference's axes; its error shrinks from the start's.
+
+    Args:
+        start: the state from which the reference sets out.
+        reference: what the point goes to.
+        p_O: the point, in the object frame [m].
+        profile: how the error goes to zero.
+        rows: which axes of the reference count.
+    """
+    return Primitive(
+        kind=Kind.POINT, rows=rows, reference=reference, point=p_O, profile=profile,
+        e_start=_place(start, reference, p_O)[list(rows)].tolist(),
+    )  # fmt: skip
+
+
+def radial(
+    start: State, reference: Reference, p_O: Vector3, profile: Profile, length: float, *,
+    planar: bool,
+) -> Primitive:  # fmt: skip
+    """A point's distance from the reference's origin, or from its third axis."""
+    x = _place(start, reference, p_O)
+    away = math.hypot(x[0], x[1]) if planar else math.hypot(*x)
+    return Primitive(
+        kind=Kind.RADIAL, rows=(0,), reference=reference, point=p_O, profile=profile,
+        e_start=(away - length,), length=length, planar=planar,
+    )  # fmt: skip
+
+
+def lean(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
+    """An axis of the object goes to the reference's third, :class:`coopqp.geometry.Alignment`."""
+    reference.update(start)
+    a_O = unit((axis[0], axis[1], axis[2]))
+    seen = polar(reference.RT @ start.R_WO @ a_O)
+    phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
+    return Primitive(
+        kind=Kind.LEAN, rows=(0, 1), reference=reference, axis=a_O.tolist(), profile=profile,
+        phi=phi.tolist(),
+    )  # fmt: skip
+
+
+def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
+    """A line of the object goes into the plane of the reference's first two axes."""
+    reference.update(start)
+    a_O = unit((axis[0], axis[1], axis[2]))
+    angle = 0.5 * math.pi - polar(reference.RT @ start.R_WO @ a_O).angle
+    return Primitive(
+        kind=Kind.TILT, rows=(0,), reference=reference, axis=a_O.tolist(), profile=profile,
+        e_start=(angle,),
+    )  # fmt: skip
+
+
+def rotation(
+    goal: Array, profile: Profile, Q_start: Array, reference: Reference | None = None
+) -> Primitive:
+    """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
+    return Primitive(
+        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference or Reference(), profile=profile,
+        phi=np.asarray(pin.log3(goal @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
+    )  # fmt: skip
+
+
+def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
+    """Where a point is at the start, in the reference's axes."""
+    seen = PointInReference(p_O, reference, start.chain.n)
+    reference.update(start)
+    seen.update(start)
+    return seen.x

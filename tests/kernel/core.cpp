@@ -1,0 +1,303 @@
+// The kernel's core on random robots and garbage, without Python: for sanitizers, and for faults
+// that the check has to catch.
+//
+//     core SEED COUNT     prints what became of the ticks; exit code 1 where something is wrong
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <random>
+#include <stdexcept>
+
+#include "../../coopqp/kernel/core/bounds.hpp"
+#include "../../coopqp/kernel/core/kernel.hpp"
+#include "../../coopqp/kernel/core/program.hpp"
+#include "../../coopqp/kernel/core/twist_limits.hpp"
+
+using namespace coopqp;
+
+namespace {
+
+using Random = std::mt19937_64;
+
+double uniform(Random& random, double a, double b) {
+    return std::uniform_real_distribution<double>(a, b)(random);
+}
+
+int whole(Random& random, int a, int b) { return std::uniform_int_distribution<int>(a, b)(random); }
+
+Placement somewhere(Random& random, double size) {
+    Placement at;
+    double w[3];
+    for (int i = 0; i < 3; i++) {
+        w[i] = uniform(random, -1.5, 1.5);
+        at.p[i] = uniform(random, -size, size);
+    }
+    exp3(w, at.R);
+    return at;
+}
+
+// Everything that Python would own.
+struct Owner {
+    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing;
+    void bind(Kernel& k, int n, int arms, int levels) {
+        for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
+        for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
+        p.assign(3, 0.0);
+        R.assign(9, 0.0);
+        pulls.assign(std::size_t(levels), 0.0);
+        hard.assign(1, 0.0);
+        missing.assign(std::size_t(k.levels[0].shares), 0.0);
+        k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
+                   error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data()};
+    }
+
+    void remember(const std::vector<double>& old_pulls, const std::vector<double>& old_hard,
+                  const std::vector<double>& old_missing, Kernel& k) {
+        pulls = old_pulls;
+        hard = old_hard;
+        missing = old_missing;
+        k.bound.later_pulls = pulls.data();
+        k.bound.hard_pull = hard.data();
+        k.bound.missing = missing.data();
+    }
+};
+
+struct Case {
+    std::unique_ptr<Kernel> kernel;
+    Program program;
+    Bounds bounds;
+    TwistLimits twist_limits;
+    Owner owner;
+
+    Status tick(double t) {
+        const Status status = kernel->update(t);
+        if (status != Status::Optimal) return status;
+        for (Level& level : kernel->levels) clear(level.wish, kernel->model().blocks);
+        program.run(t, kernel->kinematics, kernel->model(), owner.q.data(), kernel->levels);
+        bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), kernel->lb, kernel->ub);
+        twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), kernel->G,
+                            kernel->h);
+        return kernel->solve();
+    }
+};
+
+Case random_case(Random& random) {
+    auto arena = std::make_unique<Arena>();
+    auto model = std::make_unique<Model>();
+    const int arms = whole(random, 1, 5), torso = whole(random, 0, 3) ? 0 : whole(random, 1, 2);
+    for (int j = 0; j < torso; j++)
+        model->joints.push_back({j - 1, whole(random, 0, 1) == 1, somewhere(random, 0.2), -1});
+    for (int i = 0; i < arms; i++) {
+        int parent = torso - 1;
+        const int joints = whole(random, 0, 8);
+        for (int j = 0; j < joints; j++) {
+            model->joints.push_back({parent, whole(random, 0, 9) == 0, somewhere(random, 0.3), -1});
+            parent = int(model->joints.size()) - 1;
+        }
+        Arm arm;
+        arm.tip = parent;
+        arm.at = somewhere(random, 0.1);
+        arm.alpha = 1.0 / arms;
+        model->arms.push_back(arm);
+    }
+    model->joints.push_back({-1, false, somewhere(random, 0.2), -1});  // moves no arm
+    model->holding = whole(random, 1, arms);
+    for (int i = 0; i < arms; i++)
+        model->arms[std::size_t(i)].alpha = i < model->holding ? 1.0 / model->holding : 0.0;
+    lay_out(*model, *arena);
+    // The object is where arm 0 has it at zero: the other arms' frames are moved there.
+    Kinematics k(*model);
+    const std::size_t n = model->joints.size();
+    std::vector<double> q(n);
+    for (double& x : q) x = uniform(random, -1.0, 1.0);
+    k.place(q.data());
+    k.measure();
+    for (int i = 1; i < model->holding; i++) {
+        Arm& arm = model->arms[std::size_t(i)];
+        double A[9], B[9], moved[3], R[9];
+        const Frame &a = k.carried[0], &b = k.carried[std::size_t(i)];
+        for (int r = 0; r < 3; r++) {
+            A[3 * r] = a.x[r], A[3 * r + 1] = a.y[r], A[3 * r + 2] = a.z[r];
+            B[3 * r] = b.x[r], B[3 * r + 1] = b.y[r], B[3 * r + 2] = b.z[r];
+            moved[r] = a.p[r] - b.p[r];
+        }
+        double in_hand[3], turned[3], BtA[9];
+        transposed_times3(B, moved, in_hand);
+        times3(arm.at.R, in_hand, turned);
+        for (int r = 0; r < 3; r++) arm.at.p[r] += turned[r];
+        for (int r = 0; r < 3; r++)
+            for (int c = 0; c < 3; c++)
+                BtA[3 * r + c] = B[r] * A[c] + B[3 + r] * A[3 + c] + B[6 + r] * A[6 + c];
+        product(arm.at.R, BtA, R);
+        std::copy(R, R + 9, arm.at.R);
+    }
+    Settings s;
+    s.dt = 0.01;
+    s.kappa = whole(random, 0, 1) ? 100.0 : 0.0;
+    s.damping = 1e-6;
+    s.error_damping = 0.5;
+    s.reach = 2.0;
+    s.budget = {1e-6, 1e-6, 1e-6, 1.0, 1.0};
+    s.lower.assign(n, -2.0);
+    s.upper.assign(n, 2.0);
+    s.second_order.assign(std::size_t(std::max(model->loops(), 0)) * n, 1e-4);
+    s.steepest = 1e-4;
+    TwistLimits twist_limits;
+    if (whole(random, 0, 2) == 0) {
+        twist_limits.limits.push_back({0, {0.05, 0.08}, {0, 4}, {}, {0, 0, 0}, 0.0, 0.0});
+        twist_limits.limits.push_back({4, {}, {}, {0.05, 0.0, 0.0, 0.0, 0.05, 0.1},
+                                       {0, 0, 1}, k.p_WO[2] - 0.06, 10.0});
+        s.inequalities = 6;
+    }
+    std::vector<Level> levels;
+    Program program;
+    const int count = whole(random, 1, 3);
+    for (int l = 0; l < count; l++) {
+        Level level;
+        const bool last = l == count - 1 && count > 1;
+        const int rows = last ? 0 : whole(random, 1, 4);
+        level.rows = rows;
+        // The first level may have hard rows, then scaled tasks of a row each, and then no others.
+        const bool scales = l == 0 && !last && count > 1 && whole(random, 0, 2) == 0;
+        if (l == 0 && !last) level.hard = std::min(whole(random, 0, 2), scales ? rows - 1 : rows);
+        level.shares = scales ? rows - level.hard : 0;
+        level.exact = level.hard + level.shares;
+        level.share.assign(std::size_t(rows), -1);
+        for (int k = 0; k < level.shares; k++) level.share[std::size_t(level.hard + k)] = k;
+        for (auto* a : {&level.e, &level.rate, &level.wanted}) a->assign(std::size_t(rows), 0.0);
+        level.gain.assign(std::size_t(rows), 5.0);
+        level.weight.assign(std::size_t(rows), std::pow(10.0, uniform(random, -1, 2)));
+        level.lever.assign(std::size_t(rows), 1.0);
+        level.asks_velocity.assign(std::size_t(rows), 0);
+        level.twist.assign(std::size_t(rows), 1);
+        const std::size_t stride = std::size_t(model->blocks) * LANES;
+        level.T = arena->take(8 * std::size_t(rows + 1));
+        level.J = arena->take(stride * std::size_t(rows + 1));
+        level.wish = arena->take(stride);
+        Primitive p{};
+        p.reference = Reference{};
+        const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+        std::copy(unit, unit + 9, p.reference.RT_0);
+        p.reference.begin();
+        std::copy(unit, unit + 9, p.Q_start);
+        p.level = l;
+        p.weight = 1.0;
+        p.gain = 0.5;
+        if (last) {
+            level.joint_weight = 1.0;
+            p.kind = Kind::Centering;
+            p.numbers.assign(2 * n, 0.1);
+        } else {
+            p.kind = Kind::Twist;
+            for (int r = 0; r < rows; r++) p.rows.push_back((r + l) % 6);
+            for (double& x : p.velocity) x = uniform(random, -0.3, 0.3);
+        }
+        program.primitives.push_back(p);
+        levels.push_back(level);
+    }
+    std::vector<std::vector<int>> kept(std::size_t(std::max(model->loops(), 0)),
+                                       {0, 1, 2, 3, 4, 5});
+    Case made;
+    const int arms_in_all = arms;
+    made.program = program;
+    made.bounds = Bounds(n, s.dt);
+    made.bounds.lower.assign(n, whole(random, 0, 1) ? -0.3 : -3.0);
+    made.bounds.upper.assign(n, whole(random, 0, 1) ? 0.2 : 3.0);
+    const std::vector<double> least(n, -2.0), most(n, 2.0), step(n, 0.05);
+    made.bounds.take({JointLimit::Position, least, most, {}, 0.5});
+    if (whole(random, 0, 2) == 0) made.bounds.take({JointLimit::Braking, least, most, step, 0.0});
+    made.twist_limits = twist_limits;
+    made.kernel = std::make_unique<Kernel>(std::move(arena), std::move(model), kept, s,
+                                           std::move(levels));
+    made.owner.bind(*made.kernel, int(n), arms_in_all, count);
+    made.owner.q = q;
+    made.kernel->bound.q = made.owner.q.data();
+    return made;
+}
+
+int garbage(Random& random, Case& c) {
+    const double bad[] = {std::numeric_limits<double>::quiet_NaN(),
+                          std::numeric_limits<double>::infinity(), 1e308, -1e200};
+    int optimal = 0;
+    for (double x : bad) {
+        Owner kept = c.owner;
+        auto& into = whole(random, 0, 1) ? c.owner.q : c.owner.v_last;
+        into[std::size_t(whole(random, 0, int(into.size()) - 1))] = x;
+        const Status status = c.tick(0.0);
+        if (status == Status::Optimal)
+            for (double v : c.owner.v) optimal += !std::isfinite(v);
+        std::copy(kept.q.begin(), kept.q.end(), c.owner.q.begin());
+        std::copy(kept.v_last.begin(), kept.v_last.end(), c.owner.v_last.begin());
+    }
+    return optimal;
+}
+
+}  // namespace
+
+int main(int count, char** given) {
+    const unsigned long seed = count > 1 ? std::strtoul(given[1], nullptr, 10) : 0;
+    const int cases = count > 2 ? std::atoi(given[2]) : 200;
+    int optimal = 0, ticks = 0, wrong = 0, faults = 0, missed = 0, proofs = 0;
+    for (int i = 0; i < cases; i++) {
+        Random random(seed + (unsigned long)i);
+        Case c;
+        try {
+            c = random_case(random);
+        } catch (const std::invalid_argument&) {
+            continue;  // what Python does not hand to the kernel
+        }
+        for (int k = 0; k < 20; k++) {
+            const Status status = c.tick(0.01 * k);
+            ticks++;
+            const bool done = status == Status::Optimal || status == Status::Shortened;
+            optimal += done;
+            proofs += status == Status::Infeasible;
+            if (!done) break;
+            for (std::size_t j = 0; j < c.owner.q.size(); j++) {
+                wrong += !std::isfinite(c.owner.v[j]);
+                wrong += c.owner.v[j] < c.bounds.lower[j] || c.owner.v[j] > c.bounds.upper[j];
+                c.owner.q[j] += 0.01 * c.owner.v[j];
+                c.owner.v_last[j] = c.owner.v[j];
+            }
+#ifdef COOPQP_FAULTS
+            const std::vector<double> pulls = c.owner.pulls, missing = c.owner.missing;
+            const std::vector<double> hard = c.owner.hard;
+            const Status well = c.tick(0.01 * k + 0.01);
+            proofs += well == Status::Infeasible;
+            if (well != Status::Optimal) break;
+            const std::vector<double> right = c.owner.v;
+            for (int kind = 1; kind <= int(Fault::FalseProof); kind++) {
+                if (Fault(kind) == Fault::StaleFactor)  // leave the factor of another pose
+                    for (double& x : c.owner.q) x += 0.02;
+                if (Fault(kind) == Fault::StaleFactor) (void)c.tick(0.0);
+                if (Fault(kind) == Fault::StaleFactor)
+                    for (double& x : c.owner.q) x -= 0.02;
+                c.owner.remember(pulls, hard, missing, *c.kernel);
+                injected = Fault(kind);
+                const Status seen = c.tick(0.01 * k + 0.01);
+                injected = Fault::None;
+                double off = 0.0;
+                for (std::size_t j = 0; j < right.size(); j++)
+                    off = std::max(off, std::fabs(c.owner.v[j] - right[j]));
+                faults += seen != Status::Optimal;
+                // What is feasible must not be called infeasible, whatever is wrong inside.
+                if (seen == Status::Infeasible) {
+                    missed++;
+                    std::printf("seed %lu tick %d fault %d proves what is not so\n",
+                                seed + (unsigned long)i, k, kind);
+                }
+                if (seen == Status::Optimal && off > 2e-6) {
+                    missed++;
+                    std::printf("seed %lu tick %d fault %d passes, off by %g\n", seed + (unsigned long)i,
+                                k, kind, off);
+                }
+            }
+            c.owner.remember(pulls, hard, missing, *c.kernel);
+#endif
+        }
+        wrong += garbage(random, c);
+    }
+    std::printf("%d ticks, %d optimal, %d proved infeasible, %d wrong, %d faults caught, %d missed\n",
+                ticks, optimal, proofs, wrong, faults, missed);
+    return wrong || missed || optimal == 0;
+}

@@ -1,0 +1,42 @@
+"""The kernel and the plain law decide the same, along whole motions."""
+
+from __future__ import annotations
+
+import pytest
+from judged import compare
+from scenario_files import LOADABLE
+from side_by_side import drive
+
+from coopqp.controllers.qp import QPController
+from coopqp.kernel import native
+from coopqp.kernel.law import why_not
+from coopqp.scenario.loader import load
+from coopqp.study.stress.draw import draw
+
+pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+
+SAME = 1e-10  # [rad/s, m/s]
+
+
+@pytest.mark.parametrize("name", LOADABLE)
+def test_shipped_scenarios_move_alike(name: str) -> None:
+    """Every tick is the kernel's, and as the plain law's to rounding."""
+    scenario = load(name)
+    if not any(isinstance(c, QPController) for c in scenario.controllers.values()):
+        pytest.skip("no controller solves a QP in velocities")
+    problem = scenario.problem()
+    assert why_not(problem) == ""
+    ticks = min(scenario.schedule[0].ticks(scenario.dt), 400)
+    seen = drive(problem, ticks)
+    assert seen.decided == ticks, dict(seen.left)
+    assert seen.v < SAME
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_problems_move_alike(seed: int) -> None:
+    """All modes, limits that bind, several levels; where they differ the plain law is off."""
+    problem = draw(seed).problem
+    assert why_not(problem) == ""
+    seen = compare(f"seed {seed}", problem, 30)
+    assert not seen.kernel_off
+    assert seen.alike + sum(seen.judged.values()) >= 0.9 * seen.ticks

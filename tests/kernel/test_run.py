@@ -1,0 +1,62 @@
+"""Many ticks at once are those that are made one by one."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from chains import Walk
+from laws import LIMITS, NEAR, UNREACHABLE, problem
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controllers import QPController
+from coopqp.kernel import native
+from coopqp.kernel.law import KernelLaw
+from coopqp.tasks import JointCentering, PointOnPoint
+
+pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+
+TICKS = 300
+
+
+def law_for(chain: ClosedChain, goal: tuple[float, float, float]) -> KernelLaw:
+    """To a point, with joint centring."""
+    reach = PointOnPoint(name="reach", goal=goal)
+    given = problem(chain, reach, limits=LIMITS, secondary=[JointCentering(gain=0.5)])
+    law = QPController(engine="kernel").build(given)
+    assert isinstance(law, KernelLaw)
+    return law
+
+
+@pytest.mark.parametrize("goal", [NEAR, UNREACHABLE])
+@pytest.mark.parametrize("outside", [0.0, 0.05])
+def test_a_run_is_its_ticks(
+    goal: tuple[float, float, float], outside: float, chain: ClosedChain
+) -> None:
+    """Bit for bit; also where a joint comes back from outside, which Python decides."""
+    law, q_start = law_for(chain, goal), chain.q_start.copy()
+    q_start[0] += outside * 50.0
+    state, again = law.start(q_start), law.start(q_start)
+    q, v = law.run(state, TICKS)
+    for k in range(TICKS):
+        np.testing.assert_array_equal(q[k], again.q)
+        command = law.tick(again)
+        np.testing.assert_array_equal(v[k], command.v)
+        again.advance(command.v, law.problem.dt)
+    np.testing.assert_array_equal(state.q, again.q)
+    assert state.t == again.t
+
+
+def test_two_threads_give_the_bits_of_one(chain: ClosedChain, closed_loop_walk: Walk) -> None:
+    starts = closed_loop_walk(chain, 4)
+
+    def end(q: Array) -> Array:
+        law = law_for(chain, NEAR)
+        return law.run(law.start(q), TICKS)[0][-1]
+
+    alone = [end(q) for q in starts]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(end, starts))
+    np.testing.assert_array_equal(alone, together)

@@ -1,0 +1,117 @@
+"""Tasks that follow signals: the kernel moves the joints as the plain law does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from chains import ring
+from following import NAMES, following, one_of_each, way
+from laws import LIMITS, problem
+from side_by_side import drive
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller_run import run
+from coopqp.controllers import QPController
+from coopqp.input import InputSettings
+from coopqp.kernel import native
+from coopqp.kernel.law import KernelLaw
+from coopqp.scenario.loader import load
+from coopqp.signal import Kind, Signal
+from coopqp.signals import Input, Line
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.task import Task, TaskStack
+from coopqp.tasks import JointCentering
+from coopqp.trace import Trace
+
+pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+
+SAME = 1e-10  # [rad/s, m/s]
+#: Whose references the kernel reads, and does not have their rows filled.
+READ = (
+    "distance", "line_on_line", "line_on_plane", "plane_on_plane", "point_on_circle",
+    "point_on_line", "point_on_plane", "point_on_point", "pointing", "prismatic", "revolute",
+)  # fmt: skip
+
+
+def slow(task: Task, chain: ClosedChain) -> Task:
+    """It follows way-points, so slowly that no tick opens the loops."""
+    make = way(chain, "cubic", "round")
+
+    def slowly(key: str, kind: Kind) -> Signal:
+        signal = make(key, kind)
+        return replace(signal, times=[4.0 * t for t in signal.times])
+
+    return replace(following(task, chain, slowly), gain=1.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_of_what_follows_way_points_are_those_of_python(
+    name: str, chain: ClosedChain, closed_loop_walk: Any
+) -> None:
+    """Errors, Jacobians and rates at random states, of what the kernel evaluates."""
+    task = slow(one_of_each(chain)[name], chain)
+    law = QPController(engine="kernel").build(problem(chain, task, kappa=0.0))
+    assert isinstance(law, KernelLaw)
+    assert (task.program(State(chain)) is not None) == (name in READ)
+    stack = TaskStack([task], State(chain))
+    for q, t in zip(closed_loop_walk(chain, 4), (0.1, 0.8, 1.9, 4.6), strict=True):
+        state = State(chain, q, t)
+        stack.update(state)
+        law.tick(State(chain, q, t))
+        found = np.reshape(law.whole.engine.rows(0), (-1, chain.n + 2))
+        np.testing.assert_allclose(found[:, 0], stack.e, atol=1e-12)
+        np.testing.assert_allclose(found[:, 1:-1], stack.J, atol=1e-12)
+        np.testing.assert_allclose(found[:, -1], stack.rate, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_follows_way_points_moves_alike(name: str) -> None:
+    """Arms with room to move; where NAO's get stuck the optimum itself has fewer digits."""
+    chain = ring(2, 7)
+    if name == "relative_motion":  # a closed loop contradicts it
+        chain = chain.handed_over(chain.q_start, [chain.arms[1].name])
+    task = slow(one_of_each(chain)[name], chain)
+    seen = drive(problem(chain, task, secondary=[JointCentering(gain=0.5)], limits=LIMITS), 150)
+    assert seen.decided == 150, dict(seen.left)
+    assert seen.v < SAME
+
+
+def both(feed: Line | None) -> dict[str, Trace]:
+    """A scenario whose goal is an input, by either engine."""
+    scenario = load("point_on_point")
+    task = replace(scenario.tasks[0], goal=Input(name="target"))
+    inputs = {"target": InputSettings(feed=feed, velocity=0.1)}
+    scenario = replace(scenario, tasks=(task,), inputs=inputs, duration=2.0)
+    return {
+        engine: run(
+            replace(scenario, controllers={"qp": QPController(engine=engine)}), controller="qp"
+        )
+        for engine in ("kernel", "python")
+    }
+
+
+@pytest.mark.parametrize("sends", [True, False])
+def test_inputs_move_alike_and_are_found_stale(sends: bool) -> None:
+    way_there = Line(start=[0.16, -0.02, 0.05], end=[0.16, 0.02, 0.08], period=1.5)
+    found = both(way_there if sends else None)
+    assert found["kernel"].compiled.all()
+    assert found["kernel"].status == found["python"].status
+    np.testing.assert_allclose(found["kernel"].q, found["python"].q, atol=1e-9)
+    moved: Array = np.ptp(found["kernel"].position, axis=0)
+    assert (np.linalg.norm(moved) > 0.03) == sends
+
+
+def test_what_is_refused_is_said_of_a_tick_without_python(chain: ClosedChain) -> None:
+    """Nobody follows the input, and the kernel needs no Python; it is said all the same."""
+    law = QPController(engine="kernel").build(problem(chain, one_of_each(chain)["pose"]))
+    state = law.start()
+    state.inputs.refused = ("target: no such input",)
+    assert law.tick(state).causes == (Status.INPUT_REFUSED,)
+    assert law.command.note == "target: no such input"
+    state.inputs.refused, state.inputs.stale = (), ("target",)
+    assert law.tick(state).causes == (Status.INPUT_STALE,)

@@ -1,0 +1,82 @@
+"""The plain law drives; the kernel is asked at the same states."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopqp.controller import ControlProblem
+from coopqp.kernel.compiled import Outcome
+from coopqp.kernel.law import KernelLaw
+from coopqp.memory import Memory
+from coopqp.qp_law.law import QPLaw
+from coopqp.solver import Status, written
+from coopqp.state import State
+
+DAMPING, ERROR_DAMPING = 1e-6, 0.5
+
+
+@dataclass
+class Agreement:
+    """What became of the ticks of one motion.
+
+    Attributes:
+        ticks: how many.
+        decided: by the kernel.
+        left: what the kernel and the plain law said in ticks that were left to the plain law.
+        otherwise: ticks of which the kernel and the plain law say something else.
+        v: largest difference of velocities where the plain law is accurate too [rad/s].
+        memory: largest difference of what is remembered.
+    """
+
+    ticks: int = 0
+    decided: int = 0
+    left: Counter[str] = field(default_factory=Counter)
+    otherwise: Counter[str] = field(default_factory=Counter)
+    v: float = 0.0
+    memory: float = 0.0
+
+
+def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
+    """The plain law, and the kernel with a plain law of its own."""
+    plain, own = (QPLaw(problem, DAMPING, ERROR_DAMPING) for _ in range(2))
+    return plain, KernelLaw(problem, own, DAMPING, ERROR_DAMPING)
+
+
+def why(law: KernelLaw) -> str:
+    """What the kernel said last of a tick that it left to the plain law."""
+    whole = Outcome(law.whole.outcome).name
+    if law.softened is None or whole != "INFEASIBLE":
+        return whole
+    return f"{whole}, softened {Outcome(law.softened.outcome).name}"
+
+
+def ask_alike(other: State, state: State) -> None:
+    """Let a state be as another one."""
+    other.q[:], other.v[:], other.t = state.q, state.v, state.t
+    other.gap[:], other.corrected = state.gap, state.corrected
+    other.memory.numbers[:] = state.memory.numbers
+
+
+def drive(problem: ControlProblem, ticks: int) -> Agreement:
+    """Compare along a motion."""
+    plain, kernel = laws(problem)
+    state, seen = plain.start(), Agreement(ticks)
+    other = State(problem.chain, memory=Memory(plain.memory_sizes))
+    for _ in range(ticks):
+        ask_alike(other, state)
+        found, wanted = kernel.tick(other), plain.tick(state)
+        if not kernel.compiled:
+            seen.left[f"{why(kernel)}, {written(wanted.causes)}"] += 1
+        elif found.causes != wanted.causes and wanted.causes[0] is not Status.INACCURATE:
+            seen.otherwise[f"{written(found.causes)} for {written(wanted.causes)}"] += 1
+        else:
+            seen.decided += 1
+            if Status.INACCURATE not in wanted.causes:
+                seen.v = max(seen.v, float(np.abs(found.v - wanted.v).max()))
+                off = np.abs(other.memory.numbers - state.memory.numbers)
+                seen.memory = max(seen.memory, float(off.max(initial=0.0)))
+        state.advance(wanted.v, problem.dt)
+    return seen
