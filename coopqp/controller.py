@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
-from coopqp.checked import finite, overshoot, spec, taken_names, type_name, vector
+from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_name, vector
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
@@ -160,6 +160,33 @@ class Command:
         return other
 
 
+@dataclass(frozen=True)
+class Ticks:
+    """Many ticks at once, T of them.
+
+    Attributes:
+        q: before each and at the end, shape (T + 1, n) [rad, m].
+        v: of each command, shape (T, n) [rad/s, m/s].
+        causes: what became of each.
+        compiled: whether the kernel decided it, shape (T,).
+    """
+
+    q: Array
+    v: Array
+    causes: list[tuple[Status, ...]]
+    compiled: NDArray[np.bool_]
+
+    @staticmethod
+    def room(ticks: int, n: int) -> Ticks:
+        """Arrays for so many ticks, every one optimal."""
+        return Ticks(
+            np.zeros((ticks + 1, n)),
+            np.zeros((ticks, n)),
+            [(Status.OPTIMAL,)] * ticks,
+            np.zeros(ticks, bool),
+        )
+
+
 class Law(ABC):
     """A controller built for one problem.
 
@@ -221,6 +248,36 @@ class Law(ABC):
             command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
+        return command
+
+    def run(self, state: State, ticks: int) -> Ticks:
+        """Many ticks on joints that do as told, with nothing that arrives from outside.
+
+        Args:
+            state: where it begins, of :meth:`start`; written, so that it is where it ends.
+            ticks: how many.
+        """
+        found = Ticks.room(ticks, self.problem.chain.n)
+        for k in range(ticks):
+            self._keep(state, found, k)
+        found.q[ticks] = state.q
+        state.update()
+        return found
+
+    def _keep(self, state: State, found: Ticks, k: int) -> None:
+        """One of them."""
+        found.q[k] = state.q
+        command = self.step(state)
+        found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
+
+    def step(self, state: State) -> Command:
+        """A tick, after which the joints have done as told for dt.
+
+        Args:
+            state: of :meth:`start`; written, :meth:`coopqp.state.State.advance`.
+        """
+        command = self.tick(state)
+        state.advance(command.v, self.problem.dt)
         return command
 
     def _decided(self, state: State) -> Command:

@@ -100,6 +100,7 @@ class Reference:
         omega: its angular velocity, in the world, shape (3,) [rad/s].
         moves: whether anything changes with time.
         follows: whether it follows a signal.
+        arrives: name of the input that is its place, where it follows nothing else; else empty.
     """
 
     def __init__(
@@ -128,6 +129,7 @@ class Reference:
         self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
         self._slides = bool(self.c_dot.any())
         self.follows = self._origin.moves or self._axes.moves
+        self.arrives = "" if turn is not None or self._axes.moves else self._origin.arrives
         self.moves = self.follows or turn is not None or self._slides
 
     def numbers(self) -> Array:

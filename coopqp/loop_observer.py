@@ -16,6 +16,8 @@ whole (small gain); ``time`` is long enough for the resonances of servos and gra
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from coopqp.checked import Array
@@ -38,15 +40,19 @@ class LoopObserver:
     """
 
     def __init__(self, chain: ClosedChain, dt: float) -> None:
-        self._model, self._data = chain.model, chain.model.createData()
-        self._share = dt / max(TIME, TICKS * dt)
-        self._measured = State(chain)
+        self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
+
+    @cached_property
+    def _measured(self) -> State:
+        """Where the sensors say that the joints are; most laws never ask."""
+        return State(self._chain)
 
     def begin(self, state: State) -> None:
         """Take all that the loops are open by at q for the model's error.
 
         Without this, arms that begin with an error would squeeze until it is observed.
         """
+        self._measured.q[:] = state.q  # made now, not in a tick
         state.update()
         state.gap[:] = state.loop_error
         _bound(state.gap)

@@ -194,6 +194,19 @@ def unit_of(joint: Any) -> str:
     return "m" if joint.shortname().startswith("JointModelP") else "rad"
 
 
+def axis_of(joint: Any) -> Array | None:
+    """(v; omega) for a unit rate of a joint, in its own axes; None if it has more coordinates.
+
+    Args:
+        joint: a pinocchio joint model.
+    """
+    if joint.nq != 1 or joint.nv != 1:
+        return None
+    data = joint.createData()
+    joint.calc(data, np.zeros(joint.idx_q + 1))
+    return np.asarray(data.S, float).ravel()
+
+
 #: Data of a pinocchio model with one number per velocity coordinate.
 PER_VELOCITY = (
     "velocityLimit", "effortLimit", "armature", "damping", "rotorInertia", "rotorGearRatio"

@@ -144,9 +144,11 @@ class Course:
         value: shape (values,); a rotation as the quaternion x, y, z, w.
         rate: shape (rates,) [1/s]; of a rotation the angular velocity.
         moves: whether anything changes with time.
+        arrives: name of the input that it is a copy of; empty where it is none.
     """
 
     moves = False
+    arrives = ""
 
     def __init__(self, kind: Kind, value: Array) -> None:
         self.kind = kind

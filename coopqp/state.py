@@ -125,9 +125,9 @@ class State:
     def written(self) -> tuple[Array, ...]:
         """Arrays for the kernel to write instead of :meth:`update`, then :meth:`mark_stale`.
 
-        p_WO, R_WO, loop_error, drift and the q that they belong to.
+        p_WO, R_WO, loop_error, drift and the q that they belong to; and what :meth:`advance` keeps.
         """
-        return self.p_WO, self.R_WO, self.loop_error, self.drift, self._q_seen
+        return self.p_WO, self.R_WO, self.loop_error, self.drift, self._q_seen, self._commanded
 
     def mark_stale(self) -> None:
         """Say that the poses are up to date; Jacobians are computed when somebody asks for them."""

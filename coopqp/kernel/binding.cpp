@@ -55,14 +55,15 @@ class Engine {
                                                    settings, std::move(levels));
     }
 
-    void bind_state(const Numbers& q, const Numbers& v_last, const Numbers& gap,
+    void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
-                    const Written& later_pulls, const Written& hard_pull,
+                    const Written& commanded, const Written& later_pulls, const Written& hard_pull,
                     const Written& missing) {
         auto& b = kernel_->bound;
-        b.q = q.data();
-        b.v_last = v_last.data();
+        b.q = q_now_ = q.data();
+        b.v_last = v_now_ = v_last.data();
+        commanded_ = commanded.data();
         b.gap = gap.data();
         b.p_WO = p_WO.data();
         b.R_WO = R_WO.data();
@@ -72,8 +73,8 @@ class Engine {
         b.later_pulls = later_pulls.data();
         b.hard_pull = hard_pull.data();
         b.missing = missing.data();
-        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, later_pulls,
-                                hard_pull, missing);
+        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
+                                later_pulls, hard_pull, missing);
     }
 
     void bind_command(const Written& v) {
@@ -103,7 +104,7 @@ class Engine {
                         const Numbers& c_dot, const Numbers& omega) {
         program_.primitives.at(primitive).reference.followed = {c.data(), RT.data(), c_dot.data(),
                                                                 omega.data()};
-        rows_.append(nb::make_tuple(c, RT, c_dot, omega));
+        references_[nb::int_(primitive)] = nb::make_tuple(c, RT, c_dot, omega);
     }
 
     // A whole tick of a problem of which Python fills nothing.
@@ -140,33 +141,37 @@ class Engine {
         return int(kernel_->solve(kappa));
     }
 
-    // Ticks and steps q += v dt until a tick is not optimal, from the state that is bound, on joints
-    // that do as told. Written: q before each tick and at the end, v of each tick. Returns how many
-    // ticks were done; signals of the process wait as long.
-    int run(double t, const Written& q, const Written& v, const Written& q_now,
-            const Written& v_now, int ticks) {
+    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer.
+    int step(double t) {
         const Use use(*this);
-        if (!use.alone) return BUSY;
-        const std::size_t n = kernel_->model().joints.size();
-        if (q.size() < n * std::size_t(ticks + 1) || v.size() < n * std::size_t(ticks) ||
-            q_now.data() != kernel_->bound.q || v_now.data() != kernel_->bound.v_last)
-            return BUSY;
+        if (!use.alone || !q_now_) return BUSY;
         nb::gil_scoped_release released;
-        const double dt = kernel_->settings().dt;
-        const double* decided = kernel_->bound.v;
-        int done = 0;
+        const int status = evaluate(t);
+        if (status) return status;
+        const coopqp::Status decided = kernel_->solve();
+        if (decided == coopqp::Status::Optimal || decided == coopqp::Status::Shortened) advance();
+        return int(decided);
+    }
+
+    // Ticks and steps until a tick is not optimal, from the state that is bound. Written: q before
+    // each tick and at the end, shape (T + 1, n), and v of each of T ticks. Returns how many were
+    // done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v) {
+        const Use use(*this);
+        if (!use.alone || !q_now_) return BUSY;
+        const std::size_t n = kernel_->model().joints.size(), ticks = v.size() / n;
+        if (q.size() < n * (ticks + 1)) return BUSY;
+        nb::gil_scoped_release released;
+        std::size_t done = 0;
         for (; done < ticks; done++) {
-            std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
-            if (evaluate(t)) break;
-            if (kernel_->solve() != coopqp::Status::Optimal) break;
-            for (std::size_t j = 0; j < n; j++) {
-                q_now.data()[j] += dt * decided[j];
-                v_now.data()[j] = v.data()[std::size_t(done) * n + j] = decided[j];
-            }
-            t += dt;
+            std::copy(q_now_, q_now_ + n, q.data() + done * n);
+            if (evaluate(t) || kernel_->solve() != coopqp::Status::Optimal) break;
+            advance();
+            std::copy(v_now_, v_now_ + n, v.data() + done * n);
+            t += kernel_->settings().dt;
         }
-        std::copy(q_now.data(), q_now.data() + n, q.data() + std::size_t(done) * n);
-        return done;
+        std::copy(q_now_, q_now_ + n, q.data() + done * n);
+        return int(done);
     }
 
     // e, J and rate of a level's rows, one row after the other, for tests.
@@ -189,6 +194,17 @@ class Engine {
         bounds_.update(m, bound.q, bound.v_last, kernel_->lb, kernel_->ub);
         twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), kernel_->G, kernel_->h);
         return 0;
+    }
+
+    // As coopqp.state.State.advance.
+    void advance() {
+        const double dt = kernel_->settings().dt;
+        const double* v = kernel_->bound.v;
+        for (std::size_t j = 0; j < kernel_->model().joints.size(); j++) {
+            q_now_[j] += dt * v[j];
+            v_now_[j] = v[j];
+            commanded_[j] = q_now_[j];
+        }
     }
 
     // One thread at a time: another is told so.
@@ -252,6 +268,8 @@ class Engine {
     std::vector<Filled> filled_;
     nb::object state_, command_, limits_, measured_;
     nb::list rows_;
+    nb::dict references_;
+    double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE
@@ -270,6 +288,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("tick", &Engine::tick)
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("tick_coming_back", &Engine::tick_coming_back)
+        .def("step", &Engine::step)
         .def("run", &Engine::run)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 
+import numpy as np
+
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
@@ -47,7 +49,8 @@ class Compiled:
 
     Attributes:
         engine: of the compiled module.
-        alone: whether nothing is Python's.
+        alone: whether nothing is Python's but the signals that tasks follow.
+        follows: whether there are such signals, beside the places that inputs give.
         outcome: of the last tick, one of :class:`Outcome`.
     """
 
@@ -84,11 +87,31 @@ class Compiled:
             self.engine.bind_rows(*task.bound)
         for primitive, at in levels.followed:
             self.engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
+        self.follows = bool(levels.followed)
+        self._heard: list[tuple[str, Array | None, Array | None]] = []
 
-    def bind(self, state: State, memory: Memory) -> None:
-        """Show it the arrays of a state."""
+    def bind(self, state: State, memory: Memory) -> bool:
+        """Show it the arrays of a state; False where an input is no place."""
         remembered = (memory["later pulls"], memory["pull"], memory["missing"])
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
+        self._heard = []
+        for primitive, at in self._levels.arriving:
+            value, rate = arrays = _heard(state, at.arrives)
+            if value is None or rate is None:
+                arrays = at.c, at.c_dot  # where it begins
+            elif not (value.shape == rate.shape == at.c.shape and plain_numbers(value, rate)):
+                return False
+            self.engine.bind_reference(primitive, arrays[0], at.RT, arrays[1], at.omega)
+            self._heard.append((at.arrives, value, rate))
+        return True
+
+    def hears(self, state: State) -> bool:
+        """Whether inputs still write to the arrays that it was shown."""
+        for name, value, rate in self._heard:
+            now = _heard(state, name)
+            if now[0] is not value or now[1] is not rate:
+                return False
+        return True
 
     def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
         """Decide, and return what became of it: INFEASIBLE only where that is proved.
@@ -102,6 +125,8 @@ class Compiled:
             kappa: gain of the drift correction, with these bounds.
         """
         if self.alone and within is None:
+            if self.follows:
+                self._levels.follow(state)
             self.outcome = self.engine.tick(state.t)
             return self.outcome
         self._levels.update(state)
@@ -110,3 +135,14 @@ class Compiled:
         else:
             self.outcome = self.engine.tick_coming_back(state.t, kappa, within.lb, within.ub)
         return self.outcome
+
+
+def plain_numbers(*arrays: Array) -> bool:
+    """Whether arrays are as the kernel reads and writes them."""
+    return all(a.dtype == np.float64 and a.flags.carray for a in arrays)
+
+
+def _heard(state: State, name: str) -> tuple[Array | None, Array | None]:
+    """Where an input is and how it moves; None where there is none."""
+    now = state.inputs.get(name)
+    return (None, None) if now is None else (now.value, now.rate)

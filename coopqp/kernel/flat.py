@@ -11,6 +11,7 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import JointBounds, TwistBounds, movers
+from coopqp.robot import axis_of
 
 Flat = dict[str, Any]
 
@@ -131,11 +132,9 @@ def kept_rows(chain: ClosedChain) -> Array:
 
 def _axis(joint: pin.JointModel) -> tuple[bool, Array] | None:
     """Whether a joint slides, and along or about which axis."""
-    if joint.nq != 1 or joint.nv != 1:
+    S = axis_of(joint)
+    if S is None:
         return None
-    data = joint.createData()
-    joint.calc(data, np.zeros(joint.idx_q + 1))
-    S = np.asarray(data.S).ravel()
     linear, angular = S[:3], S[3:]
     if linear.any() and angular.any():
         return None

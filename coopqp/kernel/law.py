@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command, ControlProblem, Law, Ticks
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
-from coopqp.kernel.compiled import Compiled, Outcome
+from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.flat import flat_model, kept_rows
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
@@ -77,6 +76,7 @@ class KernelLaw(Law):
         if hard or scaled:
             self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
+        self._runs = self._alone_at_all and not self.whole.follows
         self._soft_ticks, self._scales = soft_ticks(problem), bool(scaled)
         self._asked = False  # whether the kernel has been asked in this tick, and what it said
         self._said = OPTIMAL
@@ -87,7 +87,7 @@ class KernelLaw(Law):
         self._asked, self._said = False, OPTIMAL
         if self._alone(state) and self._ready(state) and not self._stopped[0]:
             self._asked = True
-            if self._decides(state):
+            if self._decided_alone(state):
                 state.mark_stale()
                 state.corrected = 1.0
                 return self.command
@@ -110,6 +110,16 @@ class KernelLaw(Law):
         command.scale, command.drift = other.scale, other.drift
         command.say(*other.causes)
         return command
+
+    def _decided_alone(self, state: State) -> bool:
+        """The same where a signal may raise; :meth:`decide` then meets what it does."""
+        try:
+            return self._decides(state)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
+            self._asked = False
+            return False
 
     def _decides(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> bool:
         """Whether the kernel has an answer, which is the command then.
@@ -168,39 +178,53 @@ class KernelLaw(Law):
             self.plain.probe.shorten(state, command)
         return True
 
-    def run(self, state: State, ticks: int) -> tuple[Array, Array]:
-        """Many ticks at once on joints that do as told, the same as one by one.
+    def step(self, state: State) -> Command:
+        """A tick and its step in one; state.advance without Python where nothing needs it."""
+        if self._runs and self._alone(state) and self._ready(state) and not self._waits:
+            status = self.whole.engine.step(state.t)
+            if status in ALL_WELL:
+                state.t += self.problem.dt
+                state.mark_stale()
+                state.corrected = 1.0
+                self._say(ALL_WELL[status])
+                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
+                return self.command
+        return super().step(state)
+
+    def run(self, state: State, ticks: int) -> Ticks:
+        """Many ticks at once, the same as one by one, without the GIL.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
-        Python fills rows or limits, or joints are measured, every tick is one of :meth:`tick`.
-
-        Args:
-            state: where it begins, of :meth:`start`; written, so that it is where it ends.
-            ticks: how many.
-
-        Returns:
-            q before each tick and at the end, shape (T + 1, n), and v, shape (T, n).
+        Python fills rows or limits, tasks follow signals, or joints are measured, every tick is one
+        of :meth:`tick`.
         """
-        n, dt = self.problem.chain.n, self.problem.dt
-        q, v = np.zeros((ticks + 1, n)), np.zeros((ticks, n))
+        found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
-            if self._alone(state) and self._ready(state) and not self._waits:
+            if self._runs and self._alone(state) and self._ready(state) and not self._waits:
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
-                made = self.whole.engine.run(state.t, q[done:], v[done:], state.q, state.v, rest)
-                for _ in range(max(made, 0)):
-                    state.t += dt  # as tick by tick, to the last digit
-                done += max(made, 0)
-                state.mark_stale()
+                made = self._run(state, found, done, rest)
+                done += made
                 if made == rest:
                     continue
             if done < ticks:
-                q[done], v[done] = state.q, self.tick(state).v
-                state.advance(v[done], dt)
+                self._keep(state, found, done)
                 done += 1
-        q[ticks] = state.q
+        found.q[ticks] = state.q
         state.update()
-        return q, v
+        return found
+
+    def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
+        """As many as the kernel does in one go; how many."""
+        part = slice(done, done + most)
+        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[part]), 0)
+        for _ in range(made):
+            state.t += self.problem.dt  # as tick by tick, to the last digit
+        if made:
+            found.compiled[done : done + made] = True
+            state.mark_stale()
+            state.corrected = 1.0
+        return made
 
     def _say(self, causes: tuple[Status, ...]) -> None:
         self.compiled = True
@@ -239,24 +263,20 @@ class KernelLaw(Law):
             and state.v is bound[2]
             and state.gap is bound[3]
             and memory is bound[4]
+            and self.whole.hears(state)
         ):
             return True
-        if not self._fits(state) or not _plain_numbers(state.q, state.v, state.gap):
+        if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
         for compiled in (self.whole, self.softened):
-            if compiled is not None:
-                compiled.bind(state, memory)
+            if compiled is not None and not compiled.bind(state, memory):
+                return False
         self._bound = (state, state.q, state.v, state.gap, memory)
         self._stopped, self._soft = memory["stopped"], memory["soft"]
         self._pull, self._missing = memory["pull"], memory["missing"]
         return True
-
-
-def _plain_numbers(*arrays: Array) -> bool:
-    """Whether arrays are as the kernel reads them."""
-    return all(a.dtype == np.float64 and a.flags.c_contiguous for a in arrays)
 
 
 def why_not(problem: ControlProblem) -> str:

@@ -85,13 +85,16 @@ class Levels:
         flat: each level's numbers.
         primitives: the tasks that the kernel evaluates itself, as numbers.
         filled: the others.
-        followed: references that signals move, and whose primitive each is.
+        arriving: references whose place is an input and nothing else, and whose primitive each is;
+            the kernel reads the input itself.
+        followed: other references that signals move.
     """
 
     def __init__(self, groups: Sequence[Group], start: State) -> None:
         self.flat: list[Flat] = []
         self.primitives: list[Flat] = []
         self.filled: list[Filled] = []
+        self.arriving: list[tuple[int, Reference]] = []
         self.followed: list[tuple[int, Reference]] = []
         self._start = start
         for level, group in enumerate(groups):
@@ -99,17 +102,21 @@ class Levels:
 
     @property
     def compiled(self) -> bool:
-        """Whether nothing is Python's."""
-        return not (self.filled or self.followed)
+        """Whether no rows are Python's."""
+        return not self.filled
 
-    def update(self, state: State) -> None:
-        """Fill what Python fills, at a state."""
+    def follow(self, state: State) -> None:
+        """Move the references that follow signals; kinematics need not be up to date."""
         state.lock()
         try:
             for _, reference in self.followed:
                 reference.update(state)
         finally:
             state.unlock()
+
+    def update(self, state: State) -> None:
+        """Fill what Python fills, at a state."""
+        self.follow(state)
         for task in self.filled:
             task.stack.update(state)
 
@@ -146,7 +153,8 @@ class Levels:
             return
         for primitive in program:
             if primitive.reference.follows:
-                self.followed.append((len(self.primitives), primitive.reference))
+                of_kind = self.arriving if primitive.reference.arrives else self.followed
+                of_kind.append((len(self.primitives), primitive.reference))
             self.primitives.append(
                 {
                     **primitive.flat(),

@@ -52,11 +52,11 @@ class _Arrived(Course):
 
     def __init__(self, kind: Kind, value: Array, name: str) -> None:
         super().__init__(kind, value)
-        self.name = name
+        self.arrives = name
 
     def update(self, at: Instant) -> None:
         """Go to where it is then."""
-        now = at.inputs.get(self.name)
+        now = at.inputs.get(self.arrives)
         if now is not None:
             np.copyto(self.value, now.value)
             np.copyto(self.rate, now.rate)

@@ -39,11 +39,12 @@ def test_a_run_is_its_ticks(
     law, q_start = law_for(chain, goal), chain.q_start.copy()
     q_start[0] += outside * 50.0
     state, again = law.start(q_start), law.start(q_start)
-    q, v = law.run(state, TICKS)
+    found = law.run(state, TICKS)
     for k in range(TICKS):
-        np.testing.assert_array_equal(q[k], again.q)
+        np.testing.assert_array_equal(found.q[k], again.q)
         command = law.tick(again)
-        np.testing.assert_array_equal(v[k], command.v)
+        np.testing.assert_array_equal(found.v[k], command.v)
+        assert (found.causes[k], found.compiled[k]) == (command.causes, law.compiled)
         again.advance(command.v, law.problem.dt)
     np.testing.assert_array_equal(state.q, again.q)
     assert state.t == again.t
@@ -54,7 +55,7 @@ def test_two_threads_give_the_bits_of_one(chain: ClosedChain, closed_loop_walk: 
 
     def end(q: Array) -> Array:
         law = law_for(chain, NEAR)
-        return law.run(law.start(q), TICKS)[0][-1]
+        return law.run(law.start(q), TICKS).q[-1]
 
     alone = [end(q) for q in starts]
     with ThreadPoolExecutor(2) as pool:

@@ -18,14 +18,14 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from coopqp.qp_law.law import QPLaw
+from coopqp.controller import Law
 from coopqp.report import table
 from coopqp.solver import Budget, Status
 from coopqp.state import State
 from coopqp.study.engine import Engine
 from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
-from coopqp.study.stress.draw import draw
-from coopqp.study.stress.driving import DAMPING, MOST, drive_on, record_of
+from coopqp.study.stress.draw import LAW, draw
+from coopqp.study.stress.driving import MOST, drive_on, record_of
 from coopqp.study.stress.ending import ending, way_back
 from coopqp.study.stress.signs import Record
 
@@ -160,14 +160,14 @@ def test_loop_budget_that_stands_is_seen() -> None:
     assert not signs.held_up(made_up(np.zeros(TICKS)))
 
 
-def far_from_reached() -> tuple[QPLaw, State, Record]:
+def far_from_reached() -> tuple[Law, State, Record]:
     """A drawn problem whose arms have not moved: its record says so, in every tick."""
     seed = next(
         s for s in range(2000)
         if (d := drawn(s)).start == "inside" and d.problem.on_infeasible == "scale"
         and d.tasks == ("soft PointOnPoint",)
     )  # fmt: skip
-    law = QPLaw(drawn(seed).problem, DAMPING)
+    law = LAW.build(drawn(seed).problem)
     state = law.start()
     record = record_of(law.problem)
     zero = np.zeros(law.problem.chain.n)
@@ -181,7 +181,7 @@ def far_from_reached() -> tuple[QPLaw, State, Record]:
 def test_standing_at_the_loop_budget_is_frozen(cause: Status) -> None:
     law, state, record = far_from_reached()
     record.causes.extend([(cause,)] * TICKS)
-    found = ending(law.problem, law, state, record)
+    found = ending(law.problem, state, record)
     assert found.frozen
     assert cause.name in found.reason
 
@@ -190,7 +190,7 @@ def test_standing_still_with_nothing_in_the_way_is_frozen() -> None:
     """The record stands still; the law, asked again there, could go on."""
     law, state, record = far_from_reached()
     record.causes.extend([OK] * TICKS)
-    found = ending(law.problem, law, state, record)
+    found = ending(law.problem, state, record)
     assert found.frozen
 
 
@@ -200,12 +200,12 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
         s for s in range(2000)
         if (d := drawn(s)).start == "outside" and d.problem.on_infeasible == "scale"
     )  # fmt: skip
-    law = QPLaw(drawn(seed).problem, DAMPING)
+    law = LAW.build(drawn(seed).problem)
     state, record = law.start(), record_of(law.problem)
     record.q.extend([state.q.copy()] * (TICKS + 1))
     record.v.extend([np.zeros(law.problem.chain.n)] * TICKS)
     record.causes.extend([(Status.RECOVERING,)] * TICKS)
-    found = ending(law.problem, law, state, record)
+    found = ending(law.problem, state, record)
     assert found.outcome == "recovering"
     assert found.never_back
     assert way_back(law.problem, state) > 0.01
@@ -213,7 +213,7 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     state, record = law.start(), record_of(law.problem)
     drive_on(law, state, record)
     assert len(record.v) <= MOST
-    assert not ending(law.problem, law, state, record).never_back
+    assert not ending(law.problem, state, record).never_back
 
 
 # What people see.

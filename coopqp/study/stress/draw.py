@@ -9,6 +9,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, OnInfeasible
+from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
 from coopqp.rank import null_space
@@ -25,6 +26,7 @@ FARTHEST_OUTSIDE = 0.3  # [rad, m]
 OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
 PERIODS = (0.005, 0.01, 0.02)  # [s]
 DAQP = Daqp()
+LAW = QPController()  # what is tried out
 KAPPAS = {"0": 0.0, "0.1/dt": 0.1, "1/dt": 1.0}  # times 1/dt
 
 

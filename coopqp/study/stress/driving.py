@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.controller import ControlProblem
+from coopqp.closed_loop.many_poses import loop_errors
+from coopqp.controller import ControlProblem, Law
 from coopqp.limits import JointVelocity
 from coopqp.plant import PlantModel
-from coopqp.plants.kinematic import KinematicModel
-from coopqp.qp_law.law import QPLaw
 from coopqp.rollout import drive
 from coopqp.state import State
 from coopqp.study.stress import signs
@@ -16,7 +15,6 @@ from coopqp.study.stress.ending import part_errors
 from coopqp.study.stress.signs import Record
 
 ROUND, FEWEST, MOST = 100, 200, 500  # ticks; after each round it is asked whether it has ended
-DAMPING = 1e-6  # as the controller qp has it
 
 
 def record_of(problem: ControlProblem) -> Record:
@@ -26,27 +24,32 @@ def record_of(problem: ControlProblem) -> Record:
     return Record(chain.lower, chain.upper, scale * chain.velocity, chain.joint_units)
 
 
-def drive_on(law: QPLaw, state: State, record: Record) -> None:
+def drive_on(law: Law, state: State, record: Record) -> None:
     """Run on joints that do as told, until it has ended, or its time is up."""
     problem = law.problem
-    plant = KinematicModel(problem.dt, problem.chain.n)
+    record.q.append(state.q.copy())
     while len(record.v) < MOST:
-        if not drive_for(ROUND, law, plant, state, record):
+        made = law.run(state, ROUND)
+        record.q.extend(made.q[1:])
+        record.v.extend(made.v)
+        record.causes.extend(made.causes)
+        if not np.isfinite(made.v).all():
             return
         if len(record.v) >= FEWEST and _ended(problem, state, record):
             break
-    note(record, plant, state)
+    position, orientation = loop_errors(problem.chain, np.array(record.q))
+    record.loop_position = float(position.max())
+    record.loop_orientation = float(orientation.max())
 
 
-def drive_for(ticks: int, law: QPLaw, plant: PlantModel, state: State, record: Record) -> bool:
-    """Run so many ticks; False where one commanded NaN, which ends it."""
+def drive_for(ticks: int, law: Law, plant: PlantModel, state: State, record: Record) -> None:
+    """Run so many ticks on a plant, or until one commands NaN."""
     for command, _ in drive(law, plant, state, ticks):
         record.v.append(command.v.copy())
         record.causes.append(command.causes)
         note(record, plant, state)
         if not np.isfinite(command.v).all():
-            return False
-    return True
+            return
 
 
 def note(record: Record, plant: PlantModel, state: State) -> None:

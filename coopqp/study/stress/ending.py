@@ -17,11 +17,11 @@ from scipy.optimize import linprog
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.law import QPLaw
 from coopqp.rank import null_space
 from coopqp.state import State
 from coopqp.study.explanation import explain
 from coopqp.study.stress import signs
+from coopqp.study.stress.draw import LAW
 from coopqp.study.stress.signs import Record
 from coopqp.study.tick_record import record_tick
 from coopqp.task import TaskStack
@@ -51,12 +51,11 @@ class Ending:
     never_back: bool = False
 
 
-def ending(problem: ControlProblem, law: QPLaw, state: State, record: Record) -> Ending:
+def ending(problem: ControlProblem, state: State, record: Record) -> Ending:
     """Judge the end of a rollout.
 
     Args:
         problem: what was controlled.
-        law: with its last answer.
         state: at the end.
         record: of all ticks.
     """
@@ -80,7 +79,7 @@ def ending(problem: ControlProblem, law: QPLaw, state: State, record: Record) ->
     if speed > signs.AT_REST and _nears(errors, part_errors(problem, state, record, BEFORE)):
         how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
         return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
-    return _rest(problem, law, state, record)
+    return _rest(problem, state, record)
 
 
 def _nears(errors: Array, before: Array) -> bool:
@@ -89,8 +88,9 @@ def _nears(errors: Array, before: Array) -> bool:
     return change > CHANGE * float(errors.max())
 
 
-def _rest(problem: ControlProblem, law: QPLaw, state: State, record: Record) -> Ending:
+def _rest(problem: ControlProblem, state: State, record: Record) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
+    law = LAW.plain(problem)
     tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))
     why = explain(tick)
     limits = [r.name for r in why.relaxations]

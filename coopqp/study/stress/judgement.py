@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.stress import signs
@@ -67,17 +66,16 @@ class Rollout:
     inaccurate: int = 0
 
 
-def judged(seed: int, drawn: Draw, law: QPLaw, state: State, record: Record) -> Rollout:
+def judged(seed: int, drawn: Draw, state: State, record: Record) -> Rollout:
     """Judge a rollout whose time is up.
 
     Args:
         seed: of it.
         drawn: the problem.
-        law: with its last answer.
         state: at the end.
         record: of all ticks.
     """
-    end = ending(drawn.problem, law, state, record)
+    end = ending(drawn.problem, state, record)
     share = signs.flips(record)
     rattling = share > signs.RATTLING
     return Rollout(

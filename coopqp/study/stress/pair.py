@@ -9,8 +9,8 @@ import numpy as np
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.qp_law.law import QPLaw
-from coopqp.study.stress.driving import DAMPING, drive_for, note, record_of
+from coopqp.study.stress.draw import LAW
+from coopqp.study.stress.driving import drive_for, note, record_of
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import DrawWithMasses
 from coopqp.study.stress.signs import Flags
@@ -97,11 +97,11 @@ def _run(drawn: DrawWithMasses, plant: Plant, seed: int, disturbance: Disturbanc
     problem = drawn.problem
     model = plant.build(problem, seed, disturbance)
     assert isinstance(model, DynamicModel)
-    law, record = QPLaw(problem, DAMPING), record_of(problem)
+    law, record = LAW.build(problem), record_of(problem)
     state = law.start(q_measured=model.measured)
     drive_for(round(DURATION / problem.dt), law, model, state, record)
     note(record, model, state)
-    rollout = judged(seed, drawn, law, state, record)
+    rollout = judged(seed, drawn, state, record)
     last, limit = round(END / problem.dt), model.servo.effort
     found = squeeze(model, problem.dt)
     return _Run(

@@ -8,11 +8,10 @@ from functools import partial
 from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
-from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Solver
 from coopqp.study.engine import Engine, Lost
-from coopqp.study.stress.draw import DAQP, Draw, draw
-from coopqp.study.stress.driving import DAMPING, drive_on, record_of
+from coopqp.study.stress.draw import DAQP, LAW, Draw, draw
+from coopqp.study.stress.driving import drive_on, record_of
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import draw_with_masses
 from coopqp.study.stress.pair import run_pair
@@ -75,8 +74,8 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 
 
 def _run(drawn: Draw, seed: int) -> Rollout:
-    law = QPLaw(drawn.problem, DAMPING)
+    law = LAW.build(drawn.problem)
     state = law.start()
     record = record_of(drawn.problem)
     drive_on(law, state, record)
-    return judged(seed, drawn, law, state, record)
+    return judged(seed, drawn, state, record)
