@@ -46,7 +46,7 @@ def compare(
     """
     loaded = read_scenario(scenario, catalog, solver)
     names = [name.strip() for name in controllers.split(",") if name.strip()]
-    _show(loaded, names or list(loaded.controllers), out, as_json=as_json)
+    compare_on(loaded, names or list(loaded.controllers), out, as_json=as_json)
 
 
 @click.command()
@@ -65,7 +65,7 @@ def run(
     as_json: bool,
 ) -> None:
     """Run one controller on a scenario."""
-    _show(read_scenario(scenario, catalog, solver), [controller], out, as_json=as_json)
+    compare_on(read_scenario(scenario, catalog, solver), [controller], out, as_json=as_json)
 
 
 @click.command()
@@ -171,8 +171,15 @@ def schema(catalog: Any) -> None:
     click.echo(json.dumps(file_model(catalog).model_json_schema(), indent=2))
 
 
-def _show(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
-    """Run, print the table or JSON, and write the report."""
+def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
+    """Run, print the table or JSON, and write the report.
+
+    Args:
+        scenario: read.
+        controllers: names.
+        out: folder for the report; none is written if None.
+        as_json: whether to print JSON for machines.
+    """
     from coopqp.comparison import compare as run_all
     from coopqp.report import files, table
     from coopqp.report.terminal import console, progress_bars

@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from coopqp.errors import CoopqpError, Fault
+from coopqp.reading import absolute
 from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.plugin_files import Shelf, in_folder, installed, of_tasks, shipped
 
@@ -23,6 +24,9 @@ class Catalog:
         task_folders: folders with the user's own task files.
         plugin_folders: folders with the user's own plug-ins, in subfolders named as collections.
 
+    Attributes:
+        folders: both, from the root on, so that another process can make the same catalogue.
+
     Raises:
         CoopqpError: with a line for every file that is no plug-in, or takes a name that exists.
     """
@@ -30,6 +34,7 @@ class Catalog:
     def __init__(
         self, task_folders: tuple[Path, ...] = (), plugin_folders: tuple[Path, ...] = ()
     ) -> None:
+        self.folders = tuple(tuple(map(absolute, kind)) for kind in (task_folders, plugin_folders))
         self._collections: dict[str, dict[str, Entry]] = {kind: {} for kind in COLLECTIONS}
         faults: list[Fault] = []
         for shelf in dict.fromkeys(_shelves(task_folders, plugin_folders)):

@@ -46,7 +46,7 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    return _loaded(read_yaml(find(path)), catalog or Catalog())
+    return load_file(read_yaml(find(path)), catalog or Catalog())
 
 
 def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
@@ -60,10 +60,15 @@ def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
     Raises:
         ScenarioError: as :func:`load`.
     """
-    return _loaded(parsed(path, text), catalog)
+    return load_file(parsed(path, text), catalog)
 
 
-def _loaded(file: YamlFile, catalog: Catalog) -> Scenario:
+def load_file(file: YamlFile, catalog: Catalog) -> Scenario:
+    """The same from a file that has been read.
+
+    Raises:
+        ScenarioError: as :func:`load`.
+    """
     scenario = _Reader(file, catalog).scenario()
     if file.data.get("start") == SOLVE:
         scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)

@@ -7,11 +7,12 @@ it is written, and its size is known before it is built: an alias counts as all 
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,14 @@ class YamlFile:
             line, node = node.inside[key]
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
+
+    def changed(self, data: dict[str, Any]) -> YamlFile:
+        """What the file would be with other data; places are those of this file.
+
+        Args:
+            data: plain, such as JSON can hold.
+        """
+        return replace(self, data=data, text=json.dumps(data, indent=2) + "\n")
 
 
 def read_yaml(path: Path) -> YamlFile:

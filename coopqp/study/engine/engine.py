@@ -15,9 +15,12 @@ from coopqp.study.engine.batches import Batch, Batches
 from coopqp.study.engine.cluster import Cluster
 from coopqp.study.engine.processes import Processes, cores
 from coopqp.study.engine.share import Share
-from coopqp.study.engine.work import Work, Workers, WorkersLostError
+from coopqp.study.engine.work import Here, Work, Workers, WorkersLostError
 
 TRIES = 2  # of an item that is done alone
+
+Done = list[tuple[Any, Any]]
+"""Items with what came of each."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,8 @@ class Engine:
     scheduler: str = ""
     share: Share = field(default_factory=Share)
 
-    def results(self, work: Work, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        """The share's items with their results, or Lost, in the order in which they are done.
+    def batches(self, work: Work, items: Sequence[Any]) -> Iterator[Done]:
+        """The share's items with their results, or Lost, in batches as they are done.
 
         Args:
             work: a function of a module that takes some items and gives as many results. What it
@@ -58,32 +61,33 @@ class Engine:
             CoopqpError: the scheduler does not answer.
         """
         mine = self.share.taken(items)
-        jobs = self.jobs or cores()
-        if not self.scheduler and (jobs == 1 or len(mine) == 1):
-            for item in mine:
-                (result,) = work([item])
-                yield item, result
-        elif self.scheduler:
+        jobs = min(self.jobs or cores(), len(mine))
+        if self.scheduler:
             with Cluster.at(self.scheduler) as cluster:
                 yield from _results(cluster, work, mine)
         else:
-            yield from _results(Processes(min(jobs, max(2, len(mine)))), work, mine)
+            yield from _results(Processes(jobs) if jobs > 1 else Here(), work, mine)
+
+    def results(self, work: Work, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        """The same one by one."""
+        for batch in self.batches(work, items):
+            yield from batch
 
 
-def _results(workers: Workers, work: Work, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+def _results(workers: Workers, work: Work, items: Sequence[Any]) -> Iterator[Done]:
     batches: Batches[Any] = Batches(items, workers.count)
     while True:
         try:
             for outcome in workers.outcomes(work, batches):
                 batch = batches.back(outcome.number, outcome.seconds)
-                yield from zip(batch.items, outcome.results, strict=True)
+                yield list(zip(batch.items, outcome.results, strict=True))
             return
         except WorkersLostError:
             for batch in batches.lost():
                 yield from _alone(workers, work, batch)
 
 
-def _alone(workers: Workers, work: Work, batch: Batch[Any]) -> Iterator[tuple[Any, Any]]:
+def _alone(workers: Workers, work: Work, batch: Batch[Any]) -> Iterator[Done]:
     """A batch with nothing beside it."""
     reason = ""
     for _ in range(TRIES if len(batch.items) == 1 else 1):
@@ -92,10 +96,10 @@ def _alone(workers: Workers, work: Work, batch: Batch[Any]) -> Iterator[tuple[An
         except WorkersLostError as error:
             reason = str(error)
         else:
-            yield from zip(batch.items, outcome.results, strict=True)
+            yield list(zip(batch.items, outcome.results, strict=True))
             return
     if len(batch.items) == 1:
-        yield batch.items[0], Lost(reason)
+        yield [(batch.items[0], Lost(reason))]
         return
     for item in batch.items:
         yield from _alone(workers, work, Batch(batch.number, (item,)))

@@ -1,0 +1,172 @@
+"""A study in bins: what its page shows, a few thousand numbers however many rows there are."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.checked import Array
+from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.space import Box
+from coopqp.study.sweep.study import Study
+from coopqp.study.sweep.variant import DONE
+
+BINS = 16  # of an axis with numbers
+LEVELS = 24  # values that are shown each by itself; of texts the most frequent
+MOST_AXES = 8  # on the page; the first ones
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+OTHER = "others"
+
+Codes = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Something that is varied, in bins.
+
+    Attributes:
+        name: of its column.
+        labels: of the bins; empty where the edges say it.
+        edges: of the bins, one more than there are; empty where each has a label.
+        log: whether the edges are even in their logarithm.
+        code: bin of each row, shape (rows,).
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    edges: tuple[float, ...]
+    log: bool
+    code: Codes
+
+    @property
+    def count(self) -> int:
+        """Number of bins."""
+        return len(self.labels) or len(self.edges) - 1
+
+    def as_json(self) -> dict[str, Any]:
+        """What the page is told of it."""
+        edges = [short(edge) for edge in self.edges]
+        return {"name": self.name, "labels": self.labels, "edges": edges, "log": self.log}
+
+
+def axes(study: Study, columns: Columns) -> list[Axis]:
+    """All that takes more than one value, the first ones of many."""
+    logs = {one.path for one in study.varied if isinstance(one.over, Box) and one.over.grows}
+    found = (_axis(columns, name, log=name in logs) for name in study.columns)
+    return [axis for axis in found if axis is not None and axis.count > 1][:MOST_AXES]
+
+
+def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
+    if columns.kinds[name] in ("string", "bool"):
+        return _texts(columns, name)
+    values = columns.numbers(name)
+    if not np.isfinite(values).any():
+        return None
+    known = np.unique(values)
+    if len(known) <= LEVELS:
+        labels = tuple(f"{value:.4g}" for value in known)
+        return Axis(name, labels, (), log, np.searchsorted(known, values))
+    shown = np.log10(values) if log else values
+    edges = np.linspace(shown.min(), shown.max(), BINS + 1)
+    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, BINS - 1)
+    return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
+
+
+def _texts(columns: Columns, name: str) -> Axis:
+    if columns.kinds[name] == "bool":
+        return Axis(name, ("false", "true"), (), False, columns.numbers(name).astype(np.int64))
+    codes, texts = columns.codes(name)
+    if len(texts) <= LEVELS:
+        return Axis(name, tuple(texts), (), False, codes)
+    order = np.argsort(-np.bincount(codes[codes >= 0], minlength=len(texts)), kind="stable")
+    kept = order[: LEVELS - 1]
+    new = np.full(len(texts) + 1, LEVELS - 1)
+    new[kept] = np.arange(len(kept))
+    return Axis(name, (*(texts[i] for i in kept), OTHER), (), False, new[codes])
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Rows that are done, by what the page asks of them.
+
+    Attributes:
+        axes: what is varied.
+        controllers: names.
+        controller: of each row, shape (rows,).
+        done: which rows count, shape (rows,).
+        success: 1, 0 or NaN, shape (rows,).
+    """
+
+    axes: Sequence[Axis]
+    controllers: Sequence[str]
+    controller: Codes
+    done: NDArray[np.bool_]
+    success: Array
+
+    @classmethod
+    def of(cls, study: Study, columns: Columns) -> Binned:
+        """From the results of a study."""
+        controller, names = columns.codes("controller")
+        state, states = columns.codes("state")
+        done = np.array([name == DONE for name in states] + [False])[state]
+        return cls(axes(study, columns), names, controller, done, columns.numbers("success"))
+
+    def maps(self) -> Iterator[dict[str, Any]]:
+        """For each pair of axes and each controller how many rows, and how many succeed."""
+        numbers = range(len(self.axes))
+        pairs = list(itertools.combinations(numbers, 2)) or [(0, 0)] * bool(self.axes)
+        for i, j in pairs:
+            a, b = self.axes[i], self.axes[j]
+            cell = a.code * b.count + b.code
+            kept = [self._count(cell, a.count * b.count, k) for k in range(len(self.controllers))]
+            yield {"x": i, "y": j, "all": [n for n, _ in kept], "good": [n for _, n in kept]}
+
+    def _count(self, cell: Codes, cells: int, controller: int) -> tuple[list[int], list[int]]:
+        rows = self.done & (self.controller == controller)
+        good = rows & (self.success > 0.0)
+        counts = (np.bincount(cell[chosen], minlength=cells) for chosen in (rows, good))
+        every, succeeded = (found.tolist() for found in counts)
+        return every, succeeded
+
+    def bands(self, values: Array) -> list[list[list[list[float] | None]]]:
+        """Quantiles of a column in each bin: by axis, by controller, by bin; None of none."""
+        return [
+            [self._quantiles(axis, values, k) for k in range(len(self.controllers))]
+            for axis in self.axes
+        ]
+
+    def _quantiles(self, axis: Axis, values: Array, controller: int) -> list[list[float] | None]:
+        rows = np.flatnonzero(self.done & (self.controller == controller) & np.isfinite(values))
+        rows = rows[np.argsort(axis.code[rows], kind="stable")]
+        ends = np.searchsorted(axis.code[rows], np.arange(axis.count + 1))
+        return [
+            [short(q) for q in np.quantile(values[rows[a:b]], QUANTILES)] if b > a else None
+            for a, b in itertools.pairwise(ends)
+        ]
+
+    def flows(self) -> list[list[list[int]]]:
+        """Parallel coordinates: between neighbouring axes, [bin, bin, rows, successes].
+
+        Before the first axis come the controllers, after the last success.
+        """
+        good = self.success > 0.0
+        sides = [self.controller, *(axis.code for axis in self.axes), good.astype(np.int64)]
+        counts = [len(self.controllers), *(axis.count for axis in self.axes), 2]
+        found = []
+        for (a, b), n in zip(itertools.pairwise(sides), counts[1:], strict=True):
+            pair = (a * n + b)[self.done]
+            every = np.bincount(pair)
+            succeeded = np.bincount(pair, weights=good[self.done])
+            there = np.flatnonzero(every).tolist()
+            found.append([[c // n, c % n, int(every[c]), int(succeeded[c])] for c in there])
+        return found
+
+
+def short(value: float) -> float:
+    """Five digits are enough for a picture."""
+    return float(f"{value:.5g}")

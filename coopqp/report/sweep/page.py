@@ -1,0 +1,234 @@
+"""The page of a study: one file, which works offline and is small whatever the study's size."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from string import Template
+
+import coopqp
+from coopqp.report.files import write_one
+from coopqp.report.page import breakable, script_json, text
+from coopqp.report.strict_json import finite
+from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from coopqp.report.sweep.bins import Binned
+from coopqp.report.sweep.pairs import Pair, pairs, worst_error, worst_rows
+from coopqp.report.sweep.table import percent
+from coopqp.study.sweep import Study, scenario_of_row
+from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.summary import Line, Summary
+
+HERE = Path(__file__).parent
+NAME = "report.html"
+ROWS = "rows"  # folder with the scenarios of the worst rows
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+MOST_LIMITS = 12  # that are shown for each controller
+MARGIN = "limit_margin_min"
+
+
+def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
+    """Write ``report.html``, and the scenarios that it links to.
+
+    Args:
+        study: whose page it is.
+        columns: its results.
+        summary: of them.
+        folder: of the study.
+
+    Returns:
+        The page.
+
+    Raises:
+        CoopqpError: it cannot be written.
+    """
+    binned, error = Binned.of(study, columns), worst_error(columns)
+    worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
+    places = _places(columns, worst)
+    for place in places.values():
+        path = folder / ROWS / f"{place}.yaml"
+        if not path.exists():
+            write_one(path, scenario_of_row(study, place)[0])
+    write_one(folder / NAME, render(study, columns, summary, binned, worst, places))
+    return folder / NAME
+
+
+def _places(columns: Columns, worst: Sequence[Sequence[int]]) -> dict[int, int]:
+    """Numbers of the rows of the study at some places in the file."""
+    numbers = columns.numbers("row")
+    return {row: int(numbers[row]) for rows in worst for row in rows}
+
+
+def render(
+    study: Study,
+    columns: Columns,
+    summary: Summary,
+    binned: Binned,
+    worst: Sequence[Sequence[int]],
+    places: dict[int, int],
+) -> str:
+    """The page as text.
+
+    Args:
+        study: whose page it is.
+        columns: its results.
+        summary: of them.
+        binned: the same by what is varied.
+        worst: places of each controller's worst rows in the columns.
+        places: their numbers in the study.
+    """
+    measures = [name for name in columns.kinds if name.startswith("task_error.")]
+    data = {
+        "controllers": list(binned.controllers),
+        "colors": [COLORS[k % len(COLORS)] for k in range(len(binned.controllers))],
+        "axes": [axis.as_json() for axis in binned.axes],
+        "maps": list(binned.maps()),
+        "bands": {name: binned.bands(columns.numbers(name)) for name in (*measures, MARGIN)},
+        "margin": MARGIN,
+        "flows": binned.flows(),
+    }
+    missing = study.rows - summary.rows
+    return Template(_read("page.html")).substitute(
+        title=text(study.name),
+        version=text(coopqp.__version__),
+        facts=_facts(study, summary, missing),
+        summary=_summary(summary),
+        reasons=_reasons(summary),
+        paired=_paired(list(pairs(binned, worst_error(columns)))),
+        blocked="".join(_limits(line) for line in summary.lines),
+        worst="".join(
+            _worst(name, rows, study, columns, places)
+            for name, rows in zip(binned.controllers, worst, strict=True)
+        ),
+        data=script_json(finite(data)),
+        css=(HERE.parent / "page.css").read_text(encoding="utf-8") + _read("page.css"),
+        js=_read("page.js"),
+    )
+
+
+def _read(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def _facts(study: Study, summary: Summary, missing: int) -> str:
+    facts = {
+        "scenario": study.scenario.path.stem,
+        "variants": f"{study.points.count:,}",
+        "controllers": str(len(study.controllers)),
+        "rows": f"{summary.rows:,}" + (f", {missing:,} still to come" if missing else ""),
+        "seed": str(study.seed),
+    }
+    return " · ".join(f"{name} <b>{text(value)}</b>" for name, value in facts.items())
+
+
+def _table(heads: Sequence[str], rows: Iterator[Sequence[str]] | Sequence[Sequence[str]]) -> str:
+    """A table of cells that are HTML already; the first of each row is its name."""
+    first, *others = heads
+    head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
+    body = "".join(
+        f'<tr><th scope="row" class="name">{row[0]}</th>'
+        + "".join(f"<td>{cell}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    table = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="wide"><table class="summary">{table}</table></div>'
+
+
+def _summary(summary: Summary) -> str:
+    names = list(dict.fromkeys(name for line in summary.lines for name in line.errors))
+    errors = [f"{text(name)}<small>median, 95 %</small>" for name in names]
+    heads = [
+        "Controller", "done", "invalid", "failed", "success<small>%, 95 % interval</small>",
+        "reached<small>%</small>", *errors, "least margin<small>median, 5 % [rad or m]</small>",
+    ]  # fmt: skip
+    return _table(heads, [_line(k, line, names) for k, line in enumerate(summary.lines)])
+
+
+def _line(k: int, line: Line, names: Sequence[str]) -> list[str]:
+    states = [f"{line.states.get(state, 0):,}" for state in ("done", "invalid", "failed")]
+    reached = f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-"
+    quantiles = [*(line.errors[name] for name in names), line.margin]
+    shown = [f"{a:.3g}, {b:.3g}" if a == a else "-" for a, b in quantiles]
+    return [_named(k, line.controller), *states, percent(line.success), reached, *shown]
+
+
+def _named(k: int, controller: str) -> str:
+    return f'<i style="background:{COLORS[k % len(COLORS)]}"></i>{breakable(controller)}'
+
+
+def _reasons(summary: Summary) -> str:
+    if not summary.reasons:
+        return ""
+    items = "".join(
+        f"<li><b>{count:,}</b> {text(reason)}</li>"
+        for reason, count in list(summary.reasons.items())[:MOST_LIMITS]
+    )
+    more = len(summary.reasons) - MOST_LIMITS
+    rest = f"<li>and {more} other reasons</li>" if more > 0 else ""
+    return (
+        "<details><summary>Why rows are not done</summary>"
+        f'<ul class="notes">{items}{rest}</ul></details>'
+    )
+
+
+def _paired(found: Sequence[Pair]) -> str:
+    if not found:
+        return ""
+    heads = ["On the same variants", "both succeed", "only the first", "only the second",
+             "neither", "first ends nearer<small>% of variants</small>"]  # fmt: skip
+    rows = [
+        [
+            f"{breakable(p.one)}<br>against {breakable(p.other)}",
+            *(f"{n:,}" for n in (p.both, p.only_one, p.only_other, p.neither)),
+            f"{100.0 * p.nearer:.1f}" if p.nearer == p.nearer else "-",
+        ]
+        for p in found
+    ]
+    return f"<section><h2>Controllers against each other</h2>{_table(heads, rows)}</section>"
+
+
+def _limits(line: Line) -> str:
+    """Bars: how often a limit was in the way, or was broken."""
+    parts = [
+        _bars("ends at it, short of the goal", line.blocked_by, line.success.of),
+        _bars("goes beyond it", line.broken, line.success.of),
+    ]
+    bars = "".join(parts) or '<p class="hint">No limit in the way, none broken.</p>'
+    return f"<div><h3>{breakable(line.controller)}</h3>{bars}</div>"
+
+
+def _bars(title: str, counts: dict[str, int], of: int) -> str:
+    if not counts:
+        return ""
+    most = max(counts.values())
+    rows = "".join(
+        f'<div class="limit"><span>{breakable(name)}</span>'
+        f'<b style="width:{100.0 * n / most * 0.5:.1f}%"></b>{n:,} ({100.0 * n / of:.1f} %)</div>'
+        for name, n in list(counts.items())[:MOST_LIMITS]
+    )
+    return f'<p class="hint">{title}</p>{rows}'
+
+
+def _worst(
+    name: str, rows: Sequence[int], study: Study, columns: Columns, places: dict[int, int]
+) -> str:
+    if not rows:
+        return f"<h3>{breakable(name)}</h3><p class='hint'>Every row that is done succeeds.</p>"
+    errors = [x for x in columns.kinds if x.startswith("task_error.")]
+    shown = [*study.columns, *errors, MARGIN, "blocked_by", "broken"]
+    values = [_cells(columns, column, rows) for column in shown]
+    table = [
+        [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
+        for k, row in enumerate(rows)
+    ]
+    heads = ["row", *(html.escape(column) for column in shown)]
+    return f"<h3>{breakable(name)}</h3>{_table(heads, table)}"
+
+
+def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
+    if columns.kinds[name] in ("string",):
+        codes, texts = columns.codes(name)
+        return [text(texts[codes[row]]) if codes[row] >= 0 else "" for row in rows]
+    numbers = columns.numbers(name)
+    return [f"{numbers[row]:.4g}" for row in rows]

@@ -1,0 +1,80 @@
+"""A study in the terminal; fits 100 columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from coopqp.errors import one_line
+from coopqp.study.statistics.summary import Share
+from coopqp.study.sweep.summary import Line, Summary
+
+MOST_NAMES, MOST_REASONS = 3, 5
+
+
+def table(name: str, summary: Summary) -> Table:
+    """One row a controller."""
+    found = Table(
+        title=Text(one_line(f"{name}: {summary.rows:,} rows"), style="bold"),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+        show_edge=False,
+    )
+    found.add_column("controller", overflow="fold")
+    for heading in ("done", "invalid", "failed", "success\n%, 95 % interval", "reached\n%"):
+        found.add_column(heading, justify="right", no_wrap=True)
+    found.add_column("error, median\nand 95 %", justify="right", no_wrap=True)
+    found.add_column("blocked by, how often", overflow="fold")
+    for line in summary.lines:
+        found.add_row(*_cells(line))
+    return found
+
+
+def _cells(line: Line) -> Iterator[Text]:
+    yield Text(one_line(line.controller), style="bold")
+    for state in ("done", "invalid", "failed"):
+        yield Text(f"{line.states.get(state, 0):,}")
+    yield Text(percent(line.success))
+    yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
+    yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
+    yield Text(one_line(named(line.blocked_by)))
+
+
+def sentences(summary: Summary) -> Iterator[str]:
+    """Why rows are not done, the most frequent reasons first."""
+    reasons = summary.reasons.items()
+    for reason, count in list(reasons)[:MOST_REASONS]:
+        yield f"{count:,} rows: {reason}"
+    if len(reasons) > MOST_REASONS:
+        yield f"and {len(reasons) - MOST_REASONS} other reasons"
+
+
+def as_json(name: str, summary: Summary) -> dict[str, Any]:
+    """The same for machines."""
+    return {"study": name, **asdict(summary)}
+
+
+def percent(share: Share) -> str:
+    """Such as "93.1 90.2-95.4"; a dash where there was none."""
+    if not share.of:
+        return "-"
+    part = 100.0 * share.count / share.of
+    return f"{part:.1f} {100 * share.low:.1f}-{100 * share.high:.1f}"
+
+
+def named(counts: Mapping[str, int]) -> str:
+    """The most frequent names with their counts."""
+    shown = [f"{name} {count:,}" for name, count in list(counts.items())[:MOST_NAMES]]
+    more = len(counts) - MOST_NAMES
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2g}"

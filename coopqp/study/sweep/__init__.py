@@ -1,0 +1,22 @@
+"""Studies that users write: a scenario, what of it is varied, over what, and what is measured.
+
+space      what a key is varied over
+path       a key of the scenario by its path
+points     which points of the space are looked at
+reader     from the file to a study, or to its faults
+study      the study, and its variants
+variant    a variant under some controllers: its rows
+identity   hashes of what results follow from
+journal    a line for each finished variant
+index      where in the journals each variant is
+results    the journals as one Parquet file
+sweep      runs what is not there yet
+kept       a study from its folder alone
+"""
+
+from coopqp.study.sweep.kept import kept_study, scenario_of_row
+from coopqp.study.sweep.reader import read_study
+from coopqp.study.sweep.study import Study, Variant
+from coopqp.study.sweep.sweep import Progress, sweep
+
+__all__ = ["Progress", "Study", "Variant", "kept_study", "read_study", "scenario_of_row", "sweep"]

@@ -1,0 +1,83 @@
+"""A study from its folder alone, without its files."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from coopqp.errors import CoopqpError, ScenarioError
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import has_files
+from coopqp.scenario.yaml import parsed
+from coopqp.study.sweep.journal import head_of, journals
+from coopqp.study.sweep.reader import study_text
+from coopqp.study.sweep.study import CONTROLLERS, Study
+
+
+def kept_study(folder: Path) -> Study:
+    """The study whose results a folder holds.
+
+    Raises:
+        CoopqpError: it holds none; plug-ins are no longer where they were.
+    """
+    if not folder.is_dir():
+        raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
+    found = journals(folder)
+    if not found:
+        raise CoopqpError(
+            f"'{folder}' holds no study: needs a journal, as 'coopqp sweep' writes it"
+        )
+    head = head_of(found[0]) or {}
+    tasks, plugins = (tuple(map(Path, kind)) for kind in head["folders"])
+    for path in (*tasks, *plugins):
+        if not path.is_dir():
+            raise CoopqpError(f"'{path}' is gone, with the plug-ins of this study")
+    path, text = head["scenario"]
+    own, words = head["study"]
+    return study_text(Path(own), words, (Path(path), text), Catalog(tasks, plugins))
+
+
+def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
+    """A scenario file for one row, and the name of its controller.
+
+    Args:
+        study: of the row.
+        row: its number, as in the results.
+
+    Raises:
+        CoopqpError: there is no such row.
+    """
+    if not 0 <= row < study.rows:
+        raise CoopqpError(f"--show: found {row}; the study has rows 0 to {study.rows - 1}")
+    number, k = divmod(row, len(study.controllers))
+    variant = study.variant(number)
+    data: dict[str, Any] = study.changed(variant)
+    controllers = data.get(CONTROLLERS)
+    if controllers:
+        data = {**data, CONTROLLERS: [controllers[k]]}
+    if has_files(data):
+        own = data.get("folder")
+        base = study.scenario_text[0].parent
+        data = {**data, "folder": str(base / own if isinstance(own, str) else base)}
+    columns = zip(study.columns, study.parts(variant), strict=True)
+    values = ", ".join(f"{name} {value}" for name, value in columns)
+    head = f"# Row {row} of the study {study.name}, variant {number}: {values}\n"
+    return head + _yaml(study, data), study.controllers[k]
+
+
+def _yaml(study: Study, data: dict[str, Any]) -> str:
+    """As YAML for people; as JSON where that would not be read back as it was."""
+    stream = io.StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style, writer.sort_base_mapping_type_on_output = None, False  # type: ignore[assignment]
+    writer.dump(data, stream)
+    text = stream.getvalue()
+    try:
+        if parsed(study.scenario.path, text).data == data:
+            return text
+    except ScenarioError:
+        pass
+    return study.scenario.changed(data).text

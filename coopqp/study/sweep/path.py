@@ -1,0 +1,130 @@
+"""A key of a scenario by its path: ``tasks.reach.goal``, ``robot.nao_t14.scale``, ``dt``.
+
+In a list a name is that of a task, a phase or a controller, or of its type, and ``[i]`` its place;
+``start.right[0]`` is one number. What the scenario does not say is where its form has it.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from coopqp.errors import InvalidValueError, unknown_name
+
+_STEP = re.compile(r"\[(\d{1,6})\]|\.?([^.\[\]]+)")
+
+
+def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Keys and indices of a path, and the data in which they lead somewhere.
+
+    Args:
+        data: of the scenario's file; plain slots on the way become mappings in it.
+        path: as above.
+        defaults: by key, for what the file leaves out.
+
+    Returns:
+        Each key or index in turn.
+
+    Raises:
+        InvalidValueError: the path is none, or leads to what is not there.
+    """
+    rest, location, here = path, [], data
+    while rest:
+        if isinstance(here, list):
+            key, rest = _in_list(here, rest, path)
+            location += key
+            here = _inside(here, key)
+            continue
+        step, rest = _step(here if isinstance(here, dict) else {}, rest, path)
+        if not isinstance(here, dict):
+            raise InvalidValueError(f"'{_upto(path, rest)}' leads into a value, which has no keys")
+        if isinstance(step, int):
+            raise InvalidValueError(f"'{_upto(path, rest)}': there is no list; needs a name")
+        location.append(step)
+        if not rest:
+            break
+        if not location[:-1] and step not in here and step in defaults:
+            here[step] = copy.deepcopy(defaults[step])
+        if isinstance(here.get(step), str):
+            here[step] = {here[step]: {}}
+        if here.get(step) is None:
+            here[step] = {}
+        here = here[step]
+    return tuple(location)
+
+
+def _upto(path: str, rest: str) -> str:
+    return path[: len(path) - len(rest)] if rest else path
+
+
+def _step(here: Mapping[str, Any], rest: str, path: str) -> tuple[str | int, str]:
+    """The next key or index, and what follows; keys may have dots in them."""
+    text = rest.removeprefix(".")
+    for key in sorted(here, key=len, reverse=True):
+        after = text[len(key) :]
+        if text.startswith(key) and (not after or after[0] in ".["):
+            return key, after
+    found = _STEP.match(rest)
+    if not found:
+        raise InvalidValueError(f"'{path}' is no path; needs names with dots between them")
+    index, name = found.groups()
+    return (int(index) if index is not None else name), rest[found.end() :]
+
+
+def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], str]:
+    """The place of a name, or of an index, in a list; with a name, inside what it names."""
+    names = [_names(item) for item in here]
+    known = {name: None for item in names for name in item}
+    step, after = _step(known, rest, path)
+    if isinstance(step, int):
+        if step >= len(here):
+            raise InvalidValueError(f"'{_upto(path, after)}': the list has {len(here)} values")
+        if after and isinstance(here[step], str):
+            here[step] = {here[step]: {}}
+        return [step], after
+    found = [i for i, item in enumerate(names) if step in item]
+    if not found:
+        what = _upto(path, rest).rpartition(".")[2].rstrip("s") or "name"
+        raise InvalidValueError(unknown_name(what, step, known))
+    if len(found) > 1:
+        raise InvalidValueError(f"'{step}' is the name of {len(found)} of them; needs [i] instead")
+    i = found[0]
+    if isinstance(here[i], str):
+        here[i] = {here[i]: {}}
+    return ([i] if "name" in here[i] else [i, next(iter(here[i]))]), after
+
+
+def _names(item: Any) -> set[str]:
+    """What something in a list is called: its own name, else its type's."""
+    if isinstance(item, str):
+        return {item}
+    if not isinstance(item, dict) or not item:
+        return set()
+    if isinstance(item.get("name"), str):  # a phase
+        return {item["name"]}
+    ((kind, fields), *_) = item.items()
+    own = fields.get("name") if isinstance(fields, dict) else None
+    return {kind, own} if isinstance(own, str) else {kind}
+
+
+def _inside(here: Any, keys: list[str | int]) -> Any:
+    for key in keys:
+        if isinstance(here, dict) and here.get(str(key)) is None:
+            here[key] = {}
+        here = here[key]
+    return here
+
+
+def put(data: Any, location: tuple[Any, ...], value: Any) -> Any:
+    """The data with another value at a location; what is not on the way there is shared."""
+    if not location:
+        return value
+    key, *rest = location
+    if isinstance(data, list):
+        changed = list(data)
+        changed[key] = put(data[key], tuple(rest), value)
+        return changed
+    inside = data.get(key) if rest else None
+    return {**data, key: put({} if inside is None else inside, tuple(rest), value)}

@@ -1,0 +1,141 @@
+"""Run what of a study is not there yet, and write down what comes."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from coopqp.errors import CoopqpError
+from coopqp.study.engine import Engine, Lost, Share
+from coopqp.study.sweep.identity import identity
+from coopqp.study.sweep.index import Index
+from coopqp.study.sweep.journal import FORM, Journal, check_same, path_of
+from coopqp.study.sweep.results import compact, needs_arrow
+from coopqp.study.sweep.study import Study, Variant
+from coopqp.study.sweep.variant import Row, job_of, lost_rows, run_variants
+
+Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
+"""With the user's own tasks, and plug-ins."""
+HERE = Engine()
+
+
+@dataclass
+class Progress:
+    """How far a sweep is.
+
+    Attributes:
+        total: variants of this share.
+        before: of them, those that were there when it began.
+        done: of them, those that are there.
+        states: of the rows that came since, by state.
+        begun: when [s].
+    """
+
+    total: int
+    before: int
+    done: int
+    states: Counter[str] = field(default_factory=Counter)
+    begun: float = field(default_factory=time.monotonic)
+
+    @property
+    def rate(self) -> float:
+        """Variants a second since it began; 0 before the first."""
+        return (self.done - self.before) / max(time.monotonic() - self.begun, 1e-3)
+
+    @property
+    def left(self) -> float:
+        """Time that the others will take [s]; infinite before the first."""
+        return (self.total - self.done) / self.rate if self.rate else float("inf")
+
+
+def sweep(
+    study: Study,
+    folder: Path,
+    *,
+    engine: Engine = HERE,
+    folders: Folders = ((), ()),
+    progress: Callable[[Progress], None] | None = None,
+) -> Progress:
+    """Run the variants that are not in the folder yet; at the end write ``results.parquet``.
+
+    Killed at any moment, it goes on from there when called again; the file is the same in the end.
+
+    Args:
+        study: what is asked.
+        folder: for its journal and results; made if it does not exist.
+        engine: where, and which share; on all cores when omitted.
+        folders: with the plug-ins that the study's catalogue was made from.
+        progress: called after each batch.
+
+    Raises:
+        CoopqpError: the folder belongs to another study, or cannot be written to; nobody answers
+            at the scheduler's address.
+    """
+    needs_arrow()
+    own = identity(study)
+    if folder.exists() and not folder.is_dir():
+        raise CoopqpError(f"'{folder}' is not a folder")
+    check_same(folder, own)
+    job = job_of(study, folders)
+    head = _head(study, own, folders)
+    with Journal.opened(path_of(folder, engine.share), head) as journal:
+        mine = engine.share.taken(range(study.points.count))
+        missing = Index(folder, study.points.count).missing(mine)
+        state = Progress(len(mine), len(mine) - len(missing), len(mine) - len(missing))
+        alone = replace(engine, share=Share())
+        for batch in alone.batches(partial(run_variants, job=job), _Variants(study, missing)):
+            found = [
+                (variant.index, lost_rows(job, rows.reason) if isinstance(rows, Lost) else rows)
+                for variant, rows in batch
+            ]
+            journal.append([_record(index, rows) for index, rows in found])
+            state.done += len(found)
+            state.states.update(row["state"] for _, rows in found for row in rows)
+            if progress:
+                progress(state)
+    compact(study, folder)
+    return state
+
+
+def _head(study: Study, own: dict[str, str], folders: Folders) -> dict[str, Any]:
+    path, text = study.scenario_text
+    return {
+        "form": FORM,
+        "name": study.name,
+        "identity": own,
+        "study": [str(study.file.path), study.file.text],
+        "scenario": [str(path), text],
+        "folders": [[str(one) for one in kind] for kind in folders],
+    }
+
+
+def _record(variant: int, rows: Sequence[Row]) -> dict[str, Any]:
+    return {"variant": variant, "rows": rows}
+
+
+class _Variants(Sequence[Variant]):
+    """Variants that are made when they are asked for."""
+
+    def __init__(self, study: Study, numbers: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+        self._study, self._numbers = study, numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, index: int) -> Variant: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Variant]: ...
+
+    def __getitem__(self, index: int | slice) -> Variant | Sequence[Variant]:
+        if isinstance(index, slice):
+            return _Variants(self._study, self._numbers[index])
+        return self._study.variant(int(self._numbers[index]))

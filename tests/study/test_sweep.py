@@ -1,0 +1,425 @@
+"""Studies: what is varied, what comes of it, and that nothing of it is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import typed
+from scipy.stats import qmc
+
+from coopqp.controller_run import run
+from coopqp.errors import CoopqpError, ScenarioError
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import load, shipped
+from coopqp.study.engine import Engine, Share
+from coopqp.study.sweep import Progress, Study, kept_study, read_study, scenario_of_row, sweep
+
+pq = pytest.importorskip("pyarrow.parquet")
+HERE = Engine(jobs=1)
+STUDY = """scenario: plate.yaml
+vary:
+  tasks.slide.goal: {box: [[0.30, -0.05, 0.0], [0.40, 0.10, 0.0]]}
+  object.mass: {log: [0.1, 2.0]}
+  controllers: {choice: [qp, pseudoinverse]}
+samples: {sobol: 8, seed: 1}
+metrics: [loop_error_max]
+"""
+SHORT = (("duration: 3.0", "duration: 0.1"), ("duration: 2.0", "duration: 0.1"))
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Path:
+    """A folder with a study of eight variants of ten ticks."""
+    text = shipped()["planar_pair"].read_text(encoding="utf-8")
+    for before, after in SHORT:
+        text = text.replace(before, after)
+    (tmp_path / "plate.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "study.yaml").write_text(STUDY, encoding="utf-8")
+    return tmp_path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "study.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(folder: Path, *changes: tuple[str, str]) -> list[str]:
+    """Faults of the study with some of its text replaced."""
+    text = STUDY
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    with pytest.raises(ScenarioError) as caught:
+        read_study(written(folder, text))
+    return [str(fault).removeprefix(f"{folder}/") for fault in caught.value.faults]
+
+
+# What is asked
+
+
+def test_points_are_scipys_in_the_units_of_the_study(plate: Path) -> None:
+    study = read_study(plate / "study.yaml")
+    rng = np.random.default_rng([1, 0x5A3B])
+    u = qmc.Sobol(4, seed=rng).random(8)
+    for k in range(8):
+        goal, mass = study.variant(k).values
+        np.testing.assert_allclose(goal, [0.30 + 0.1 * u[k, 0], -0.05 + 0.15 * u[k, 1], 0.0])
+        assert mass == pytest.approx(0.1 * 20.0 ** u[k, 3])
+
+
+def test_seeds_are_spawned_from_one(plate: Path) -> None:
+    study = read_study(plate / "study.yaml")
+    children = np.random.SeedSequence(1).spawn(8)
+    assert [study.variant(k).seed for k in range(8)] == [
+        int(child.generate_state(1)[0]) for child in children
+    ]
+
+
+@pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
+def test_samples_stay_inside_and_follow_the_seed(plate: Path, method: str) -> None:
+    text = STUDY.replace("sobol: 8", f"{method}: 16")
+    one, same = (read_study(written(plate, text)) for _ in range(2))
+    other = read_study(written(plate, text.replace("seed: 1", "seed: 2")))
+    masses = [[s.variant(k).values[1] for k in range(16)] for s in (one, same, other)]
+    assert masses[0] == masses[1] != masses[2]
+    assert all(0.1 <= mass <= 2.0 for mass in masses[0])
+
+
+def test_a_grid_is_every_level_with_every_other(plate: Path) -> None:
+    text = STUDY.replace("{log: [0.1, 2.0]}", "{values: [0.5, 1.5]}").replace("sobol: 8", "grid: 3")
+    study = read_study(written(plate, text))
+    assert study.points.count == 3 * 3 * 1 * 2
+    values = [study.variant(k).values for k in range(18)]
+    assert len({json.dumps(v) for v in values}) == 18
+    assert {round(goal[0], 9) for goal, _ in values} == {0.3, 0.35, 0.4}
+
+
+def test_levels_of_whole_numbers_are_whole(plate: Path) -> None:
+    text = STUDY.replace("object.mass: {log: [0.1, 2.0]}", "seed: {range: [1, 7, 4]}")
+    study = read_study(written(plate, text.replace("sobol: 8", "grid: 1")
+                               .replace("box: [[0.30, -0.05, 0.0], [0.40, 0.10, 0.0]]",
+                                        "values: [[0.3, 0.0, 0.0]]")))  # fmt: skip
+    assert [study.variant(k).values[1] for k in range(4)] == [1, 3, 5, 7]
+
+
+def test_normal_has_its_mean_and_deviation(plate: Path) -> None:
+    text = STUDY.replace("log: [0.1, 2.0]", "normal: [1.0, 0.1]").replace("sobol: 8", "sobol: 1024")
+    study = read_study(written(plate, text))
+    masses = [study.variant(k).values[1] for k in range(1024)]
+    assert np.mean(masses) == pytest.approx(1.0, abs=1e-3)
+    assert np.std(masses) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_any_key_by_its_path(plate: Path) -> None:
+    paths = {
+        "tasks.slide.goal[1]": ("tasks", 0, "point_on_point", "goal", 1),
+        "tasks.point_on_point.gain": ("tasks", 0, "point_on_point", "gain"),
+        "tasks[0].point_on_point.weight": ("tasks", 0, "point_on_point", "weight"),
+        "secondary.joint_centering.gain": ("secondary", 0, "joint_centering", "gain"),
+        "limits.joint_position.margin": ("limits", 0, "joint_position", "margin"),
+        "robot.planar_pair.distance": ("robot", "planar_pair", "distance"),
+        "start_deg.right[0]": ("start_deg", "right", 0),
+        "budget.loop_position": ("budget", "loop_position"),
+    }
+    for path, location in paths.items():
+        text = f"scenario: plate.yaml\nvary:\n  {path}: {{values: [0.2]}}\nsamples: grid\n"
+        (varied,) = read_study(written(plate, text)).varied
+        assert varied.location == location
+
+
+# What is wrong with it
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line", "words"),
+    [
+        ("tasks.slide.goal", "tasks.slid.goal", 3, "unknown task 'slid'; did you mean 'slide'?"),
+        ("slide.goal", "slide.gaol", 3, "unknown key 'gaol'; did you mean 'goal'"),
+        ("object.mass", "object.mas", 4, "unknown key 'mas'; did you mean 'mass'?"),
+        ("object.mass", "objekt.mass", 4, "unknown key 'objekt'; did you mean 'object'"),
+        ("log: [0.1", "log: [0.0", 4, "a logarithm needs numbers above 0"),
+        ("log: [0.1, 2.0]", "log: [2.0, 0.1]", 4, "is empty: 2 to 0.1; give the least first"),
+        ("log: [0.1, 2.0]", "lgo: [1, 2]", 4, "unknown variation 'lgo'; did you mean 'log'?"),
+        ("log: [0.1, 2.0]", "values: []", 4, "is empty; needs a list of at least one value"),
+        ("log: [0.1, 2.0]", "values: [1, 1]", 4, "has 1 twice; leave one out"),
+        ("log: [0.1, 2.0]", "choice: [heavy, light]", 4, 'found "heavy"; needs a number'),
+        ("log: [0.1, 2.0]", "range: [0, 1], log: [1, 2]", 4, "found 2 keys; needs one of box"),
+        ("log: [0.1, 2.0]", "normal: [1, 0]", 4, "a deviation of 0; needs more than 0"),
+        ("object.mass: {log: [0.1, 2.0]}", "tasks.slide: {choice: [a]}", 4, "is the same as"),
+        ("choice: [qp,", "choice: [pq,", 5, "unknown controller 'pq'; did you mean 'qp'"),
+        ("sobol: 8", "sobl: 8", 6, "unknown way to sample 'sobl'; did you mean 'sobol'?"),
+        ("sobol: 8", "sobol: 0", 6, "found 0; needs a whole number of 1 to"),
+        ("sobol: 8", "sobol: 8, random: 8", 6, "found 2; needs one of grid"),
+        ("sobol: 8, seed: 1", "grid: null", 3, "has no levels for a grid; give it levels"),
+        ("[loop_error_max]", "[loop_eror_max]", 7, "unknown metric 'loop_eror_max'; did you mean"),
+        ("metrics:", "metric:", 7, "unknown key 'metric'; did you mean 'metrics'?"),
+    ],
+)
+def test_faults_are_told_with_their_line(
+    plate: Path, before: str, after: str, line: int, words: str
+) -> None:
+    (fault, *_) = refused(plate, (before, after))
+    assert fault.startswith(f"study.yaml:{line}: ")
+    assert words in fault
+
+
+def test_all_faults_at_once_and_exit_code_2(plate: Path) -> None:
+    changes = (("sobol: 8", "sobl: 8"), ("metrics:", "metric:"), ("log: [0.1", "log: [-1"))
+    text = STUDY
+    for before, after in changes:
+        text = text.replace(before, after)
+    result = typed("sweep", written(plate, text), "--out", plate / "out")
+    assert result.exit_code == 2
+    assert result.stderr.count("error: ") == 2  # what depends on them is not looked at
+    assert not (plate / "out").exists()
+
+
+def test_a_scenario_that_cannot_be_read_is_the_studys_fault(plate: Path) -> None:
+    (fault,) = refused(plate, ("plate.yaml", "plates.yaml"))
+    assert fault.startswith("study.yaml:1: scenario: plates.yaml: cannot be read")
+    (plate / "plate.yaml").write_text("robot: planar_pair\ndt: x\n", encoding="utf-8")
+    goal = "tasks.slide.goal: {box: [[0.30, -0.05, 0.0], [0.40, 0.10, 0.0]]}"
+    assert goal in STUDY
+    with pytest.raises(ScenarioError, match=r"plate\.yaml:2: dt: found"):
+        read_study(written(plate, STUDY.replace(goal, "kappa: {range: [0, 1]}")))
+
+
+# What comes of it
+
+
+def table_of(folder: Path) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = pq.read_table(folder / "results.parquet").to_pylist()
+    return rows
+
+
+def test_rows_are_what_the_scenario_gives_by_itself(plate: Path) -> None:
+    study = read_study(plate / "study.yaml")
+    sweep(study, plate / "out", engine=HERE)
+    rows = table_of(plate / "out")
+    assert [row["row"] for row in rows] == list(range(16))
+    text, controller = scenario_of_row(kept_study(plate / "out"), 5)
+    (plate / "row.yaml").write_text(text, encoding="utf-8")
+    scenario = load(plate / "row.yaml")
+    assert (controller, list(scenario.controllers)) == ("pseudoinverse", ["pseudoinverse"])
+    trace = run(scenario, controller=controller)
+    row = rows[5]
+    assert row["task_error.slide"] == float(trace.final_error[0])
+    assert row["loop_error_max.position"] == float(trace.loop_position.max())
+    assert row["object.mass"] == scenario.held.mass
+    assert row["variant_seed"] == scenario.seed
+    assert row["success"] is row["reached"]
+
+
+def test_a_variant_that_is_no_scenario_is_a_row_with_its_reason(plate: Path) -> None:
+    text = STUDY.replace("object.mass: {log: [0.1, 2.0]}", "dt: {values: [0.01, 0.02]}")
+    sweep(read_study(written(plate, text)), plate / "out", engine=HERE)
+    rows = table_of(plate / "out")
+    wrong = [row for row in rows if row["dt"] == 0.02]
+    assert len(wrong) == 8
+    for row in wrong:
+        assert row["state"] == "invalid"
+        assert "kappa: found 100.0; needs at most 1/dt" in str(row["reason"])
+        assert row["success"] is None
+    assert all(row["state"] == "done" for row in rows if row["dt"] == 0.01)
+
+
+def test_shares_make_the_same_file_as_one_command(plate: Path) -> None:
+    study = read_study(plate / "study.yaml")
+    sweep(study, plate / "whole", engine=HERE)
+    for number in (3, 1, 2):
+        sweep(study, plate / "shared", engine=Engine(jobs=1, share=Share(number, 3)))
+    assert table_of(plate / "whole") == table_of(plate / "shared")
+    assert pq.read_schema(plate / "whole" / "results.parquet").equals(
+        pq.read_schema(plate / "shared" / "results.parquet"), check_metadata=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda folder: written(folder, STUDY.replace("seed: 1", "seed: 2")), "the study file"),
+        (
+            lambda folder: (folder / "plate.yaml").write_text(
+                (folder / "plate.yaml").read_text(encoding="utf-8").replace("mass: 0.5", "mass: 1")
+            ),
+            "the scenario",
+        ),
+    ],
+)
+def test_a_folder_of_another_study_is_refused(plate: Path, change: object, word: str) -> None:
+    sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
+    before = (plate / "out" / "results.parquet").read_bytes()
+    assert callable(change)
+    change(plate)
+    with pytest.raises(CoopqpError, match=f"belongs to another study.*: {word}"):
+        sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
+    assert (plate / "out" / "results.parquet").read_bytes() == before
+
+
+def test_results_of_another_version_are_refused(
+    plate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = read_study(plate / "study.yaml")
+    sweep(study, plate / "out", engine=HERE)
+    monkeypatch.setattr("coopqp.__version__", "99.0")
+    with pytest.raises(CoopqpError, match="coopqp itself differs"):
+        sweep(study, plate / "out", engine=HERE)
+
+
+def test_the_command_runs_shows_and_tells(plate: Path) -> None:
+    out = plate / "out"
+    result = typed("sweep", plate / "study.yaml", "--out", out, "--jobs", "1")
+    assert result.exit_code == 0
+    assert "pseudoinverse" in result.output
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "<svg" not in page  # nothing a row
+    told = json.loads(typed("sweep", out, "--table", "--json").stdout)
+    assert {line["controller"] for line in told["lines"]} == {"qp", "pseudoinverse"}
+    assert told["rows"] == 16
+    shown = typed("sweep", out, "--show", "3")
+    assert shown.exit_code == 0
+    assert (out / "rows" / "3" / "report.html").exists()
+    assert typed("sweep", out, "--show", "16").exit_code == 2
+    assert typed("sweep", plate / "study.yaml").exit_code == 2
+    assert typed("sweep", plate / "nothing", "--table").exit_code == 2
+
+
+# Nothing is lost
+
+
+@pytest.fixture
+def whole(plate: Path) -> Study:
+    """The study of 24 variants, and its results when nothing happens to it."""
+    study = read_study(written(plate, STUDY.replace("sobol: 8", "random: 24")))
+    sweep(study, plate / "whole", engine=HERE)
+    return study
+
+
+def forked(work: Callable[[], object]) -> int:
+    """The number of a process that does some work, which has all that this one has imported."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+        child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return child
+
+
+def test_wherever_a_journal_ends_the_results_are_the_same(whole: Study, plate: Path) -> None:
+    """Whole lines up to somewhere, a part of the next one, and what a loss of power may leave."""
+    rng = random.Random(17)
+    content = (plate / "whole" / "journal.jsonl").read_bytes()
+    for k in range(10):
+        folder = plate / f"cut{k}"
+        folder.mkdir()
+        end = rng.randrange(len(content))
+        (folder / "journal.jsonl").write_bytes(content[:end] + b"\0" * (100 * (k % 2)))
+        sweep(whole, folder, engine=HERE)
+        assert table_of(folder) == table_of(plate / "whole")
+
+
+def test_a_client_is_killed_ten_times(whole: Study, plate: Path) -> None:
+    rng, out, killed = random.Random(4), plate / "out", 0
+    while killed < 10:
+        child = forked(lambda: sweep(whole, out, engine=HERE))
+        time.sleep(rng.uniform(0.03, 0.2))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        killed += 1
+    sweep(whole, out, engine=HERE)
+    assert table_of(out) == table_of(plate / "whole")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
+def test_a_worker_is_killed(whole: Study, plate: Path) -> None:
+    """Ten times: python -m benchmarks.studies --kills 10."""
+    rng, out, left = random.Random(4), plate / "out", [5]
+
+    def kill(state: Progress) -> None:
+        if left and state.done >= left[0]:
+            left.pop(0)
+            os.kill(rng.choice(workers()), signal.SIGKILL)
+
+    sweep(whole, out, engine=Engine(jobs=2), progress=kill)
+    assert not left
+    assert table_of(out) == table_of(plate / "whole")
+
+
+def workers() -> list[int]:
+    """Loky's processes that work for this one."""
+    found = []
+    for child in Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split():
+        command = Path(f"/proc/{child}/cmdline")
+        if command.exists() and b"LokyProcess" in command.read_bytes():
+            found.append(int(child))
+    return found
+
+
+def test_a_full_disk_stops_with_what_is_there(whole: Study, plate: Path) -> None:
+    """Files may have 8 kB; then the command goes on where it was."""
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))
+        result = typed("sweep", plate / "study.yaml", "--out", plate / "out", "--jobs", "1")
+        (plate / "said").write_text(f"{result.exit_code} {result.stderr}", encoding="utf-8")
+
+    os.waitpid(forked(limited), 0)
+    said = (plate / "said").read_text(encoding="utf-8")
+    assert said.startswith("2 error: cannot write")
+    assert said.endswith("; what was done is kept, and the same command goes on from there\n")
+    kept = (plate / "out" / "journal.jsonl").read_bytes()
+    assert kept.endswith(b"\n")
+    assert kept.count(b"\n") > 1
+    sweep(whole, plate / "out", engine=HERE)
+    assert (plate / "out" / "journal.jsonl").read_bytes().startswith(kept)
+    assert table_of(plate / "out") == table_of(plate / "whole")
+
+
+def test_two_commands_do_not_write_to_one_journal(whole: Study, plate: Path) -> None:
+    from coopqp.study.sweep.journal import Journal, path_of
+
+    with (
+        Journal.opened(path_of(plate / "whole", Share()), {}),
+        pytest.raises(CoopqpError, match="another process is at work on it"),
+    ):
+        sweep(whole, plate / "whole", engine=HERE)
+
+
+def test_plugins_of_a_users_own_are_part_of_a_study(plate: Path) -> None:
+    plugins = plate / "plugins" / "metrics"
+    plugins.mkdir(parents=True)
+    source = '''"""How many ticks."""
+from coopqp import Metric, Trace, spec
+
+
+@spec
+class Twice(Metric):
+    """Ticks, twice."""
+
+    def measure(self, trace: Trace) -> int:
+        return 2 * trace.ticks
+'''
+    (plugins / "twice.py").write_text(source, encoding="utf-8")
+    catalog = Catalog((), (plate / "plugins",))
+    study = read_study(written(plate, STUDY.replace("[loop_error_max]", "[twice]")), catalog)
+    sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
+    assert {row["twice"] for row in table_of(plate / "out")} == {20}
+    assert kept_study(plate / "out").metrics[-1] == "twice"
+    (plugins / "_helper.py").write_text("x = 1\n", encoding="utf-8")
+    with pytest.raises(CoopqpError, match="the plug-ins differs"):
+        sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
