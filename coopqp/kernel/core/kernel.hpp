@@ -81,12 +81,7 @@ class Kernel {
 
     // Decide v from the kinematics, tasks and limits as they stand, with joints inside their limits.
     Status solve() {
-        for (int j = 0; j < m_->n(); j++) {
-            const std::size_t i = std::size_t(j);
-            if (bound.q[j] < s_.lower[i] - OUTSIDE || bound.q[j] > s_.upper[i] + OUTSIDE)
-                return Status::Outside;
-        }
-        return solve(ahead_.kappa(bound.drift));
+        return s_.outside(bound.q) ? Status::Outside : solve(ahead_.kappa(bound.drift));
     }
 
     // The same with a drift gain, wherever joints are: limits say how they come back.
@@ -314,10 +309,7 @@ class Kernel {
                                                 nearest_.column(a), m_->blocks);
         Status status = nearest_.solve(shares + K);
         if (status == Status::Infeasible && l == 0 && levels[0].exact > first) {
-            for (int s = 0; s < levels[0].exact; s++) {  // as solvers let equalities give way
-                nearest_.lower[spare_row(s)] -= CONSISTENT;
-                nearest_.upper[spare_row(s)] += CONSISTENT;
-            }
+            nearest_.widen(spare_row(0), levels[0].exact, CONSISTENT);
             status = nearest_.solve(shares + K);
         }
         if (status != Status::Optimal) return status;

@@ -54,6 +54,14 @@ class LeastDistance {
         return side_[std::size_t(i)] * multiplier_[std::size_t(i)];
     }
 
+    // Let some constraints give way a little, as solvers let equalities.
+    void widen(int first, int count, double by) {
+        for (int i = first; i < first + count; i++) {
+            lower[i] -= by;
+            upper[i] += by;
+        }
+    }
+
     // For tests of the check.
     void spoil() {
         if (active) multiplier_[0] = 1.5 * multiplier_[0] + 1e-6;

@@ -36,6 +36,14 @@ struct Settings {
     std::vector<double> second_order;        // (L, n): how far v^2 opens each loop
     double steepest;                         // the largest of them
     int inequalities = 0;                    // rows of G
+
+    // Whether a joint is outside its limits.
+    bool outside(const double* q) const {
+        bool any = false;
+        for (std::size_t j = 0; j < lower.size(); j++)
+            any |= q[j] < lower[j] - OUTSIDE || q[j] > upper[j] + OUTSIDE;
+        return any;
+    }
 };
 
 // Arrays that Python owns; they stay where they are while a kernel is bound to them.
