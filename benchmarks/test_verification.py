@@ -75,7 +75,7 @@ def trusting(problem: ControlProblem) -> QPLaw:
     law = QPLaw(problem, 1e-6)
     for level in law.levels:
         level._verifier.check = lambda: Status.OPTIMAL  # type: ignore[method-assign]
-    law._probe.within = lambda state, v: True  # type: ignore[method-assign]
+    law.probe.within = lambda state, v: True  # type: ignore[method-assign]
     return law
 
 

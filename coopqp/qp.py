@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.row import Row
 
 
@@ -40,8 +39,6 @@ class QP:
     Attributes:
         P: shape (n, n), symmetric. q: shape (n,).
         C: [G; A], shape (p + m, n).
-        stacked: [q'; 0; C; P], shape (1 + 2 n + p + m, n), so that one product with the numbers
-            of a solution, [1; z_box; z; y; v], is q + C'[z; y] + P v.
         lower, upper: of [v; G v; A v], shape (n + p + m,).
     """
 
@@ -49,10 +46,7 @@ class QP:
         n, p, m = len(rows.variables), len(rows.inequalities), len(rows.equalities)
         self.rows = rows
         self.n, self.p, self.m = n, p, m
-        self.stacked = np.zeros((1 + n + p + m + n, n))
-        self.q: Array = self.stacked[0]
-        self.C, self.P = self.stacked[1 + n : -n], self.stacked[-n:]
-        self.P[:] = np.eye(n)
+        self.P, self.q, self.C = np.eye(n), np.zeros(n), np.zeros((p + m, n))
         self.lower, self.upper = np.full(n + p + m, -np.inf), np.full(n + p + m, np.inf)
         self.G, self.A = self.C[:p], self.C[p:]
         self.h, self.b = self.upper[n : n + p], self.upper[n + p :]

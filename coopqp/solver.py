@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg.blas import dnrm2
 
-from coopqp.checked import Positive, spec
+from coopqp.checked import Array, Positive, spec
 from coopqp.qp import QP
 
 
@@ -89,8 +88,7 @@ class Solution:
         y: multipliers of A v = b, shape (m,).
         z: multipliers of G v <= h, shape (p,), positive when active.
         z_box: multipliers of the bounds, shape (n,), positive at ub, negative at lb.
-        numbers: [1; z_box; z; y; v], of which the others are views, :attr:`QP.stacked`.
-        values: [v; G v; A v], shape (n + p + m,), of which v is a view; verified.
+        multipliers: [z_box; z; y], of which these are views.
         status: as the solver says; after :meth:`Verifier.check`, as verified.
         primal_residual: violation of rows or bounds (Euclidean norm).
         dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the
@@ -99,14 +97,9 @@ class Solution:
     """
 
     def __init__(self, qp: QP) -> None:
-        size = qp.n + qp.p + qp.m
-        memory = np.zeros(1 + 2 * size)  # [1; z_box; z; y; v; G v; A v]
-        memory[0] = 1.0
-        self.numbers, self.values = memory[: 1 + size + qp.n], memory[1 + size :]
-        self.v, self.multipliers = self.values[: qp.n], memory[1 : 1 + size]
-        self.z_box = self.multipliers[: qp.n]
-        self.z = self.multipliers[qp.n : qp.n + qp.p]
-        self.y = self.multipliers[qp.n + qp.p :]
+        n, p = qp.n, qp.p
+        self.v, self.multipliers = np.zeros(n), np.zeros(n + p + qp.m)
+        self.z_box, self.z, self.y = np.split(self.multipliers, [n, n + p])
         self.status = Status.SOLVER_ERROR
         self.primal_residual = np.inf
         self.dual_residual = np.inf
@@ -149,8 +142,6 @@ class Budget:
     """The same for orientations [rad]."""
 
 
-#: Clipping v by more than this changes its products noticeably [rad/s].
-CLIPPED = 1e-10
 #: Most of a distance from the optimum that rounding excuses [rad/s].
 ROUNDING = 1e-4
 EPSILON = float(np.finfo(float).eps)
@@ -172,8 +163,7 @@ class Verifier:
     problem whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
     multipliers, however large, excuse an answer that is off by more.
 
-    Norms are BLAS's: a third of the time of numpy's dot, and no overflow on the way. A NaN stays
-    one, and all comparisons are written so that it fails them.
+    A NaN stays one, and all comparisons are written so that it fails them.
 
     Args:
         qp: the problem.
@@ -188,35 +178,28 @@ class Verifier:
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
         self.qp, self.solution, self.budget = qp, solution, budget
         self.curvature = curvature
-        n, p = qp.n, qp.p
-        self._gradient, self._step = np.zeros((2, n))
-        self._least, self._most = np.zeros((2, n + p + qp.m))
-        padded = np.zeros(n + p + qp.m + 1)  # BLAS takes no norm of nothing
-        self._excess, self._gap = padded[:-1], padded[n + p :]
-        self._excess_v, self._excess_rows = padded[:n], padded[n : n + p]
-        self._rows = solution.values[n:]
 
     def check(self) -> Status:
         """Clip v to the bounds and return what it is worth, from its own residuals."""
-        solution, budget = self.solution, self.budget
+        qp, solution, budget = self.qp, self.solution, self.budget
         if not solution.status.usable:
             return self._refuse(solution.status)
-        if not dnrm2(solution.numbers) < BEYOND:
+        if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
-        overrun = self._clip()
-        if overrun > CLIPPED:
-            self._clip()
-        gap: float = dnrm2(self._gap)
-        above, idle = self._inequalities() if self.qp.p else (0.0, 0.0)
-        off = self._distance() + idle
+        inside = np.minimum(np.maximum(solution.v, qp.lb), qp.ub)
+        overrun = norm(np.maximum(solution.v, qp.lb) - np.minimum(solution.v, qp.ub))
+        solution.v[:] = inside
+        above = norm(np.maximum(qp.G @ inside - qp.h, 0.0))
+        gap = norm(qp.A @ inside - qp.b)
+        off = self._distance() + self._idle()
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self.curvature
-        inside = overrun <= budget.bound and above <= budget.bound
-        if inside and gap <= budget.equality and off <= budget.accuracy:
+        held = overrun <= budget.bound and above <= budget.bound
+        if held and gap <= budget.equality and off <= budget.accuracy:
             return Status.OPTIMAL
         if not gap + off < math.inf:
             return Status.NOT_FINITE
-        if not inside:
+        if not held:
             return Status.BOUND_RESIDUAL
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
@@ -228,43 +211,31 @@ class Verifier:
         self.solution.primal_residual = self.solution.dual_residual = math.inf
         return status
 
-    def _clip(self) -> float:
-        """Measure how far v, G v and A v are beyond their bounds; put v into its own.
-
-        Entry by entry, max(value, lower) - min(value, upper) is what overruns either bound: zero
-        inside, positive also where the bounds cross.
-        """
-        qp, solution, excess = self.qp, self.solution, self._excess
-        values = solution.values
-        qp.C.dot(solution.v, self._rows)
-        least = np.maximum(values, qp.lower, out=self._least)
-        np.subtract(least, np.minimum(values, qp.upper, out=self._most), excess)
-        overrun: float = dnrm2(self._excess_v)
-        if overrun:
-            np.minimum(least[: qp.n], qp.ub, out=solution.v)
-        return overrun
-
-    def _inequalities(self) -> tuple[float, float]:
-        """How far G v is above h, and how far z is from belonging to active rows only."""
-        z, slack = self.solution.z, self.qp.h - self._rows[: self.qp.p]
-        idle = np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z))
-        return dnrm2(self._excess_rows), dnrm2(idle)
+    def _idle(self) -> float:
+        """How far z is from belonging to active rows only."""
+        qp, z = self.qp, self.solution.z
+        slack = qp.h - qp.G @ self.solution.v
+        return norm(np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z)))
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
         qp, solution = self.qp, self.solution
-        g = solution.numbers.dot(qp.stacked, self._gradient)
-        free: float = dnrm2(g) / self.curvature
+        g = qp.P @ solution.v + qp.q + solution.multipliers[qp.n :] @ qp.C
+        step = g / self.curvature
+        free = norm(step)
         if free <= self.budget.accuracy:  # no bound holds v back
             return free
-        step = np.divide(g, self.curvature, self._step)
-        np.subtract(solution.v, step, step)
-        np.minimum(np.maximum(step, qp.lb, out=step), qp.ub, out=step)
-        off: float = dnrm2(np.subtract(solution.v, step, step))
-        return off
+        there = np.minimum(np.maximum(solution.v - step, qp.lb), qp.ub)
+        return norm(solution.v - there)
 
     def _rounding(self) -> float:
         """How much of the distance rounding can explain."""
-        sizes = np.abs(self.solution.numbers).dot(np.abs(self.qp.stacked))
-        size: float = dnrm2(sizes)
-        return min(EPSILON * size / self.curvature, ROUNDING)
+        qp, solution = self.qp, self.solution
+        sizes = np.abs(qp.P) @ np.abs(solution.v) + np.abs(qp.q)
+        sizes += np.abs(solution.multipliers[qp.n :]) @ np.abs(qp.C)
+        return min(EPSILON * norm(sizes) / self.curvature, ROUNDING)
+
+
+def norm(x: Array) -> float:
+    """Euclidean; NaN where a number is none, infinite where squares overflow."""
+    return math.sqrt(float(x @ x))

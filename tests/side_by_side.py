@@ -53,15 +53,20 @@ def why(law: KernelLaw) -> str:
     return f"{whole}, softened {Outcome(law.softened.outcome).name}"
 
 
+def ask_alike(other: State, state: State) -> None:
+    """Let a state be as another one."""
+    other.q[:], other.v[:], other.t = state.q, state.v, state.t
+    other.gap[:], other.corrected = state.gap, state.corrected
+    other.memory.numbers[:] = state.memory.numbers
+
+
 def drive(problem: ControlProblem, ticks: int) -> Agreement:
     """Compare along a motion."""
     plain, kernel = laws(problem)
     state, seen = plain.start(), Agreement(ticks)
     other = State(problem.chain, memory=Memory(plain.memory_sizes))
     for _ in range(ticks):
-        other.q[:], other.v[:], other.t = state.q, state.v, state.t
-        other.corrected = state.corrected
-        other.memory.numbers[:] = state.memory.numbers
+        ask_alike(other, state)
         found, wanted = kernel.tick(other), plain.tick(state)
         if not kernel.compiled:
             seen.left[f"{why(kernel)}, {written(wanted.causes)}"] += 1

@@ -128,6 +128,19 @@ class Engine {
         return int(kernel_->solve());
     }
 
+    // The same within other bounds as well, with a gain of the drift correction, wherever joints are.
+    int tick_coming_back(double t, double kappa, const Numbers& lb, const Numbers& ub) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        nb::gil_scoped_release released;
+        const int status = evaluate(t);
+        if (status) return status;
+        for (const Filled& rows : filled_) take_rows(rows);
+        if (filled_limits_.lb) take_limits();
+        take_bounds(lb.data(), ub.data());
+        return int(kernel_->solve(kappa));
+    }
+
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer.
     int step(double t) {
         const Use use(*this);
@@ -204,15 +217,21 @@ class Engine {
         bool alone;
     };
 
+    // Also where they are no numbers.
+    void take_bounds(const double* least, const double* most) {
+        const auto& joints = kernel_->model().joints;
+        for (std::size_t j = 0; j < joints.size(); j++) {
+            double &lb = kernel_->lb[joints[j].lane], &ub = kernel_->ub[joints[j].lane];
+            if (!(least[j] <= lb)) lb = least[j];
+            if (!(most[j] >= ub)) ub = most[j];
+        }
+    }
+
     void take_limits() {
         const FilledLimits& f = filled_limits_;
         const auto& joints = kernel_->model().joints;
         const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
-        for (std::size_t j = 0; j < n; j++) {
-            double &lb = kernel_->lb[joints[j].lane], &ub = kernel_->ub[joints[j].lane];
-            if (!(f.lb[j] <= lb)) lb = f.lb[j];  // also where it is no number
-            if (!(f.ub[j] >= ub)) ub = f.ub[j];
-        }
+        take_bounds(f.lb, f.ub);
         const std::size_t first = kernel_->h.size() - f.rows;
         for (std::size_t i = 0; i < f.rows; i++) {
             kernel_->h[first + i] = f.h[i];
@@ -268,6 +287,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_reference", &Engine::bind_reference)
         .def("tick", &Engine::tick)
         .def("tick_with_rows", &Engine::tick_with_rows)
+        .def("tick_coming_back", &Engine::tick_coming_back)
         .def("step", &Engine::step)
         .def("run", &Engine::run)
         .def("rows", &Engine::rows)

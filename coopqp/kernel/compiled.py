@@ -14,6 +14,7 @@ from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
+from coopqp.qp_law.bounds import Bounds
 from coopqp.state import State
 
 
@@ -112,18 +113,27 @@ class Compiled:
                 return False
         return True
 
-    def tick(self, state: State) -> int:
+    def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
         """Decide, and return what became of it: INFEASIBLE only where that is proved.
 
         Where Python fills rows, the state's kinematics and the limits must be up to date.
+
+        Args:
+            state: of the tick, bound before.
+            within: bounds of joints that may be outside their limits; where there are none, a joint
+                outside is an outcome.
+            kappa: gain of the drift correction, with these bounds.
         """
-        if self.alone:
+        if self.alone and within is None:
             if self.follows:
                 self._levels.follow(state)
             self.outcome = self.engine.tick(state.t)
-        else:
-            self._levels.update(state)
+            return self.outcome
+        self._levels.update(state)
+        if within is None:
             self.outcome = self.engine.tick_with_rows(state.t)
+        else:
+            self.outcome = self.engine.tick_coming_back(state.t, kappa, within.lb, within.ub)
         return self.outcome
 
 

@@ -3,9 +3,9 @@
 The kernel does what the plain law does when all is well: the loops, hard, scaled and soft tasks,
 any number of levels, limits, the check and the look ahead. Where it proves that hard and scaled
 tasks leave no motion they become soft, for as long as in the plain law, as a second program of the
-kernel. All that is rarer is written once, in the plain law, which decides every tick that the
-kernel does not: the way back of joints that are outside, drift that is corrected in part,
-acceleration limits that are given up, shortened steps.
+kernel. Joints that are outside their limits have their way back from the plain law, within which
+the kernel decides. All that is rarer is written once, in the plain law, which decides every tick
+that the kernel does not: drift that is corrected in part, acceleration limits that are given up.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.limit import movers
 from coopqp.memory import Memory
+from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, soft_ticks
 from coopqp.solver import Status
@@ -31,7 +32,7 @@ from coopqp.state import State
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
-INFEASIBLE = int(Outcome.INFEASIBLE)
+INFEASIBLE, OUTSIDE = int(Outcome.INFEASIBLE), int(Outcome.OUTSIDE)
 ALL_WELL = {OPTIMAL: (Status.OPTIMAL,), SHORTENED: (Status.STEP_SHORTENED,)}
 GIVEN_UP = {
     OPTIMAL: (Status.TASKS_GIVEN_UP,),
@@ -40,6 +41,7 @@ GIVEN_UP = {
 STANDS = (Status.INFEASIBLE,)
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
+AT_ONCE = 1000  # ticks of a run without Python
 
 
 class KernelLaw(Law):
@@ -76,12 +78,13 @@ class KernelLaw(Law):
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
         self._runs = self._alone_at_all and not self.whole.follows
         self._soft_ticks, self._scales = soft_ticks(problem), bool(scaled)
-        self._asked = False  # whether the kernel has been asked in this tick
+        self._asked = False  # whether the kernel has been asked in this tick, and what it said
+        self._said = OPTIMAL
         self._bound: tuple[Any, ...] = ()
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
-        self._asked = False
+        self._asked, self._said = False, OPTIMAL
         if self._alone(state) and self._ready(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
@@ -100,6 +103,8 @@ class KernelLaw(Law):
             self._limits.update(state)
             if self._decides(state):
                 return self.command
+        if self._said == OUTSIDE and self._comes_back(state):
+            return self.command
         other, command = self.plain.decide(state), self.command
         command.v[:] = other.v
         command.scale, command.drift = other.scale, other.drift
@@ -116,34 +121,61 @@ class KernelLaw(Law):
             self._asked = False
             return False
 
-    def _decides(self, state: State) -> bool:
-        """Whether the kernel has an answer, which is the command then."""
+    def _decides(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> bool:
+        """Whether the kernel has an answer, which is the command then.
+
+        Args:
+            state: of the tick.
+            within: bounds of joints that may be outside their limits, if they may.
+            kappa: drift gain with these bounds.
+        """
         self.compiled = False
         if self._soft[0] <= 0.0:
-            status = self.whole.tick(state)
-            if status in ALL_WELL:
-                self._say(ALL_WELL[status])
+            self._said = said = self.whole.tick(state, within, kappa)
+            if said in ALL_WELL:
+                self._say(ALL_WELL[said])
                 self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
                 return True
-            if status != INFEASIBLE or (not self.softened and self._gives_up):
+            if said != INFEASIBLE or (not self.softened and self._gives_up):
                 return False
-        if self._gives_up and not self._softens(state):
+        if self._gives_up and not self._softens(state, within):
             return False
         if not self._gives_up:
             self._stand_still()
         self._pull[0] = self._missing[:] = 0.0
         return True
 
-    def _softens(self, state: State) -> bool:
+    def _softens(self, state: State, within: Bounds | None) -> bool:
         """Whether there is an answer with all tasks soft."""
         if self.softened is None or state.corrected < ALL_OF_IT:
             return False
-        status = self.softened.tick(state)
-        if status not in GIVEN_UP:
+        kappa = self.plain.probe.kappa(state) if within else 0.0
+        self._said = said = self.softened.tick(state, within, kappa)
+        if said not in GIVEN_UP:
             return False
         self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
-        self._say(GIVEN_UP[status])
+        self._say(GIVEN_UP[said])
         self.command.scale = 0.0 if self._scales else 1.0
+        return True
+
+    def _comes_back(self, state: State) -> bool:
+        """Whether there is an answer that brings joints back that are outside their limits.
+
+        The way back is the plain law's; the kernel decides within it.
+        """
+        command, recovery, pull = self.command, self.plain.recovery, state.memory["recovery"]
+        before = pull[0]
+        kappa = self.plain.limit(state)
+        if not self._decides(state, self.plain.bounds, kappa):
+            pull[0] = before
+            return False
+        v, causes = recovery.rescue(command.v, command.causes)
+        command.say(*causes)
+        command.drift = min(command.drift, recovery.share)
+        if v is not command.v:
+            command.v[:] = v
+            command.scale = 1.0
+            self.plain.probe.shorten(state, command)
         return True
 
     def step(self, state: State) -> Command:
@@ -170,7 +202,11 @@ class KernelLaw(Law):
         done = 0
         while done < ticks:
             if self._runs and self._alone(state) and self._ready(state) and not self._waits:
-                done += self._run(state, found, done)
+                rest = min(ticks - done, AT_ONCE)  # in between signals are heard
+                made = self._run(state, found, done, rest)
+                done += made
+                if made == rest:
+                    continue
             if done < ticks:
                 self._keep(state, found, done)
                 done += 1
@@ -178,9 +214,10 @@ class KernelLaw(Law):
         state.update()
         return found
 
-    def _run(self, state: State, found: Ticks, done: int) -> int:
+    def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
         """As many as the kernel does in one go; how many."""
-        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[done:]), 0)
+        part = slice(done, done + most)
+        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[part]), 0)
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit
         if made:

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, Positive, spec
+from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten
 from coopqp.state import State
@@ -40,17 +40,16 @@ class FollowingError(Limit):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds on the driven joints; what is not measured, or no number, bounds nothing."""
         driven = _driven(chain)
-        lead, rate = np.zeros(chain.n), 1.0 / dt
-        below, above = np.zeros((2, chain.n))
 
         def tighten(state: State, rows: LimitRows) -> None:
             measured = state.q_measured
-            if measured is None or np.shape(measured) != lead.shape:
+            if measured is None or np.shape(measured) != (chain.n,):
                 return
-            np.subtract(state.q, measured, lead)
+            lead = state.q - measured
             known = driven & np.isfinite(lead)
-            _room(-self.max - lead, rate, below, np.minimum)
-            _room(self.max - lead, rate, above, np.maximum)
+            # Cut so that standing still is allowed.
+            below = np.minimum((-self.max - lead) / dt, 0.0)
+            above = np.maximum((self.max - lead) / dt, 0.0)
             np.maximum(rows.lb, below, out=rows.lb, where=known)
             np.minimum(rows.ub, above, out=rows.ub, where=known)
 
@@ -65,9 +64,3 @@ class FollowingError(Limit):
 def _driven(chain: ClosedChain) -> NDArray[np.bool_]:
     """Which joints have motors."""
     return ~np.isin(np.arange(chain.n), chain.passive)
-
-
-def _room(room: Array, rate: float, bound: Array, cut: np.ufunc) -> None:
-    """The speed that uses a room up in a tick, cut so that standing still is allowed."""
-    np.multiply(room, rate, bound)
-    cut(bound, 0.0, out=bound)

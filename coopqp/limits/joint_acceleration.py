@@ -48,26 +48,15 @@ class JointAcceleration(Limit):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """A window around the last velocity, state.v, cut to what can still be braked."""
         step = self._limits(chain) * dt
-        ends = np.clip(self._ends(chain), -UNLIMITED, UNLIMITED)
-        below, above = ends
-        per_room, half_step = np.tile(2.0 / (step * dt), (2, 1)), np.tile(0.5 * step, (2, 1))
-        window, room, ticks = np.zeros_like(ends), np.zeros_like(ends), np.zeros_like(ends)
-        way = np.vstack([-step, step])
-        low, high = room
-        lb, ub = window
+        lower, upper = np.clip(self._ends(chain), -UNLIMITED, UNLIMITED)
 
         def tighten(state: State, rows: LimitRows) -> None:
-            np.subtract(state.q, below, low)
-            np.subtract(above, state.q, high)
-            np.multiply(room, per_room, room)
-            _fastest(room, ticks)
-            np.multiply(room, half_step, room)
-            np.negative(low, low)
-            np.add(state.v, way, window)
+            low = -_fastest(state.q - lower, step, dt)
+            high = _fastest(upper - state.q, step, dt)
+            window = state.v + np.vstack([-step, step])
             # Braking comes before the acceleration limit, the other limits come before both.
-            np.minimum(np.maximum(window, low, out=window), high, out=window)
-            np.minimum(np.maximum(window, rows.lb, out=window), rows.ub, out=window)
-            rows.lb[:], rows.ub[:] = lb, ub
+            window = np.minimum(np.maximum(window, low), high)
+            rows.lb[:], rows.ub[:] = np.minimum(np.maximum(window, rows.lb), rows.ub)
 
         return tighten
 
@@ -100,15 +89,11 @@ class JointAcceleration(Limit):
         return np.vstack([chain.lower + self.margin, chain.upper - self.margin])
 
 
-def _fastest(s: Array, ticks: Array) -> None:
-    """Replace s by s/M + M - 1, in place; a joint outside its range may not go further out."""
-    np.maximum(s, 0.0, out=s)
-    np.add(s, 0.25, ticks)
-    np.rint(np.sqrt(ticks, ticks), ticks)
-    np.maximum(ticks, 1.0, out=ticks)
-    np.divide(s, ticks, s)
-    np.add(s, ticks, s)
-    np.subtract(s, 1.0, s)
+def _fastest(room: Array, step: Array, dt: float) -> Array:
+    """Speed with a room to the bound; a joint outside its range may not go further out."""
+    s = np.maximum(room * (2.0 / (step * dt)), 0.0)
+    M = np.maximum(np.rint(np.sqrt(s + 0.25)), 1.0)
+    return np.asarray((s / M + M - 1.0) * (0.5 * step))
 
 
 def _braking_distance(v: Array, a: Array, dt: float) -> Array:

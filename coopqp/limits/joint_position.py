@@ -24,8 +24,6 @@ from coopqp.limit import (
 from coopqp.row import Row
 from coopqp.state import State
 
-ZERO = np.zeros(1)
-
 
 @spec
 class JointPosition(Limit):
@@ -41,25 +39,16 @@ class JointPosition(Limit):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds that no step of length dt can overrun."""
         ends = self._ends(chain)
-        # An array times an array is twice as fast as an array times a number.
-        room, rate = np.zeros_like(ends), np.full_like(ends, 1.0 / dt)
-        below, above = room
-        out = low, high = np.zeros(ends.shape, bool)
-        rounding = np.full(chain.n, ROUNDING / dt)
+        rate, rounding = 1.0 / dt, ROUNDING / dt
 
         def tighten(state: State, rows: LimitRows) -> None:
-            np.subtract(ends, state.q, room)
-            np.multiply(room, rate, room)
+            below, above = (ends - state.q) * rate
             # Outside its range a joint may stand still, but not go farther out.
-            np.greater(below, rounding, out=low)
-            np.less(above, -rounding, out=high)
-            np.minimum(below, ZERO, out=below)
-            np.maximum(above, ZERO, out=above)
-            np.maximum(rows.lb, below, out=rows.lb)
-            np.minimum(rows.ub, above, out=rows.ub)
-            if np.count_nonzero(out):
-                np.minimum(rows.ub, self.recovery_speed, out=rows.ub, where=low)
-                np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=high)
+            np.maximum(rows.lb, np.minimum(below, 0.0), out=rows.lb)
+            np.minimum(rows.ub, np.maximum(above, 0.0), out=rows.ub)
+            low, high = below > rounding, above < -rounding
+            np.minimum(rows.ub, self.recovery_speed, out=rows.ub, where=low)
+            np.maximum(rows.lb, -self.recovery_speed, out=rows.lb, where=high)
 
         return tighten
 

@@ -62,7 +62,7 @@ class QPLaw(Law):
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
         stacks: the soft tasks of each level. exact: the hard and scaled tasks.
-        bounds: the limits.
+        bounds: the limits. recovery: of joints outside of them. probe: looks ahead at the loops.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
             soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
@@ -96,8 +96,8 @@ class QPLaw(Law):
         }  # fmt: skip
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)
-        self._probe = LoopProbe(problem)
-        self._recovery = Recovery(problem, start, error_damping)
+        self.probe = LoopProbe(problem)
+        self.recovery = Recovery(problem, start, error_damping)
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
         self._soft_ticks = soft_ticks(problem)
@@ -129,24 +129,19 @@ class QPLaw(Law):
             v, causes = self.first.v, (status,)
             if self._stops:
                 state.memory["stopped"][0] = 1.0
-        if self._recovery.active:
-            v, causes = self._recovery.rescue(v, causes)
-            command.drift = min(command.drift, self._recovery.share)
+        if self.recovery.active:
+            v, causes = self.recovery.rescue(v, causes)
+            command.drift = min(command.drift, self.recovery.share)
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
         command.say(*causes)
-        self._probe.shorten(state, command)
+        self.probe.shorten(state, command)
         return command
 
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
-        first, m, kappa = self.first, len(state.e_loop), self._probe.kappa(state)
-        self.bounds.update(state)
-        if self._recovery.begins(state):
-            self._recovery.decide(state, self.bounds, state.e_loop, kappa)
-            self._recovery.tighten(self.bounds)
-            kappa = self._probe.kappa(state, self._recovery.share)
+        first, m, kappa = self.first, len(state.e_loop), self.limit(state)
         for stack in self.stacks:
             stack.update(state)
         extra = self._step_damping(first.tasks, state)
@@ -156,6 +151,16 @@ class QPLaw(Law):
             extra += self._exact_damping(state)
         first.assemble(self.bounds, extra)
         loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
+
+    def limit(self, state: State) -> float:
+        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
+        kappa = self.probe.kappa(state)
+        self.bounds.update(state)
+        if self.recovery.begins(state):
+            self.recovery.decide(state, self.bounds, state.e_loop, kappa)
+            self.recovery.tighten(self.bounds)
+            kappa = self.probe.kappa(state, self.recovery.share)
+        return kappa
 
     def _step_damping(self, tasks: TaskStack, state: State) -> float:
         return step_damping(tasks.bend(state.v), self.problem.dt, self._error_damping)
@@ -203,8 +208,8 @@ class QPLaw(Law):
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The answer of a smaller problem."""
-        kappa = self._probe.kappa(state)
-        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self._recovery)
+        kappa = self.probe.kappa(state)
+        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self.recovery)
         self.command.scale = 0.0 if self._scales else 1.0
         self.command.drift = outcome.drift
         return outcome.v, outcome.causes

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dgesdd
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -161,9 +160,6 @@ def _directions(rows: Array, least: float) -> tuple[Array, Array]:
     """Orthonormal basis of the rows with singular values above ``least``, and these values."""
     if not len(rows):
         return rows, np.zeros(0)
-    # LAPACK itself: numpy's own call costs as much again around matrices as small as these.
-    _, values, Vt, failed = dgesdd(rows, 1, 0)
-    if failed:
-        return np.full_like(rows, np.nan), np.ones(len(rows))
+    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
     kept = values > least
     return Vt[kept], values[kept]

@@ -48,22 +48,21 @@ class Recovery:
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         chain = problem.chain
         self._reach, self._dt, self._share = chain.reach, problem.dt, error_damping
-        self._lower, self._upper, self._rate = chain.lower, chain.upper, 1.0 / problem.dt
-        self._least, self._most = chain.lower - ROUNDING, chain.upper + ROUNDING
+        self._lower, self._upper = chain.lower, chain.upper
         bounds = Bounds(chain, problem.limits, start, problem.dt)
         rows = chain.loops.solver_rows
         self._level = Level(
             problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
         )
-        self._sides = self._low, self._high = np.zeros((2, chain.n), bool)
+        self._low, self._high = np.zeros((2, chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
     def begins(self, state: State) -> bool:
         """Whether a joint is outside, of the start or of a real robot that stands elsewhere."""
-        np.less(state.q, self._least, out=self._low)
-        np.greater(state.q, self._most, out=self._high)
-        self.active = bool(np.count_nonzero(self._sides))
+        self._low = state.q < self._lower - ROUNDING
+        self._high = state.q > self._upper + ROUNDING
+        self.active = bool((self._low | self._high).any())
         self.v, self.share = None, 1.0
         return self.active
 
@@ -78,8 +77,8 @@ class Recovery:
         """
         outside = self._low | self._high
         back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
-        wish = np.sign(back) * np.maximum(np.abs(back) * self._rate, LEAST_RECOVERY)
-        wish = np.minimum(np.maximum(wish, bounds.lb), bounds.ub)
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
+        wish = np.clip(wish, bounds.lb, bounds.ub)
         level = self._level
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.

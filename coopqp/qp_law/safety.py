@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.blas import dnrm2
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
@@ -33,9 +32,7 @@ class LoopProbe:
         chain, budget = problem.chain, problem.budget
         self._model, self._data = chain.model, chain.model.createData()
         self._frames = frames = chain.frames[: chain.holding]
-        self._dt = np.full(chain.n, problem.dt)
-        self._q = np.zeros(chain.n)
-        self._kappa, self._rate = problem.kappa, 1.0 / problem.dt
+        self._dt, self._kappa = problem.dt, problem.kappa
         self._gap, self._turn = budget.loop_position, budget.loop_orientation
         pin.framesForwardKinematics(self._model, self._data, chain.q_start)
         X_0, *others = (self._data.oMf[frame] for frame in frames)
@@ -44,8 +41,7 @@ class LoopProbe:
         moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in frames])
         per_arm = moved * moved.sum(axis=1, keepdims=True)
         self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
-        self._steepest = float(self._second_order.max(initial=0.0))  # a bound that takes one norm
-        self._reach, self._squares = chain.reach, np.zeros(chain.n)
+        self._reach = chain.reach
 
     def shorten(self, state: State, command: Command) -> None:
         """Halve the step until the loops stay within the budget after it."""
@@ -69,39 +65,28 @@ class LoopProbe:
             state: of the tick.
             share: of the problem's gain that is wanted.
         """
-        slow, most = share * self._kappa, self._rate
+        slow, most = share * self._kappa, 1.0 / self._dt
         if slow >= most or not self._others:
             return slow
-        error = state.closed_error.reshape(-1, 2, 3)
-        gap, turn = np.sqrt(np.einsum("ijk,ijk->ij", error, error)).max(axis=0).tolist()
-        used = max(gap / self._gap, turn / self._turn)
+        used = float((_sizes(state.closed_error) / (self._gap, self._turn)).max())
         return float(max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most))
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
         if not self._others:  # one arm alone closes no loop
             return True
-        error, speed = 2.0 * dnrm2(state.closed_error), dnrm2(v)
-        if self._fits(error, self._steepest * speed * speed):
-            return True
-        opened = max(self._second_order.dot(np.multiply(v, v, self._squares)).tolist())
-        return self._fits(error, opened) or self._look(state, v)
-
-    def _fits(self, error: float, opened: float) -> bool:
-        return error + self._reach * opened <= self._gap and error + opened <= self._turn
+        error = 2.0 * float(np.linalg.norm(state.closed_error))
+        opened = float((self._second_order @ np.square(v)).max())
+        fits = error + self._reach * opened <= self._gap and error + opened <= self._turn
+        return fits or self._look(state, v)
 
     def _look(self, state: State, v: Array) -> bool:
-        np.multiply(v, self._dt, self._q)
-        np.add(self._q, state.q, self._q)
-        pin.forwardKinematics(self._model, self._data, self._q)
+        pin.forwardKinematics(self._model, self._data, state.q + self._dt * v)
         for frame in self._frames:
             pin.updateFramePlacement(self._model, self._data, frame)
-        after = self._opened(state)
-        if (after <= (self._gap, self._turn)).all():
-            return True
         # A loop that is open already may be closed by steps that leave it open for now.
-        before = np.linalg.norm(state.closed_error.reshape(-1, 2, 3), axis=2)
-        return bool((after <= np.maximum(before, (self._gap, self._turn))).all())
+        most = np.maximum(_sizes(state.closed_error), (self._gap, self._turn))
+        return bool((self._opened(state) <= most).all())
 
     def _opened(self, state: State) -> Array:
         """How far each loop is open after the step, beyond the model's own gap, shape (L, 2)."""
@@ -110,6 +95,11 @@ class LoopProbe:
             turn = pin.log3(R.dot(self._R_0T)) - gap[1]
             after.append((np.linalg.norm(p - self._p_0 - gap[0]), np.linalg.norm(turn)))
         return np.array(after)
+
+
+def _sizes(error: Array) -> Array:
+    """How far each loop is open, in position and in angle, shape (L, 2)."""
+    return np.asarray(np.linalg.norm(error.reshape(-1, 2, 3), axis=2))
 
 
 def _not_ordinary(causes: tuple[Status, ...]) -> tuple[Status, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from judged import compare
 from scenario_files import LOADABLE
 from side_by_side import drive
 
@@ -31,10 +32,11 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     assert seen.v < SAME
 
 
-@pytest.mark.parametrize("seed", [1, 4, 5, 7, 9, 12, 15, 23, 30, 33, 41, 50])
+@pytest.mark.parametrize("seed", range(24))
 def test_random_problems_move_alike(seed: int) -> None:
-    """Hard tasks, limits that bind, several levels, arms in number; where both are optimal."""
+    """All modes, limits that bind, several levels; where they differ the plain law is off."""
     problem = draw(seed).problem
-    if why_not(problem):
-        pytest.skip(why_not(problem))
-    assert drive(problem, 40).v < SAME
+    assert why_not(problem) == ""
+    seen = compare(f"seed {seed}", problem, 30)
+    assert not seen.kernel_off
+    assert seen.alike + sum(seen.judged.values()) >= 0.9 * seen.ticks

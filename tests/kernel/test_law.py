@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,8 +53,7 @@ def test_a_kernel_of_other_sources_is_not_used(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_what_the_kernel_cannot_do_is_left_or_refused(chain: ClosedChain) -> None:
-    scaled = problem(chain, replace(REACH, mode="scaled"))
-    for given in (scaled, problem(chain, REACH, solver=Osqp()), problem(short_pair(), REACH)):
+    for given in (problem(chain, REACH, solver=Osqp()), problem(short_pair(), REACH)):
         assert why_not(given)
         assert isinstance(QPController().build(given), QPLaw)
         with pytest.raises(InvalidValueError, match="engine: kernel cannot do this"):

@@ -141,7 +141,7 @@ def test_zero_velocity_for_the_loop_budget_is_a_failed_tick(chain: ClosedChain) 
     reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), profile=Profile(kind="step"))
     law = QPController().plain(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
     state = law.start(slightly_open(chain, 1e-4))
-    law._probe.within = lambda state, v: False  # type: ignore[method-assign]
+    law.probe.within = lambda state, v: False  # type: ignore[method-assign]
     command = law.tick(state)
     assert command.status is Status.LOOP_BUDGET
     assert not command.status.usable

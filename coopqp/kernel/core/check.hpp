@@ -17,7 +17,7 @@ constexpr int MOST_PASSES = 4;       // multipliers are refined until the certif
 constexpr double FASTEST = 1e6;      // of joints without a limit, in proofs that there is no motion
 constexpr double ROUNDING = 1e-4;    // most that rounding excuses, as coopqp.solver
 constexpr double EPSILON = 2.220446049250313e-16;
-constexpr double CLEARLY = 1e-6;     // by how much constraints must clash to be called so [rad/s]
+constexpr double CLEARLY = 3.5e-7;   // [rad/s] by which all constraints may give way and still clash
 
 struct Outcome {
     Status status;
@@ -108,8 +108,11 @@ class Check {
         }
         std::size_t rows = 0;
         for (const auto& of_loop : kept_) rows += of_loop.size();
-        for (std::size_t i = 0; i < rows; i++) asked -= y_.of_loops[i] * b_[i];
-        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.spare[std::size_t(s)]);
+        for (std::size_t i = 0; i < rows; i++) {
+            all += std::fabs(y_.of_loops[i]);
+            asked -= y_.of_loops[i] * b_[i];
+        }
+        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.of_exact(s));
         for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
         double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
         for (int k = 0; k < shares_.count(); k++) {

@@ -79,15 +79,21 @@ class Kernel {
         return Status::Optimal;
     }
 
-    // Decide v from the kinematics, tasks and limits as they stand.
+    // Decide v from the kinematics, tasks and limits as they stand, with joints inside their limits.
     Status solve() {
         for (int j = 0; j < m_->n(); j++) {
             const std::size_t i = std::size_t(j);
             if (bound.q[j] < s_.lower[i] - OUTSIDE || bound.q[j] > s_.upper[i] + OUTSIDE)
                 return Status::Outside;
-            last_[m_->joints[i].lane] = bound.v_last[j];
         }
-        aim_loops();
+        return solve(ahead_.kappa(bound.drift));
+    }
+
+    // The same with a drift gain, wherever joints are: limits say how they come back.
+    Status solve(double kappa) {
+        for (int j = 0; j < m_->n(); j++)
+            last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
+        aim_loops(kappa);
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
         loops_->particular(b_.data(), v_);
@@ -136,8 +142,7 @@ class Kernel {
     }
 
     // b = -kappa e
-    void aim_loops() {
-        const double kappa = ahead_.kappa(bound.drift);
+    void aim_loops(double kappa) {
         std::size_t at = 0;
         for (std::size_t i = 0; i < kept_.size(); i++)
             for (int r : kept_[i]) b_[at++] = -kappa * bound.drift[6 * i + std::size_t(r)];
@@ -287,7 +292,6 @@ class Kernel {
         if ((keeps && agrees) || fault(Fault::LimitsForgotten)) return Status::Optimal;
         const int shares = l == 0 ? shares_.count() : 0, n = stride(), p = s_.inequalities;
         const int own = hierarchy_.decided - first, K = loops_->free - first;
-        if (shares + K == 0) return Status::Infeasible;
         for (int b = 0; b < m_->blocks; b++) {
             lanes(nearest_.lower)[b] = lanes(lb)[b] - lanes(v_)[b];
             lanes(nearest_.upper)[b] = lanes(ub)[b] - lanes(v_)[b];
@@ -308,7 +312,14 @@ class Kernel {
             for (int a = 0; a < shares + K; a++)
                 nearest_.column(a)[n + i] = dot(G + std::size_t(i) * std::size_t(n),
                                                 nearest_.column(a), m_->blocks);
-        const Status status = nearest_.solve(shares + K);
+        Status status = nearest_.solve(shares + K);
+        if (status == Status::Infeasible && l == 0 && levels[0].exact > first) {
+            for (int s = 0; s < levels[0].exact; s++) {  // as solvers let equalities give way
+                nearest_.lower[spare_row(s)] -= CONSISTENT;
+                nearest_.upper[spare_row(s)] += CONSISTENT;
+            }
+            status = nearest_.solve(shares + K);
+        }
         if (status != Status::Optimal) return status;
         for (int a = 0; a < shares + K; a++) add(v_, nearest_.column(a), nearest_.u[a], m_->blocks);
         for (int k = 0; k < shares; k++)

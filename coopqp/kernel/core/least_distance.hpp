@@ -61,7 +61,7 @@ class LeastDistance {
 
     Status solve(int columns) {
         K_ = columns;
-        blocks_ = blocks_of(columns);
+        blocks_ = blocks_of(std::max(columns, 1));
         active = 0;
         clear(u, blocks_);
         for (int s = 0; s < K_; s++) {

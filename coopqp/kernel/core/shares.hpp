@@ -13,8 +13,7 @@
 
 namespace coopqp {
 
-constexpr double CONSTANT = 1e-12;   // asked of a share, up to which nothing is asked [rad/s]
-constexpr double CONSISTENT = 1e-9;  // by which rows that depend on others may differ [rad/s]
+constexpr double CONSISTENT = 3e-7;  // by which rows that depend on others may differ [rad/s]
 
 class Shares {
   public:
@@ -61,7 +60,7 @@ class Shares {
             lacks += asks(s, k) * share(k);
             all += std::fabs(asks(s, k));
         }
-        return all < CONSTANT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
+        return all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
     }
 
   private:

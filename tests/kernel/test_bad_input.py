@@ -1,0 +1,142 @@
+"""What a kernel is not built for, and what may happen to a process that has one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chains import ring, robot_of, serial
+from laws import LIMITS, NEAR, problem
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller_run import run
+from coopqp.controllers import QPController
+from coopqp.grasps import Rigid
+from coopqp.held_object import HeldObject
+from coopqp.kernel import native
+from coopqp.kernel.law import KernelLaw, why_not
+from coopqp.robot_files.mdh import MdhParameters as Parameters
+from coopqp.scenario.loader import load
+from coopqp.solver import Status
+from coopqp.tasks import JointCentering, PointOnPoint
+
+pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+
+CENTRE = JointCentering(gain=0.5)
+
+
+def alike(chain: ClosedChain, *tasks: PointOnPoint) -> None:
+    """One tick by both, with joint centring."""
+    given = problem(chain, *tasks, secondary=[CENTRE], limits=LIMITS)
+    plain, law = (QPController(engine=engine).build(given) for engine in ("python", "kernel"))
+    wanted = plain.tick(plain.start()).v
+    np.testing.assert_allclose(law.tick(law.start()).v, wanted, rtol=0.0, atol=1e-10)
+    assert law.compiled
+
+
+def test_nothing_to_do(chain: ClosedChain) -> None:
+    """No task, no limit: it stands still."""
+    law = QPController(engine="kernel").build(problem(chain))
+    assert isinstance(law, KernelLaw)
+    np.testing.assert_allclose(law.tick(law.start()).v, 0.0, atol=1e-12)
+    assert law.compiled
+
+
+def test_one_arm_alone(chain: ClosedChain) -> None:
+    """Without a loop."""
+    one = chain.handed_over(chain.q_start, [chain.arms[0].name])
+    alike(one, PointOnPoint(goal=tuple((one.start_position + 0.01).tolist())))
+
+
+def test_an_arm_of_one_joint() -> None:
+    """It decides for the others; the loop has hardly more joints than rows."""
+    joints = [Parameters(alpha=1.0, d=0.1 * k, r=0.1) for k in range(7)]
+    robot = robot_of("uneven", {"long": serial("l", joints), "short": serial("s", joints[:1])},
+                     (0.1, 0.0, 0.0))  # fmt: skip
+    chain = ClosedChain.take_hold(robot, np.linspace(-0.5, 0.6, 8), Rigid(), HeldObject())
+    alike(chain, PointOnPoint(goal=tuple((chain.start_position + 0.001).tolist())))
+
+
+@pytest.mark.parametrize("joints", [30, 33])
+def test_many_joints(joints: int) -> None:
+    """Sixty are compiled for, more than that are said to be too many."""
+    chain = ring(2, joints)
+    task = PointOnPoint(goal=tuple((chain.start_position + 0.001).tolist()))
+    reason = why_not(problem(chain, task))
+    if joints > 30:
+        assert "more than" in reason
+        assert not isinstance(QPController().build(problem(chain, task)), KernelLaw)
+    else:
+        alike(chain, task)
+
+
+def test_the_module_refuses_what_is_no_problem() -> None:
+    """Whoever calls it without coopqp gets an exception."""
+    engine = native.module().Engine  # type: ignore[union-attr]
+    for wrong in ({}, {"model": {}}, {"model": None}):
+        with pytest.raises((KeyError, RuntimeError, TypeError)):
+            engine(wrong)
+
+
+def test_laws_are_not_pickled(chain: ClosedChain) -> None:
+    """An exception, and the law goes on."""
+    law = QPController(engine="kernel").build(problem(chain, PointOnPoint(goal=NEAR)))
+    with pytest.raises((TypeError, pickle.PicklingError, AttributeError)):
+        pickle.dumps(law)
+    assert law.tick(law.start()).status is Status.OPTIMAL
+
+
+def test_a_spawned_process_gives_the_same_bits() -> None:
+    scenario = replace(load("point_on_point"), duration=0.5)
+    here = run(scenario, controller="qp").q
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+        there: Array = pool.submit(run, scenario, controller="qp").result(60.0).q
+    np.testing.assert_array_equal(there, here)
+
+
+FORKED = """
+import os, signal, numpy as np
+from coopqp.controllers import QPController
+from coopqp.scenario.loader import load
+law = QPController(engine="kernel").build(load("point_on_point").problem())
+state = law.start()
+law.tick(state)
+wanted = law.tick(law.start()).v.copy()
+child = os.fork()
+same = np.array_equal(law.tick(law.start()).v, wanted)
+if not child:
+    os._exit(0 if same else 1)
+assert same and os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+def ring(*_):
+    raise KeyboardInterrupt
+signal.signal(signal.SIGALRM, ring)
+signal.setitimer(signal.ITIMER_REAL, 0.05)
+try:
+    law.run(state, 10_000_000)
+except KeyboardInterrupt:
+    pass
+else:
+    raise AssertionError("nobody heard the bell")
+assert np.isfinite(state.q).all() and np.array_equal(law.tick(law.start()).v, wanted)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forks_and_bells_in_a_rollout() -> None:
+    """A child goes on by itself; a signal ends ten million ticks soon, and the law goes on."""
+    assert hasattr(signal, "setitimer")
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
