@@ -151,15 +151,15 @@ def finite(name: str, found: Array) -> Array:
     return found
 
 
-def near(name: str, found: Array) -> Array:
-    """The array as it is.
+def near(key: str, found: Array) -> Array:
+    """The array as it is, of a key of joint values.
 
     Raises:
         InvalidValueError: a number is NaN, infinite, or more than a joint's value can be [rad, m].
     """
-    if np.abs(finite(name, found)).max(initial=0.0) > FARTHEST:
+    if np.abs(finite(key, found)).max(initial=0.0) > FARTHEST:
         words = f"found {found.tolist()}, needs at most {FARTHEST:g} rad or m"
-        raise InvalidValueError(f"{name}: {words}")
+        raise InvalidValueError(f"{key}: {words}").at(key)
     return found
 
 

@@ -41,6 +41,16 @@ class CoopqpError(Exception):
         self.keys = (*keys, *self.keys)
         return self
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Past ``__init__``, which takes other things than the message, from process to process."""
+        return _as_it_was, (type(self), self.args, vars(self))
+
+
+def _as_it_was(cls: type[CoopqpError], args: tuple[object, ...], own: dict[str, object]) -> object:
+    error = cls.__new__(cls, *args)
+    vars(error).update(own)
+    return error
+
 
 @contextmanager
 def under(*keys: str | int) -> Iterator[None]:

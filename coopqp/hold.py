@@ -258,13 +258,13 @@ def _agreed_pose(hold: Hold, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
     Raises:
         GraspError: the object's pose and the grasps put it in different places.
     """
-    seen = {f"the grasp of arm '{arm}'": X_WO for arm, X_WO in by_arm.items()}
+    seen = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
     if hold.held.pose:
-        seen["object.pose"] = pose_matrix(hold.held.pose)
+        seen.append(("object.pose", [], pose_matrix(hold.held.pose)))
     if not seen:
         return None
-    (first, X_WO), *others = seen.items()
-    for name, X in others:
+    (first, _, X_WO), *others = seen
+    for name, place, X in others:
         gap = np.linalg.norm(X.translation - X_WO.translation)
         angle = np.linalg.norm(pin.log3(X_WO.rotation.T @ X.rotation))
         if gap > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
@@ -272,7 +272,7 @@ def _agreed_pose(hold: Hold, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
                 f"the grasp does not close at the start: {name} puts the object "
                 f"{1e3 * gap:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
                 "puts it; change the start or leave object_in_hand out"
-            )
+            ).at(*place)
     return X_WO
 
 

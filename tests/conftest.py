@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from functools import cache
 from typing import Any
 
@@ -25,6 +26,12 @@ SEED = 2014
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
 CLOSED = 1e-13  # largest loop error after the projection [m, rad]
 SINGULAR = 1e-8  # share of the largest singular value
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let Ctrl-C be heard by commands under test, which a shell's background has deaf to it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -59,6 +59,23 @@ def catalogued(command: Callable[..., None]) -> Callable[..., None]:
     return with_catalog
 
 
+def engined(command: Callable[..., None]) -> Callable[..., None]:
+    """Options that say where many runs are done; the command gets the engine."""
+
+    @click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+    @click.option("--scheduler", default="", metavar="ADDRESS", help="Of a Dask cluster to run on.")
+    @click.option(
+        "--shard", default="1/1", metavar="I/N", help="Do this share of N, as job I does."
+    )
+    @wraps(command)
+    def with_engine(*, jobs: int, scheduler: str, shard: str, **options: Any) -> None:
+        from coopqp.study.engine import Engine, Share
+
+        command(engine=Engine(jobs, scheduler, Share.read(shard)), **options)
+
+    return with_engine
+
+
 def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
     """A scenario, with another solver if one is asked for; says what its robot leaves out."""
     from coopqp.scenario.loader import load, with_solver

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, WRITTEN, catalogued, read_tick, read_trace, say
+from coopqp.cli.options import JSON, WRITTEN, catalogued, engined, read_tick, read_trace, say
 from coopqp.reading import absolute
 
 FORMATS = ("mcap", "rosbag2", "parquet")
@@ -165,11 +165,11 @@ def replay(
 @click.command()
 @click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
-@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
 @click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
 @click.option("--plant", default="kinematic", help="With masses: each with and without errors.")
+@engined
 @JSON
-def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json: bool) -> None:
+def stress(rollouts: int, seed: int, solver: str, plant: str, engine: Any, as_json: bool) -> None:
     """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
     from dataclasses import asdict
 
@@ -183,7 +183,7 @@ def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json
     asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
     with progress_bars(["rollouts"], rollouts) as progress:
         report = (lambda done: progress("rollouts", done)) if progress else None
-        done = trial.stress(rollouts, *asked, seed=seed, jobs=jobs, progress=report)
+        done = trial.stress(rollouts, *asked, seed=seed, engine=engine, progress=report)
     lines, broken = trial.summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
@@ -201,9 +201,9 @@ def stress(rollouts: int, seed: int, jobs: int, solver: str, plant: str, as_json
 @click.command()
 @click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
-@click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
+@engined
 @JSON
-def statistics(goals: int, seed: int, jobs: int, as_json: bool) -> None:
+def statistics(goals: int, seed: int, engine: Any, as_json: bool) -> None:
     """Count how often each law reaches random goals inside all limits."""
     from dataclasses import asdict
 
@@ -213,7 +213,7 @@ def statistics(goals: int, seed: int, jobs: int, as_json: bool) -> None:
 
     with progress_bars(["goals"], goals * len(study.arenas())) as progress:
         report = (lambda done: progress("goals", done)) if progress else None
-        done = study.statistics(goals, seed=seed, jobs=jobs, progress=report)
+        done = study.statistics(goals, seed=seed, engine=engine, progress=report)
     lines = study.summarize(done)
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}

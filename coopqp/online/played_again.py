@@ -12,6 +12,7 @@ import numpy as np
 
 from coopqp.limits import JointAcceleration
 from coopqp.online.leg import Leg
+from coopqp.recordings.sent import fed
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 
@@ -75,7 +76,7 @@ def scenario_text(
         _place_object(data, scenario)
     _add_limits(data, scenario)
     if scenario.inputs:
-        data["inputs"] = _fed(data["inputs"], feeds, None if scenario.folder else folder)
+        data["inputs"] = fed(data["inputs"], _seen_from(None if scenario.folder else folder, feeds))
     if scenario.folder:
         data["folder"] = str(scenario.folder)
     _set_durations(data, legs)
@@ -122,18 +123,12 @@ def _add_limits(data: dict[str, Any], scenario: Scenario) -> None:
         data["limits"] = [*written, {"joint_acceleration": keys}]
 
 
-def _fed(
-    inputs: Mapping[str, Any], feeds: Mapping[str, Path], folder: Path | None
-) -> dict[str, Any]:
-    """The inputs, fed from files that are named as seen from a folder."""
-    found = {}
-    for name, given in inputs.items():
-        keys = {k: v for k, v in (given or {}).items() if k not in ("feed", "feed_file")}
-        if name in feeds:
-            path = feeds[name]
-            keys["feed_file"] = str(path.relative_to(folder) if folder else path.resolve())
-        found[name] = keys
-    return found
+def _seen_from(folder: Path | None, feeds: Mapping[str, Path]) -> dict[str, str]:
+    """Paths of what was sent, from a folder if one is given."""
+    return {
+        name: str(path.relative_to(folder) if folder else path.resolve())
+        for name, path in feeds.items()
+    }
 
 
 def _set_durations(data: dict[str, Any], legs: Sequence[Leg]) -> None:

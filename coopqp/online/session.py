@@ -10,7 +10,6 @@ silence.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,14 +17,13 @@ from coopqp.checked import Array
 from coopqp.errors import CoopqpError
 from coopqp.online.leg import Leg
 from coopqp.online.played_again import played_again, scenario_text
+from coopqp.recordings.sent import FOLDER, Sent, file_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 
-FOLDER = "inputs"
 
-
-class _Sent:
-    """What arrived at one input: rows that wait to be written, and the file.
+class _File(Sent):
+    """A file that grows.
 
     Args:
         path: of the file.
@@ -33,26 +31,16 @@ class _Sent:
     """
 
     def __init__(self, path: Path, kind: Kind) -> None:
-        self.path, self.written = path, 0
-        self._header = ",".join(("t", "sent", *kind.columns)) + "\n"
-        self._rows: list[tuple[float, float, Array]] = []
-
-    def add(self, t: float, sent: float, value: Array) -> None:
-        """Keep a row; while the loop's time stands still the last one counts."""
-        if self._rows and self._rows[-1][0] == t:
-            self._rows.pop()
-        self._rows.append((t, sent, value))
+        super().__init__(kind)
+        self.path, self.written = path, False
 
     def flush(self, now: float) -> None:
         """Write all rows before a time, after which no other can have their times [s]."""
-        done = [row for row in self._rows if row[0] < now]
-        if not done:
+        if not (lines := self.take(now)):
             return
-        lines = (",".join(map(repr, (t, sent, *value.tolist()))) + "\n" for t, sent, value in done)
         with self.path.open("a", encoding="utf-8") as file:
-            file.write("".join([] if self.written else [self._header]) + "".join(lines))
-        self._rows = self._rows[len(done) :]
-        self.written += len(done)
+            file.write(lines if self.written else self.header + lines)
+        self.written = True
 
 
 class Session:
@@ -71,7 +59,7 @@ class Session:
     def __init__(self, folder: Path, scenario: Scenario, given: Scenario, controller: str) -> None:
         self._folder, self._scenario, self._given = Path(folder), scenario, given
         self._controller = controller
-        self._sent: dict[str, _Sent] = {}
+        self._sent: dict[str, _File] = {}
         try:
             if (self._folder / "scenario.yaml").exists() or (self._folder / FOLDER).exists():
                 raise CoopqpError(f"'{folder}' holds a session already; name another folder")
@@ -91,11 +79,8 @@ class Session:
             value: in the kind's columns.
         """
         if name not in self._sent:
-            file = re.sub(r"[^\w.-]", "_", name) or "_"
-            taken = {sent.path.stem for sent in self._sent.values()}
-            while file in taken:
-                file += "_"
-            self._sent[name] = _Sent(self._folder / FOLDER / f"{file}.csv", kind)
+            file = file_name(name, {sent.path.name for sent in self._sent.values()})
+            self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
     def flush(self, now: float, legs: Sequence[Leg]) -> None:

@@ -168,5 +168,5 @@ def _whole_steps(dt: float, time_step: float) -> int:
     if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
         raise InvalidValueError(
             f"time_step: found {time_step} s, needs a whole part of dt = {dt} s"
-        )
+        ).at("time_step")
     return steps

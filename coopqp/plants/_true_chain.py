@@ -114,7 +114,7 @@ def _closed(chain: ClosedChain) -> ClosedChain:
         raise InvalidValueError(
             "disturbance: with these errors of the model the arms cannot close their loops near "
             "the start; make link_length, encoder_offset and the grasp's offsets smaller"
-        )
+        ).at("disturbance")
     X_WO = chain.object_pose(state.q)
     hold = replace(chain.hold, q=state.q.copy(), p_WO=X_WO.translation.copy())
     held = hold.in_hands({arm.name: X_WO for arm in chain.arms})

@@ -21,7 +21,7 @@ import pinocchio as pin
 from coopqp.errors import InvalidValueError
 from coopqp.reading import absolute
 from coopqp.robot_files.description import Description, Follower
-from coopqp.robot_files.mjcf_attributes import check
+from coopqp.robot_files.mjcf_attributes import check, check_schema
 from coopqp.robot_files.mjcf_defaults import all_given
 from coopqp.robot_files.mjcf_geoms import without_unread
 from coopqp.robot_files.shapes import (
@@ -55,6 +55,8 @@ def read_mjcf(path: Path) -> Description:
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
+    check_schema(xml)  # while every attribute has its own line
+    _merge(xml)
     check(xml)
     _without_looks(xml)
     if not xml.findall("worldbody/body"):
@@ -136,7 +138,7 @@ class _Includes:
         self._folder, self._seen, self._left = path.parent, {path}, MOST_ELEMENTS
 
     def fill_in(self, element: ET.Element, depth: int = 0) -> None:
-        """Put in all that an element, and what is in it, includes; sections of a name become one.
+        """Put in all that an element, and what is in it, includes.
 
         Raises:
             InvalidValueError: a file cannot be read, or is included a second time; too much is.
@@ -151,7 +153,7 @@ class _Includes:
             else:
                 self.fill_in(child, depth + 1)
                 children.append(child)
-        element[:] = _merged(children) if element.tag == "mujoco" else children
+        element[:] = children
 
     def _included(self, include: ET.Element, depth: int) -> ET.Element:
         path = absolute(self._folder / include.get("file", ""))
@@ -171,15 +173,15 @@ class _Includes:
         return found
 
 
-def _merged(sections: list[ET.Element]) -> list[ET.Element]:
-    """Sections of one name as one, as MuJoCo reads them."""
+def _merge(xml: ET.Element) -> None:
+    """Make sections of one name one, as MuJoCo reads them."""
     first: dict[str, ET.Element] = {}
-    for section in sections:
+    for section in xml:
         same = first.setdefault(section.tag, section)
         if same is not section:
             same.attrib.update(section.attrib)
             same.extend(list(section))
-    return list(first.values())
+    xml[:] = list(first.values())
 
 
 def _without_looks(xml: ET.Element) -> None:

@@ -74,6 +74,7 @@ WORDS = {
     ("joint", "type"): ("free", "ball", "slide", "hinge"),
     ("geom", "type"): KINDS,
     ("joint", "limited"): ("true", "false", "auto"),
+    ("joint", "active"): ("true", "false"),
     ("compiler", "angle"): ("degree", "radian"),
     ("compiler", "coordinate"): ("local",),
     ("compiler", "autolimits"): ("true", "false"),
@@ -91,8 +92,8 @@ NOT_READ = {
 }
 
 
-def check(xml: ET.Element) -> None:
-    """Refuse what no parser should make something of.
+def check_schema(xml: ET.Element) -> None:
+    """Refuse elements and attributes that MuJoCo does not know.
 
     Args:
         xml: with all includes filled in.
@@ -101,6 +102,17 @@ def check(xml: ET.Element) -> None:
         InvalidValueError: with file and line.
     """
     check_known(xml, "mujoco", KNOWN, OTHERWISE)
+
+
+def check(xml: ET.Element) -> None:
+    """Refuse what no parser should make something of.
+
+    Args:
+        xml: the same, with one section of each name.
+
+    Raises:
+        InvalidValueError: with file and line.
+    """
     for element in xml.iter():
         _check_one(element)
     world = xml.find("worldbody")

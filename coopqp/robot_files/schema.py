@@ -64,7 +64,7 @@ def check_known(
             words = nearest("attribute", name, names, otherwise)
             raise InvalidValueError(f"{place_of(element)}: {words}")
     for name in known.required.split():
-        if element.get(name) is None:
+        if not element.get(name):
             raise InvalidValueError(f"{place_of(element)}: needs {name}")
     for child in element:
         inner = known.inside.get(child.tag)

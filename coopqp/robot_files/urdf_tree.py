@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from coopqp.errors import InvalidValueError
 from coopqp.robot_files.xml import place_of
 
+#: Joints between a link and the base; the parser in C++ dies of some thousands.
+LONGEST = 500
+
 
 def check_circles(xml: ET.Element) -> None:
     """Refuse links whose way to the base comes back to them.
@@ -21,16 +24,20 @@ def check_circles(xml: ET.Element) -> None:
         InvalidValueError: with the line.
     """
     moved_by = {_end(joint, "child"): joint for joint in xml.findall("joint")}
-    fine = set[str]()
+    joints_to: dict[str, int] = {}
     for first in moved_by:
         way, link = dict[str, None](), first
-        while link in moved_by and link not in fine:
+        while link in moved_by and link not in joints_to:
             if link in way:
                 words = f"link '{link}' moves itself: the joints from it on go round in a circle"
                 raise InvalidValueError(f"{place_of(moved_by[link])}: {words}")
             way[link] = None
             link = _end(moved_by[link], "parent")
-        fine.update(way)
+        before = joints_to.get(link, 0)
+        joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
+        if joints_to[first] > LONGEST:
+            words = f"more than {LONGEST} joints are between link '{first}' and the base"
+            raise InvalidValueError(f"{place_of(moved_by[first])}: {words}")
 
 
 def _end(joint: ET.Element, tag: str) -> str:

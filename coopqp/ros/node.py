@@ -16,7 +16,7 @@ from coopqp.online.real_time import Ended, real_time
 from coopqp.recordings.messages import Remark
 from coopqp.ros.bridge import Bridge
 from coopqp.ros.settings import RosSettings, joints_of
-from coopqp.ros.targets import JOINT_STATE, kinds_of, message_of
+from coopqp.ros.targets import JOINT_STATE, message_of
 from coopqp.scenario.scenario import Scenario
 
 NAME = "coopqp"
@@ -51,7 +51,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
             out=settings.out or None,
         )
         joints = joints_of(scenario.chain, settings.controllers, orders)
-        kinds = kinds_of(scenario)
+        kinds = scenario.followed()
         topics = _Topics(node, settings.controllers)
         bridge = Bridge(loop, joints, kinds, settings, topics)
         topics.hear(JOINT_STATE, settings.joint_states, bridge.take_joint_state)

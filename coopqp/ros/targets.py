@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from coopqp.closed_chain import AXES
 from coopqp.errors import InvalidValueError
-from coopqp.input import wanted
 from coopqp.ros.settings import ros_name
-from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
-from coopqp.state import State
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
-
-
-def kinds_of(scenario: Scenario) -> Mapping[str, Kind]:
-    """What the inputs of a scenario are, by name, in any of its phases; without those unused."""
-    tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    found = wanted((*tasks, *scenario.secondary), State(scenario.chain))
-    return {name: kind for name, (kind, _) in found.items()}
 
 
 def message_of(kind: Kind) -> str:

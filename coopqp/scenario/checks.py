@@ -11,7 +11,13 @@ from typing import Any, TypeVar
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import TELL_APART
-from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
+from coopqp.errors import (
+    CoopqpError,
+    Fault,
+    MissingDependencyError,
+    ScenarioError,
+    unknown_name,
+)
 from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
@@ -19,7 +25,7 @@ from coopqp.robot import RobotModel
 from coopqp.row import names_of
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
-from coopqp.scenario.trial import Places, try_limit, try_task
+from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import YamlFile
 from coopqp.state import State
@@ -85,6 +91,20 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         ]
     if faults:
         raise ScenarioError(faults)
+    _check_plant(file, scenario)
+
+
+def _check_plant(file: YamlFile, scenario: Scenario) -> None:
+    """Build what is controlled, unless a package for it is missing: running says so."""
+    problem = next(scenario.problems(lambda _: scenario.chain.q_start))
+    try:
+        with blamed(scenario.plant, "build"):
+            scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+    except MissingDependencyError:
+        return
+    except CoopqpError as error:
+        location = "disturbance" if "disturbance" in error.keys else "plant"
+        raise ScenarioError([_fault(file, [location], error)]) from None
 
 
 def _longest(scenario: Scenario) -> Location:

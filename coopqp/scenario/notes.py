@@ -8,13 +8,11 @@ import numpy as np
 
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
-from coopqp.input import wanted
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.unit_hints import far_goals
-from coopqp.state import State
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
@@ -55,8 +53,7 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
 
 def _of_inputs(scenario: Scenario) -> Iterator[str]:
     """Inputs to which nobody sends, or which nobody follows."""
-    tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    followed = wanted((*tasks, *scenario.secondary), State(scenario.chain))
+    followed = scenario.followed()
     for name, settings in scenario.inputs.items():
         if name not in followed:
             yield f"no task follows the input '{name}'"

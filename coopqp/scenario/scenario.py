@@ -23,7 +23,7 @@ from coopqp.errors import CoopqpError, InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
-from coopqp.input import Feed, Inputs, InputSettings
+from coopqp.input import Feed, Inputs, InputSettings, wanted
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
@@ -32,6 +32,7 @@ from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.yaml import parsed
+from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
 from coopqp.state import State
@@ -246,6 +247,15 @@ class Scenario:
             if first:
                 chain = chain.handed_over(where(first), phase.released)
             yield self.problem(phase, chain)
+
+    def followed(self) -> dict[str, Kind]:
+        """What the inputs are that tasks of any phase follow, by name."""
+        found = dict[str, Kind]()
+        for problem in self.problems(lambda _: self.chain.q_start):
+            tasks = (*problem.tasks, *problem.secondary)
+            start = State(problem.chain)
+            found |= {name: kind for name, (kind, _) in wanted(tasks, start).items()}
+        return found
 
 
 #: What the fields of a scenario are, and what is in those that hold several.

@@ -25,6 +25,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limit import Limit, LimitRows
 from coopqp.mark import marks_fault
+from coopqp.plant import Plant
 from coopqp.rank import null_space
 from coopqp.row import names_of
 from coopqp.signal import Moment
@@ -296,14 +297,18 @@ class _PromiseError(Exception):
 
 
 @contextmanager
-def blamed(plugin: Task | Limit) -> Iterator[None]:
+def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
     """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
+
+    Args:
+        plugin: whose code runs.
+        method: of its own, by which its file is found.
 
     Raises:
         CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that
             speaks of the user's values.
     """
-    file = str(type(plugin).bind.__code__.co_filename)
+    file = str(getattr(type(plugin), method).__code__.co_filename)
     try:
         with np.errstate(all="ignore"):  # what is not finite is told of anyway
             yield

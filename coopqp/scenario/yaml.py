@@ -34,7 +34,7 @@ from coopqp.reading import read_text
 from coopqp.wording import Location, dotted
 
 MOST_BYTES = 1 << 20  # of a file; reading this much takes seconds
-MOST_VALUES = 50_000  # in a file, aliases written out
+MOST_VALUES = 20_000  # in a file, aliases written out
 DEEPEST = 40  # values inside values
 LONGEST = 60  # characters of a number
 #: Sizes between which numbers lie, or 0: beyond them squares leave what floats can hold.

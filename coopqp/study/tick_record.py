@@ -13,7 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.errors import CoopqpError, InvalidValueError, one_line
 from coopqp.limit import bound_rows
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
@@ -162,7 +162,7 @@ def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError
     line = int(broken[1]) if broken else line_in_json(text, location)
     if broken and broken[2] == "0":  # it is the line break before that is wrong
         line -= 1
-    where = f"{dotted(location)}: " if location else ""
+    where = f"{one_line(dotted(location))}: " if location else ""
     words = "is not a tick saved by 'coopqp explain --save'"
     return CoopqpError(f"{path}:{line}: {words}: {where}{' '.join(why.split())}")
 

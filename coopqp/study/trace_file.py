@@ -14,7 +14,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Law
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
 from coopqp.input import wanted
 from coopqp.recordings.column import split
 from coopqp.recordings.known import controllers_of, format_of
@@ -63,8 +63,8 @@ class _Row:
         except ValueError:
             value = math.inf
         if not (math.isfinite(value) or (nan and math.isnan(value))):
-            words = f"{column}: found '{text[:40]}', needs a finite number; the trace is damaged"
-            raise InvalidValueError(f"{self.place}: {words}")
+            words = f"{column}: found '{one_line(text[:40])}', needs a finite number"
+            raise InvalidValueError(f"{self.place}: {words}; the trace is damaged")
         return value
 
     def numbers(self, key: str, joints: Sequence[str], *, nan: bool = False) -> list[float]:
@@ -107,7 +107,7 @@ class _Row:
         word = self.cells["status"]
         for name in word.split("+"):
             if name not in Status.__members__:
-                words = f"status: no status '{name[:40]}'; the trace is damaged"
+                words = f"status: no status '{one_line(name[:40])}'; the trace is damaged"
                 raise InvalidValueError(f"{self.place}: {words}")
         return word
 
@@ -143,7 +143,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         k, words = wrong
         raise CoopqpError(f"{rows[k].place}: {words}; {OTHER}")
     if missing := sorted(parts_of_phases(held) - {name for row in rows for name in row.errors}):
-        raise CoopqpError(f"{path}: has no error of '{missing[0]}'; {OTHER}")
+        raise CoopqpError(f"{rows[0].header}: has no error of '{missing[0]}'; {OTHER}")
     return Recording(
         controller=controller,
         q=q,
@@ -159,8 +159,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
 def _inputs(rows: Sequence[_Row], scenario: Scenario) -> dict[str, InputTrace]:
     """What was followed, by name."""
     found = {}
-    tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    for name, (kind, _) in wanted(tasks, State(scenario.chain)).items():
+    for name, kind in scenario.followed().items():
         kept = found[name] = no_input(kind, len(rows))
         for k, row in enumerate(rows):
             _read(row, f"followed[{name}].", kept.value[k])

@@ -8,8 +8,6 @@ is that since the scenario began.
 from __future__ import annotations
 
 import io
-import re
-from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from ruamel.yaml import YAML
 
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.input import Arrival
+from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
 from coopqp.scenario.yaml import parsed
@@ -53,8 +52,7 @@ class Recording:
         self._dials = dict(dials)
         self.ticks = [0]
         self.note = ""
-        self._rows: dict[str, array[float]] = {}
-        self._kinds: dict[str, Kind] = {}
+        self._sent: dict[str, Sent] = {}
         joints = len(scenario.robot_model.joint_names)
         self._most = MOST_KEPT // (joints * max(1, len(laws)))
 
@@ -83,10 +81,9 @@ class Recording:
         while len(self.ticks) <= phase:
             self.ticks.append(0)
         self.ticks[phase] += 1
-        for name, value, when in {one[0]: one for one in sent}.values():
-            rows = self._rows.setdefault(name, array("d"))
-            self._kinds[name] = kinds[name]
-            rows.extend([since + t, since + when, *value])
+        for name, value, when in sent:
+            kept = self._sent.setdefault(name, Sent(kinds[name]))
+            kept.add(since + t, since + when, value)
 
     def end(self, why: str) -> None:
         """No more of it; what there is can be saved."""
@@ -107,23 +104,16 @@ class Recording:
         if not sum(self.ticks):
             raise InvalidValueError("nothing has been played yet, so nothing is recorded")
         try:
-            (folder / "inputs").mkdir(parents=True, exist_ok=True)
+            (folder / FOLDER).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = error.strerror or str(error)
             raise CoopqpError(f"cannot write the recording to '{folder}': {reason}") from error
-        names = _file_names(self._rows)
-        for name, rows in self._rows.items():
-            write_one(folder / "inputs" / names[name], self._csv(name, rows))
+        names: dict[str, str] = {}
+        for name, sent in self._sent.items():
+            names[name] = file_name(name, names.values())
+            write_one(folder / FOLDER / names[name], sent.header + sent.lines())
         write_one(folder / FILE, self._yaml(names, folder))
         return folder / FILE
-
-    def _csv(self, name: str, rows: array[float]) -> str:
-        columns = self._kinds[name].columns
-        width = 2 + len(columns)
-        lines = [",".join(("t", "sent", *columns))]
-        for i in range(0, len(rows), width):
-            lines.append(",".join(map(repr, rows[i : i + width])))
-        return "\n".join(lines) + "\n"
 
     def _yaml(self, names: Mapping[str, str], folder: Path) -> str:
         stream = io.StringIO()
@@ -149,24 +139,22 @@ class Recording:
         self._turn(data, phases, secondary)
         if secondary:
             data["secondary"] = secondary
-        inputs = {name: dict(given or {}) for name, given in (data.get("inputs") or {}).items()}
+        inputs = dict(data.get("inputs") or {})
         for live in self._lives:
             if live.made:
                 slot = phases[live.phase]["tasks"] if live.phase < len(phases) else None
                 if slot is not None:
                     _follow(slot[live.task], live)
-                    inputs.setdefault(live.name, dict(pace_of(scenario)))
-        for name, file in names.items():
-            inputs[name].pop("feed", None)
-            inputs[name]["feed_file"] = self._path_of(file, folder)
+                    inputs.setdefault(live.name, pace_of(scenario))
+        paths = {name: self._path_of(file, folder) for name, file in names.items()}
         if inputs:
-            data["inputs"] = inputs
+            data["inputs"] = fed(inputs, paths)
         data["controllers"] = self._controllers(data)
         return data
 
     def _path_of(self, file: str, folder: Path) -> str:
         """Path of what was sent, as the scenario beside it has it."""
-        path = Path("inputs") / file
+        path = Path(FOLDER) / file
         return str(path if self._scenario.folder is None else folder.resolve() / path)
 
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
@@ -224,14 +212,3 @@ def _follow(slot: dict[str, Any], live: Live) -> None:
         if not live.kind.axis:
             fields.pop(key, None)
     fields[live.field] = {"input": {"name": live.name, "start": list(live.start or ())}}
-
-
-def _file_names(names: Iterable[str]) -> dict[str, str]:
-    """A file for each input; what no file may be called is left out."""
-    found: dict[str, str] = {}
-    for name in names:
-        plain = re.sub(r"[^\w-]+", "_", name) or "input"
-        while f"{plain}.csv" in found.values():
-            plain += "_"
-        found[name] = f"{plain}.csv"
-    return found

@@ -43,8 +43,6 @@ TICKS = 3
 NAMES = ("phases", "pushed", "tasks", "urdf", "mjcf", "table", "several", "things")
 #: How often a file is none, but a folder, a pipe, a device or a giant.
 SPECIAL = 0.02
-#: What is wrong with a file as a whole, and has no line.
-WHOLE = ("cannot be read", "the file is empty", "is larger")
 #: What was done to a file, and what coopqp is to do with it.
 Case = tuple[Mutated, Callable[[], object]]
 

@@ -19,8 +19,8 @@ refusal names must be
   the first, if a part is missing.
 
 A refusal that names no line of the file must name one of another file: one that says a word that
-has changed in this one; of a robot's file a line of the scenario that is judged by the robot, and
-of a mesh the line that names it, or where the robot's file does so, that file's name.
+has changed in this one; of a robot's file a line of the scenario that is judged by the robot, as
+its arms are; of a mesh the line that names it, or where the robot's file does so, that file's name.
 Those of WHOLE need no line: they speak of a file as a whole.
 """
 
@@ -39,14 +39,14 @@ from .trees import Change, Tree
 AGREE: dict[str, tuple[str, ...]] = {
     "robot": (
         "start", "start_deg", "start_near", "grasp", "grasps", "weights", "phases", "tasks",
-        "secondary", "limits",
+        "secondary", "limits", "plant", "disturbance",
     ),
     "start": ("grasp", "grasps", "limits"),
     "start_deg": ("grasp", "grasps", "limits"),
     "grasp": ("start", "start_deg"),
-    "grasps": ("start", "start_deg"),
+    "grasps": ("grasps", "start", "start_deg"),
     "object": ("grasp", "grasps", "start", "limits"),
-    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration"),
+    "dt": ("tasks", "secondary", "phases", "limits", "kappa", "duration", "plant"),
     "duration": ("tasks", "secondary", "dt"),
     "phases": ("secondary", "dt"),
     "plant": ("disturbance",),
@@ -114,8 +114,8 @@ class Mutated:
         for key in change.path:
             part = part.inside[key] if part else None
             attributes = part.inside.get(0) if part else None
-            name = attributes.inside.get("name") if attributes else None
-            found |= {name.word} if name else set()
+            names = [attributes.inside.get(key) for key in ("name", "joint1")] if attributes else []
+            found |= {name.word for name in names if name}
         return frozenset(found)
 
     def is_right(self, line: int) -> bool:
@@ -123,7 +123,8 @@ class Mutated:
         if self.tree is None:
             first, last = trees.first_difference(self.old, self.new), self._read[1]
             whole = line == 1 and self.path.suffix == ".dae"
-            return whole or min(first, last) <= line <= last
+            end = len(self.new.rstrip().splitlines())  # where what comes after it is gone
+            return whole or min(first, last, end) <= line <= last
         if any(line in _own(change) for change in self.changes):
             return True
         at = [(path, part) for path, part in self.tree.walk() if part.first == line]
@@ -135,9 +136,18 @@ class Mutated:
         said = {str(word) for path, part in at for word in (*path[-1:], *_direct(part))}
         if self.words & said:
             return True
+        if any(self._agree(c.path, path, 2) for c in self.changes for path, _ in at):
+            return True  # in a phase
         keys = {path[0] for path, _ in at if path}
         changed = {str(key) for c in self.changes for key in c.path[:1] or c.words}
         return any(keys & set(AGREE.get(key, ())) for key in changed)
+
+    @staticmethod
+    def _agree(changed: trees.Path, told: trees.Path, depth: int) -> bool:
+        """Whether both are in the same part, where one is checked against the other."""
+        if changed[:depth] != told[:depth] or min(len(changed), len(told)) <= depth:
+            return False
+        return told[depth] in AGREE.get(str(changed[depth]), ())
 
     def _cells(self, line: int) -> list[str]:
         """The first two words of a row of a table, which no other row has."""
@@ -146,15 +156,18 @@ class Mutated:
 
     def is_other(self, words: str) -> bool:
         """Whether a refusal that names another file may do so."""
-        if any(word in words for word in self.words):
+        if any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", words) for word in self.words):
+            return True
+        if self.path.suffix in MESHES and "start in each other" in words:  # it names the bodies
             return True
         line = re.search(r"(\w+\.yaml):(\d+): ", words)
         if line and self.path.suffix in MESHES:
             scenario = (self.path.parent / line[1]).read_text(encoding="utf-8").splitlines()
             at = [i for i, said in enumerate(scenario, 1) if self.path.name in said]
             return int(line[2]) in at if at else self.path.name in words
-        key = re.search(r"\.yaml:\d+: (\w+)", words)
-        return key is not None and key[1] in AGREE["robot"] and self.path.suffix != ".yaml"
+        key = re.search(r"\.yaml:\d+: (robot: arm|\w+)\b", words)
+        judged = (*AGREE["robot"], "robot: arm")
+        return key is not None and key[1] in judged and self.path.suffix != ".yaml"
 
 
 def _direct(part: Tree) -> Iterator[str]:
@@ -175,6 +188,8 @@ def _own(change: Change) -> Iterator[int]:
         yield from change.above[-2:]
     if len(change.path) > 2 and change.path[0] in PARTS:
         yield change.above[2]
+    if len(change.path) > 4 and (change.path[0], change.path[2]) == ("phases", "tasks"):
+        yield change.above[4]
     if len(change.path) > 1 and change.path[0] in SLOTS:
         yield change.above[1]
 
@@ -182,13 +197,13 @@ def _own(change: Change) -> Iterator[int]:
 def wrong_line(said: Sequence[str], mutated: Mutated) -> str:
     """What is wrong with the first of the lines said that names no line, or not the right one."""
     for words in said:
-        if any(whole in words for whole in WHOLE):
-            continue
         named = re.findall(rf"{re.escape(mutated.path.name)}:(\d+)", words)
         if any(not mutated.is_right(int(line)) for line in named):
             return "wrong line"
-        if not named and not re.search(r"\.\w+:\d+: ", words):
+        if named or any(whole in words for whole in WHOLE):
+            continue
+        if not re.search(r"\.\w+:\d+: ", words):
             return "no line"
-        if not named and not mutated.is_other(words):
+        if not mutated.is_other(words):
             return "other line"
     return ""

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import re
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 from xml.parsers import expat
 
@@ -55,6 +57,11 @@ class Tree:
         return frozenset(part.word for _, part in self.walk())
 
     @property
+    def keys(self) -> frozenset[str]:
+        """The keys in it."""
+        return frozenset(str(path[-1]) for path, _ in self.walk() if path)
+
+    @property
     def said(self) -> object:
         """What is compared: all but the lines."""
         return self.kind, self.word, [(key, part.said) for key, part in self.inside.items()]
@@ -88,9 +95,10 @@ def changes(old: Tree, new: Tree, path: Path = (), above: tuple[int, ...] = ()) 
         found += changes(old.inside[a], new.inside[b], (*path, b), inner)
     for key in added:
         part = new.inside[key]
-        found.append(Change((*path, key), part.lines, inner, part.words | {str(key)}))
+        found.append(Change((*path, key), part.lines, inner, part.words | part.keys | {str(key)}))
     if gone:
-        words = frozenset(map(str, gone)).union(*(old.inside[key].words for key in gone))
+        parts = [old.inside[key] for key in gone]
+        words = frozenset(map(str, gone)).union(*(part.words | part.keys for part in parts))
         first, last = new.first, new.first
         if new.kind == "table":
             first, last = int(gone[0]), int(gone[0]) + 1
@@ -131,7 +139,13 @@ def of_yaml(text: str) -> Tree:
 
 def _line(mark: Any, text: str) -> int:
     """As editors number them; YAML has more line breaks than they."""
-    return len(re.findall(r"\r\n?|\n", text[: mark.index])) + 1
+    return bisect_left(_breaks(text), mark.index) + 1
+
+
+@lru_cache(maxsize=4)
+def _breaks(text: str) -> list[int]:
+    """Where lines end."""
+    return [found.start() for found in re.finditer(r"\r\n?|\n", text)]
 
 
 def _of_node(node: Node, text: str, first: int) -> Tree:
@@ -196,7 +210,13 @@ def of_lines(text: str) -> Tree:
 
 
 def of_csv(text: str) -> Tree:
-    """The tree of a table: its rows, and the cells of each."""
+    """The tree of a table: its rows, and the cells of each.
+
+    Raises:
+        ValueError: it ends inside quotes.
+    """
+    if text.count('"') % 2:
+        raise ValueError("ends inside quotes")
     root = Tree("table", "", 1, 1, ordered=True)
     for number, line in enumerate(text.split("\n"), 1):
         cells = {i: Tree("cell", cell, number, number) for i, cell in enumerate(line.split(","))}

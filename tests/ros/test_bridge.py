@@ -16,7 +16,6 @@ from coopqp import CoopqpError, OnlineLoop, Status, UnknownNameError
 from coopqp.recordings.messages import Remark
 from coopqp.ros.bridge import Bridge
 from coopqp.ros.settings import RosSettings, joints_of
-from coopqp.ros.targets import kinds_of
 from coopqp.scenario.scenario import Scenario
 
 NEAR = [0.15, 0.0, 0.06]
@@ -49,7 +48,7 @@ class World:
         silence = {"silent_after": given.silent_after, "patience": given.patience}
         self.loop = OnlineLoop(scenario, clock=self.clock, **silence)
         joints = joints_of(chain, given.controllers, self.orders)
-        self.bridge = Bridge(self.loop, joints, kinds_of(scenario), given, self)
+        self.bridge = Bridge(self.loop, joints, scenario.followed(), given, self)
         self.names, self.q = list(chain.joint_names), chain.q_start.copy()
         self.state: Callable[[], Any] = self.told
 

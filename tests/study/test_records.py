@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -217,3 +218,39 @@ def test_record_with_rubbish_in_a_field_is_refused(field: str, value: Any, saved
     saved.write_text(json.dumps(data), encoding="utf-8")
     with pytest.raises(CoopqpError):
         TickRecord.read(saved)
+
+
+@pytest.mark.parametrize(
+    ("mark", "field", "value"),
+    [
+        ("P", "P[1][0]", 7.0),
+        ("q_cost", "q_cost", [1.0]),
+        ("C", "C[2]", [1.0]),
+        ("J", "J[0][1]", "one"),
+        ("variables", "variables[3].kind", "bone"),
+        ("dt", "dt", 0.0),
+        ("inequalities", "inequalities", 99),
+    ],
+)
+def test_a_refusal_names_the_line(mark: str, field: str, value: Any, saved: Path) -> None:
+    """A mark is put where the value is, and looked for in the text."""
+    data = json.loads(saved.read_text(encoding="utf-8"))
+    holder, keys = data, re.findall(r"\w+", field)
+    for key in keys[:-1]:
+        holder = holder[int(key) if key.isdigit() else key]
+    last = int(keys[-1]) if keys[-1].isdigit() else keys[-1]
+    holder[last] = "MARK"
+    marked = json.dumps(data, indent=1).splitlines()
+    line = next(i for i, text in enumerate(marked, 1) if "MARK" in text)
+    holder[last] = value
+    saved.write_text(json.dumps(data, indent=1), encoding="utf-8")
+    with pytest.raises(CoopqpError, match=rf"tick\.json:{line}: is not a tick .*: {mark}"):
+        TickRecord.read(saved)
+
+
+def test_a_broken_text_names_the_line_at_which_it_breaks(saved: Path) -> None:
+    lines = saved.read_text(encoding="utf-8").splitlines(keepends=True)
+    for wrong in ("oops,\n", '"half a\n'):
+        saved.write_text("".join([*lines[:7], wrong, *lines[8:]]), encoding="utf-8")
+        with pytest.raises(CoopqpError, match=r"tick\.json:8: is not a tick"):
+            TickRecord.read(saved)

@@ -22,6 +22,7 @@ from coopqp.controller import Law
 from coopqp.report import table
 from coopqp.solver import Budget, Status
 from coopqp.state import State
+from coopqp.study.engine import Engine
 from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
 from coopqp.study.stress.draw import LAW, draw
 from coopqp.study.stress.driving import MOST, drive_on, record_of
@@ -39,7 +40,7 @@ drawn = cache(draw)
 
 @pytest.fixture(scope="module")
 def small() -> list[Rollout]:
-    return stress(30, seed=0, jobs=1)
+    return stress(30, seed=0, engine=Engine(jobs=1))
 
 
 def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Record:
@@ -67,7 +68,7 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
 
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
     assert [one_rollout(r.seed) for r in small[:6]] == small[:6]
-    assert stress(6, seed=0, jobs=2) == small[:6]
+    assert stress(6, seed=0, engine=Engine(jobs=2)) == small[:6]
 
 
 def test_draws_are_wide() -> None:
@@ -252,7 +253,7 @@ def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code: int, word: st
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     try:
         for _ in range(600):
-            if len(children.read_text().split()) == 2:
+            if len(children.read_text().split()) >= 2:
                 break
             time.sleep(0.1)
         os.killpg(process.pid, sent)

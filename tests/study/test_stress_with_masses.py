@@ -16,6 +16,7 @@ from coopqp.errors import MissingDependencyError
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.report import table
 from coopqp.solvers import Osqp, Proxqp
+from coopqp.study.engine import Engine
 from coopqp.study.stress import Rollout, arrangements, one_rollout, stress, summarize
 from coopqp.study.stress.draw import Draw, draw
 from coopqp.study.stress.masses import MARGIN, draw_with_masses
@@ -139,7 +140,7 @@ def test_table_can_be_read_at_80_columns() -> None:
 def test_a_plant_that_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError, match=r"coopqp\[mujoco\]"):
-        stress(2, plant=Mujoco(), jobs=2)
+        stress(2, plant=Mujoco(), engine=Engine(jobs=1))
 
 
 def test_what_raises_is_a_broken_promise(monkeypatch: pytest.MonkeyPatch) -> None:

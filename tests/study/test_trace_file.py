@@ -22,7 +22,11 @@ from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import blocked_tick, state_from_trace
+from coopqp.study.trace_file import (
+    blocked_tick,
+    recording_from_trace,
+    state_from_trace,
+)
 
 
 @pytest.mark.parametrize("tick", [0, 1, 57, 150, 299])
@@ -96,6 +100,28 @@ def test_files_that_are_no_traces_are_refused(tmp_path: Path) -> None:
         controllers_of(tmp_path / "none.csv")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("\nqp,7,", "\nqp,8,", 9, "tick: found 8, needs 7; the trace is damaged"),
+        ("\nqp,7,", "\nqpp,7,", 9, "tick: found 7, needs 0; the trace is damaged"),
+        ("\nqp,7,", "\nqp,7,0,", 9, r"found \d+ cells, but line 1 \d+; it is damaged"),
+        ("q[RWristYaw]", "q[LWristYaw]", 1, r"two columns are called 'q\[LWristYaw\]'"),
+        ("\nqp,300,", "\npqp,0,", 301, "'qp' has 299 ticks, its scenario 300; the file is"),
+        ("q[RWristYaw]", "q[wrist]", 1, r"has no column 'q\[RWristYaw\]'"),
+    ],
+)
+def test_a_damaged_trace_names_the_line(
+    trace_csv: Path, scenario: Scenario, tmp_path: Path, old: str, new: str, line: int, words: str
+) -> None:
+    text = trace_csv.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "trace.csv"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(CoopqpError, match=rf"trace\.csv:{line}: {words}"):
+        recording_from_trace(path, scenario, "qp")
+
+
 @pytest.mark.parametrize("wrong", ["file", "controller"])
 def test_tick_of_nothing_is_refused(wrong: str, trace_csv: Path, tmp_path: Path) -> None:
     path = tmp_path / "none.csv" if wrong == "file" else trace_csv
@@ -132,3 +158,13 @@ def test_a_tick_of_a_later_phase_is_explained_as_it_was_despite_noise(tmp_path: 
 def test_a_tick_that_damps_by_what_it_missed_is_explained_as_it_was(tmp_path: Path) -> None:
     task = "duration: 1.0\ntasks:\n  - twist: {velocity: {x: 0.1, y: 0.15}}\n"
     assert off_the_trace(tmp_path, f"{HEAD}{task}{NO_DRIFT}plant: rigid_body\n", 40) < 1e-6
+
+
+def test_a_run_in_which_an_arm_lets_go_and_moves_is_read(tmp_path: Path) -> None:
+    """Its task is of one phase alone: there the arm moves by itself."""
+    seed = Path(__file__).parents[1] / "fuzz" / "seeds" / "phases.yaml"
+    scenario = load(seed)
+    path = tmp_path / "trace.csv"
+    path.write_text(files.trace_csv(compare(scenario)), encoding="utf-8")
+    held = scenario.held_by("qp")
+    assert len(recording_from_trace(path, scenario, "qp").v) == held.ticks

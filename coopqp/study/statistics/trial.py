@@ -1,18 +1,19 @@
-"""Every law on one random goal after the other, on all cores."""
+"""Every law on one random goal after the other, wherever the engine does them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
+from coopqp.errors import CoopqpError
 from coopqp.metrics.reached import Reached
 from coopqp.plants import Kinematic
 from coopqp.rollout import rollout
-from coopqp.study.pool import in_parallel
+from coopqp.study.engine import Engine, Lost
 from coopqp.study.statistics.draw import arenas, draw
 from coopqp.study.statistics.laws import LAWS, Compared
 from coopqp.study.statistics.reach import holds_inside
@@ -20,6 +21,7 @@ from coopqp.trace import Trace
 
 AFTER = 2.5  # time after the references have arrived [s]
 ROUNDING = 1e-6  # an overrun of a limit that counts as none [rad, m], and as a share of a speed
+HERE = Engine()
 OTHERS = 6  # configurations from which inverse kinematics begins, beside the start
 
 
@@ -78,27 +80,37 @@ class GoalRun:
 
 
 def statistics(
-    goals: int, *, seed: int = 0, jobs: int = 0, progress: Callable[[int], None] | None = None
+    goals: int,
+    *,
+    seed: int = 0,
+    engine: Engine = HERE,
+    progress: Callable[[int], None] | None = None,
 ) -> list[GoalRun]:
     """Run every law on many goals of every arena.
 
     Args:
         goals: how many on each robot.
         seed: of the first; the others count up.
-        jobs: processes; all cores when 0.
+        engine: where; on all cores when omitted.
         progress: called with the number of goals done.
+
+    Raises:
+        CoopqpError: a goal ends the process that runs it.
     """
     asked = [(robot, s) for robot in arenas() for s in range(seed, seed + goals)]
     done: list[GoalRun] = []
-    for goal in in_parallel(_one, asked, jobs):
+    for (robot, own), goal in engine.results(_goals, asked):
+        if isinstance(goal, Lost):
+            raise CoopqpError(f"{robot}, seed {own}: {goal.reason}")
         done.append(goal)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda goal: asked.index((goal.robot, goal.seed)))
 
 
-def _one(asked: tuple[str, int]) -> GoalRun:
-    return one_goal(*asked)
+def _goals(asked: Sequence[tuple[str, int]]) -> list[GoalRun]:
+    """A batch; what the engine has a worker do."""
+    return [one_goal(robot, seed) for robot, seed in asked]
 
 
 def one_goal(robot: str, seed: int) -> GoalRun:

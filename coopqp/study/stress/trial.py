@@ -1,15 +1,15 @@
-"""The rollouts, each from its own seed, on all cores."""
+"""The rollouts, each from its own seed, wherever the engine does them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
 from coopqp.solver import Solver
-from coopqp.study.pool import in_parallel
+from coopqp.study.engine import Engine, Lost
 from coopqp.study.stress.draw import DAQP, LAW, Draw, draw
 from coopqp.study.stress.driving import drive_on, record_of
 from coopqp.study.stress.judgement import Rollout, judged
@@ -17,6 +17,7 @@ from coopqp.study.stress.masses import draw_with_masses
 from coopqp.study.stress.pair import run_pair
 
 JOINTS = Kinematic()
+HERE = Engine()
 
 
 def stress(
@@ -25,33 +26,35 @@ def stress(
     plant: Plant = JOINTS,
     *,
     seed: int = 0,
-    jobs: int = 0,
+    engine: Engine = HERE,
     progress: Callable[[int], None] | None = None,
 ) -> list[Rollout]:
-    """Run many rollouts on all cores.
+    """Run many rollouts.
 
     Args:
         count: how many.
         solver: of the programs; it changes nothing of what is drawn.
         plant: one with masses has its own draws, each run without and with errors of the model.
         seed: of the first; the others count up.
-        jobs: processes; all cores when 0.
+        engine: where; on all cores when omitted.
         progress: called with the number done.
 
     Raises:
         MissingDependencyError: solver or plant needs a package that is not installed.
     """
-    seeds = range(seed, seed + count)
+    work = partial(rollouts, solver=solver, plant=plant)
     done: list[Rollout] = []
-    one = partial(one_rollout, solver=solver, plant=plant)
-    done.append(one(seed))  # what is not installed shows in the first
-    if progress:
-        progress(1)
-    for rollout in in_parallel(one, seeds[1:], jobs):
-        done.append(rollout)
+    for own, found in engine.results(work, range(seed, seed + count)):
+        lost = isinstance(found, Lost)
+        done.append(Rollout(own, broken=(found.reason,)) if lost else found)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda rollout: rollout.seed)
+
+
+def rollouts(seeds: Sequence[int], *, solver: Solver, plant: Plant) -> list[Rollout]:
+    """A batch of rollouts, one after the other; what the engine has a worker do."""
+    return [one_rollout(seed, solver, plant) for seed in seeds]
 
 
 def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:

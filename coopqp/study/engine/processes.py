@@ -1,0 +1,111 @@
+"""Processes of this machine: loky's, which joblib starts, keeps and starts again.
+
+They leave Ctrl-C and SIGTERM to the process that started them, and end when that is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from typing import Any
+
+from coopqp.study.engine.batches import Batch
+from coopqp.study.engine.work import Outcome, Work, WorkersLostError, done
+
+LOOKS = 1.0  # s between two looks whether the parent still lives
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AHEAD = 2  # batches that are handed out before they are asked for, a worker
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Some processes.
+
+    Attributes:
+        count: how many; at least 2, because joblib does the work of one in this process.
+    """
+
+    count: int
+
+    def outcomes(self, work: Work, batches: Iterable[Batch[Any]]) -> Iterator[Outcome]:
+        """As :class:`coopqp.study.engine.work.Workers` has it."""
+        from joblib import Parallel, delayed, parallel_config
+        from joblib.externals.loky.process_executor import BrokenProcessPool
+
+        asked = (delayed(done)(work, batch) for batch in batches)
+        settings = {"initializer": _leave_with, "initargs": (os.getpid(),)}
+        try:
+            with _quiet(), ExitStack() as opened:
+                with _unsignalled(), parallel_config("loky", inner_max_num_threads=1, **settings):
+                    parallel = Parallel(
+                        n_jobs=self.count,
+                        return_as="generator_unordered",
+                        batch_size=1,
+                        pre_dispatch=AHEAD * self.count,
+                    )
+                    outcomes = opened.enter_context(closing(parallel(asked)))
+                yield from outcomes
+        except BrokenProcessPool as error:
+            raise WorkersLostError(_said(error)) from None
+
+
+def cores() -> int:
+    """How many processes this machine, or what a cluster gives of it, has cores for."""
+    from joblib import cpu_count
+
+    return int(cpu_count())
+
+
+@contextmanager
+def _unsignalled() -> Iterator[None]:
+    """What is started here inherits that Ctrl-C and SIGTERM do not reach it.
+
+    Neither do they come here while something is half started, but right after.
+    """
+    resource_tracker.ensure_running()  # which would let both through again when it starts
+    came: list[int] = []
+    ours = threading.current_thread() is threading.main_thread()
+    # Not enough for this process is the mask: threads of libraries take signals for it.
+    known = {s: signal.signal(s, lambda s, _: came.append(s)) for s in SIGNALS} if ours else {}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for kind, handler in known.items():
+            signal.signal(kind, handler)
+        for number in came[:1]:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without joblib's warnings about work that is given up, or done by a process anew."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module=r"joblib\.")
+        yield
+
+
+def _leave_with(parent: int) -> None:
+    """End this process soon after its parent, which may be killed without a word."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(LOOKS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _said(error: BaseException) -> str:
+    """How a process ended, such as SIGKILL(-9)."""
+    codes = re.search(r"exit codes? of the workers? (?:are|is) \{(.*)\}", str(error))
+    return f"its process ended: {codes.group(1)}" if codes else "its process ended"

@@ -1,0 +1,121 @@
+"""Many items on workers, some of which die."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from coopqp.errors import (
+    CoopqpError,
+    Fault,
+    InvalidValueError,
+    MissingDependencyError,
+    ScenarioError,
+    UnknownNameError,
+)
+from coopqp.study.engine import Engine, Lost, Share
+from coopqp.study.engine.batches import Batches
+
+
+def squares(items: Sequence[int]) -> list[int]:
+    """A number of -1 ends the process; other negative ones do the first time."""
+    found = []
+    for item in items:
+        if item == -1 or (isinstance(item, int) and item < 0 and _first(item)):
+            os.kill(os.getpid(), signal.SIGKILL)
+        found.append(item * item)
+    return found
+
+
+def _first(item: int) -> bool:
+    """Whether no process has had this item before."""
+    try:
+        Path(os.environ["COOPQP_TEST_MARKS"], str(item)).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
+def refuses(items: Sequence[int]) -> list[int]:
+    raise MissingDependencyError("solver 'x'", "extra")
+
+
+@pytest.fixture
+def marks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where items leave a mark, for workers that are started from now on."""
+    from joblib.externals.loky import get_reusable_executor
+
+    monkeypatch.setenv("COOPQP_TEST_MARKS", str(tmp_path))
+    get_reusable_executor().shutdown(wait=True, kill_workers=True)
+    return tmp_path
+
+
+def test_a_worker_that_dies_takes_no_more_than_its_item(marks: Path) -> None:
+    items = [*range(1, 40), -1, -7, *range(40, 60)]
+    found = dict(Engine(jobs=2).results(squares, items))
+    assert isinstance(found.pop(-1), Lost)
+    assert found == {item: item * item for item in items if item != -1}
+
+
+def test_what_work_raises_comes_out_as_it_was(marks: Path) -> None:
+    with pytest.raises(MissingDependencyError, match=r"^solver 'x' needs: pip .*coopqp\[extra\]'$"):
+        list(Engine(jobs=2).results(refuses, range(9)))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        UnknownNameError("solver", "dapq", ["daqp"]),
+        MissingDependencyError("this", "extra"),
+        ScenarioError([Fault("a.yaml:3: dt", "needs a number")]),
+        InvalidValueError("wrong").at("tasks", 0),
+    ],
+)
+def test_errors_go_from_process_to_process(error: CoopqpError) -> None:
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is type(error)
+    assert str(again) == str(error)
+    assert vars(again) == vars(error)
+
+
+def test_batches_grow_to_a_second_and_end_small() -> None:
+    batches: Batches[int] = Batches(range(3000), workers=2)
+    sizes, seen = [], []
+    for batch in batches:
+        sizes.append(len(batch.items))
+        seen += batches.back(batch.number, 0.01 * len(batch.items)).items
+    assert seen == list(range(3000))
+    assert sizes[0] == 1
+    assert max(sizes) == 100  # of 10 ms each
+    assert sizes[-1] == 1
+
+
+def test_slow_items_go_one_by_one() -> None:
+    batches: Batches[int] = Batches(range(20), workers=2)
+    assert [len(batches.back(b.number, 3.0 * len(b.items)).items) for b in batches] == [1] * 20
+
+
+def test_shares_are_all_there_is_and_nothing_twice() -> None:
+    shares = [Share.read(f"{i}/3").taken(range(10)) for i in (1, 2, 3)]
+    assert sorted(item for share in shares for item in share) == list(range(10))
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "2", "a/b", "", "1/0"])
+def test_no_share(text: str) -> None:
+    with pytest.raises(InvalidValueError, match=r"--shard: found '.*', needs I/N"):
+        Share.read(text)
+
+
+def test_a_scheduler_that_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("coopqp.study.engine.cluster.PATIENCE", 0.5)
+    begun = time.monotonic()
+    with pytest.raises(CoopqpError, match=r"no Dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+        list(Engine(scheduler="tcp://127.0.0.1:9").results(squares, range(3)))
+    assert time.monotonic() - begun < 10.0
