@@ -27,6 +27,10 @@ FLAGS = [
     "-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-strict-aliasing", "-DNDEBUG",
     "-ffp-contract=off",
 ]  # fmt: skip
+#: From 3.12 on what one Python compiles serves all later ones, but for those without the GIL.
+STABLE = sys.version_info >= (3, 12) and not sysconfig.get_config_var("Py_GIL_DISABLED")
+if STABLE:
+    FLAGS.append("-DPy_LIMITED_API=0x030C0000")
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
 #: Chosen at import, coopqp.kernel.native.
 VARIANTS = {"_baseline": []}
@@ -50,7 +54,9 @@ class KernelHook(BuildHookInterface):
                 raise
             self.app.display_warning(f"coopqp is installed without its kernel: {error}")
             return
-        build_data["pure_python"], build_data["infer_tag"] = False, True
+        build_data["pure_python"] = False
+        tag = self.build_config.builder.get_best_matching_tag()
+        build_data["tag"] = f"cp312-abi3-{tag.rpartition('-')[2]}" if STABLE else tag
         if version != "editable":
             for path in built:
                 build_data["force_include"][str(path)] = str(KERNEL / path.name)
@@ -71,7 +77,7 @@ def compiled(into: Path) -> list[Path]:
         f"-I{of_nanobind / 'ext' / 'robin_map' / 'include'}",
     ]  # fmt: skip
     more = shlex.split(os.environ.get("CXXFLAGS", ""))
-    suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    suffix = ".abi3.so" if STABLE else sysconfig.get_config_var("EXT_SUFFIX")
     sources = runpy.run_path(str(HERE / KERNEL / "native.py"))["digest"]()
     built = []
     with tempfile.TemporaryDirectory() as folder:

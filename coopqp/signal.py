@@ -16,6 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -298,6 +299,14 @@ def axes_along(direction: Vector3 | Array) -> Array:
 
 
 def _along(direction: Array) -> Array:
+    x, y, z = direction.tolist()
+    return _kept_along(x, y, z).copy()
+
+
+@lru_cache(maxsize=1024)
+def _kept_along(x: float, y: float, z: float) -> Array:
+    """Every reference asks for some direction, mostly straight up."""
+    direction = np.array([x, y, z])
     if np.linalg.norm(direction) < 1e-9:
         raise InvalidValueError("needs a direction, but all three numbers are zero")
     return quaternion_of(axes_along(direction).T)

@@ -94,11 +94,15 @@ class Compiled:
         """Show it the arrays of a state; False where an input is no place."""
         remembered = (memory["later pulls"], memory["pull"], memory["missing"])
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
-        self._heard = []
+        before, self._heard = self._heard, []
+        for _, at in self._levels.arriving:
+            for name, value, rate in before:
+                if name == at.arrives and value is not None and rate is not None:
+                    at.c[:], at.c_dot[:] = value, rate  # where it stays if the input has gone
         for primitive, at in self._levels.arriving:
             value, rate = arrays = _heard(state, at.arrives)
             if value is None or rate is None:
-                arrays = at.c, at.c_dot  # where it begins
+                arrays = at.c, at.c_dot
             elif not (value.shape == rate.shape == at.c.shape and plain_numbers(value, rate)):
                 return False
             self.engine.bind_reference(primitive, arrays[0], at.RT, arrays[1], at.omega)

@@ -270,6 +270,7 @@ class KernelLaw(Law):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
+        self._bound = ()
         for compiled in (self.whole, self.softened):
             if compiled is not None and not compiled.bind(state, memory):
                 return False

@@ -43,7 +43,7 @@ COLUMNS = {
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
-    "solver": Column("Solver", "", "The QP solver, or the kernel; none for closed formulas."),
+    "solver": Column("Solver", "", "What solved the QPs, and ticks that the kernel left."),
 }  # fmt: skip
 
 
@@ -83,14 +83,17 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         "loop": Cell(gap, opened),
         "failed": _failed(metrics),
         "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
-        "solver": Cell((_solver(metrics),)),
+        "solver": Cell(_solver(metrics)),
     }
 
 
-def _solver(metrics: Mapping[str, Any]) -> str:
-    """What solved the QPs."""
-    engine = metrics["engine"] or {"name": "python"}
-    return "kernel" if engine["name"] == "kernel" else metrics["solver"] or "none"
+def _solver(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """What solved the QPs, and how many the kernel left."""
+    engine, solver = metrics["engine"], metrics["solver"] or "none"
+    if not engine or engine["name"] != "kernel":
+        return (solver,)
+    left = engine["ticks_in_python"]
+    return ("kernel", f"{solver} in {left}") if left else ("kernel",)
 
 
 def _limit(trace: Trace, overrun: float, unit: str) -> Cell:

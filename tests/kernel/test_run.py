@@ -61,3 +61,21 @@ def test_two_threads_give_the_bits_of_one(chain: ClosedChain, closed_loop_walk: 
     with ThreadPoolExecutor(2) as pool:
         together = list(pool.map(end, starts))
     np.testing.assert_array_equal(alone, together)
+
+
+@pytest.mark.parametrize("goal", [NEAR, UNREACHABLE])
+def test_a_step_is_a_tick_and_an_advance(
+    goal: tuple[float, float, float], chain: ClosedChain
+) -> None:
+    law = law_for(chain, goal)
+    state, again = law.start(), law.start()
+    for _ in range(TICKS):
+        command = law.tick(again)
+        again.advance(command.v, law.problem.dt)
+        v, causes = command.v.copy(), command.causes
+        command = law.step(state)
+        np.testing.assert_array_equal(command.v, v)
+        assert command.causes == causes
+    np.testing.assert_array_equal(state.q, again.q)
+    np.testing.assert_array_equal(state.v, again.v)
+    assert (state.t, state.overwritten) == (again.t, False)

@@ -20,12 +20,12 @@ from coopqp.input import InputSettings
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.scenario.loader import load
-from coopqp.signal import Kind, Signal
+from coopqp.signal import POINT, Course, Followed, Kind, Signal
 from coopqp.signals import Input, Line
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.tasks import JointCentering
+from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
@@ -115,3 +115,33 @@ def test_what_is_refused_is_said_of_a_tick_without_python(chain: ClosedChain) ->
     assert law.command.note == "target: no such input"
     state.inputs.refused, state.inputs.stale = (), ("target",)
     assert law.tick(state).causes == (Status.INPUT_STALE,)
+
+
+def test_the_kernel_reads_an_input_itself_wherever_its_arrays_are(chain: ClosedChain) -> None:
+    """A target that is written, replaced, of a wrong shape, and gone again: as the plain law."""
+    reach = PointOnPoint(name="reach", gain=5.0, goal=Input(name="target"))
+    given = problem(chain, reach, limits=LIMITS)
+    laws = [QPController(engine=engine).build(given) for engine in ("kernel", "python")]
+    states = [law.start() for law in laws]
+    statuses: list[Status] = []
+    for k in range(60):
+        found = []
+        for law, state in zip(laws, states, strict=True):
+            if k == 0:
+                state.inputs = Followed()
+            elif k in (10, 40):  # another object
+                state.inputs["target"] = Course(POINT, state.p_WO)
+            elif k == 20:  # another array
+                state.inputs["target"].value = state.inputs["target"].value.copy()
+            elif k == 30:
+                state.inputs["target"] = Course(Kind("pair", 2), np.zeros(2))
+            elif k == 50:
+                del state.inputs["target"]
+            if k > 10 and not 30 <= k < 40 and k < 50:
+                state.inputs["target"].value[2] += 1e-3
+            command = law.step(state)
+            found.append(command.v.copy())
+            statuses.append(command.status)
+        assert laws[0].compiled == (not 30 <= k < 40)
+        np.testing.assert_allclose(found[0], found[1], atol=SAME)
+    assert statuses.count(Status.RAISED) == 20  # ten ticks of each
