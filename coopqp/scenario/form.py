@@ -301,7 +301,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         ScenarioError: with every fault and its line.
     """
     model = file_model(catalog)
-    robot: TypeAdapter[Any] = TypeAdapter(_slot(model, "robot"))
+    robot, signal_slot = _adapters(catalog)
 
     def read_robot(value: Any) -> Any:
         """A robot inside a robot, such as one of several."""
@@ -309,7 +309,6 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
 
     own = file.data.get("folder")
     folder = file.path.parent / own if isinstance(own, str) else file.path.parent
-    signal_slot: TypeAdapter[Any] = TypeAdapter(one_of(catalog, "signals"))
 
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
         """A signal where a task may have one."""
@@ -338,6 +337,12 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     if faults:
         raise ScenarioError(faults)
     return read
+
+
+@functools.lru_cache(maxsize=8)
+def _adapters(catalog: Catalog) -> tuple[TypeAdapter[Any], TypeAdapter[Any]]:
+    """Of a robot and of a signal; kept as the model is."""
+    return TypeAdapter(_slot(file_model(catalog), "robot")), TypeAdapter(one_of(catalog, "signals"))
 
 
 def _slot(model: type[BaseModel], key: str) -> Any:

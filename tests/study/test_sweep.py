@@ -139,6 +139,16 @@ def test_any_key_by_its_path(plate: Path) -> None:
         assert varied.location == location
 
 
+SHIPPED = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_studies_can_be_read(path: Path) -> None:
+    study = read_study(path)
+    assert not study.notes
+    assert study.rows <= 1000  # a minute
+
+
 # What is wrong with it
 
 

@@ -44,7 +44,7 @@
     const map = study.maps.find((m) => m.x === Math.min(i, j) && m.y === Math.max(i, j));
     if (!map) return;
     const x = study.axes[i], y = study.axes[j], nx = bins(x), ny = bins(y);
-    const W = 400, H = 330, left = 62, top = 26, right = 10, bottom = 44;
+    const W = 400, H = 330, left = 62, top = 26, right = 22, bottom = 44;
     const w = (W - left - right) / nx, h = (H - top - bottom) / ny;
     study.controllers.forEach((name, k) => {
       const svg = drawing(host, W, H, `success of ${name}`);
@@ -74,7 +74,7 @@
     // One scale for all; what is far out of it runs to its edge.
     let low = Math.min(...all), high = Math.max(...all);
     if (high - low < 1e-9) { low -= 0.5; high += 0.5; }
-    const W = 560, H = 230, left = 62, top = 10, right = 12, bottom = 42;
+    const W = 560, H = 230, left = 62, top = 10, right = 26, bottom = 42;
     study.axes.forEach((axis, i) => {
       const n = bins(axis), svg = drawing(host, W, H, `${measure} by ${axis.name}`);
       const px = (k) => left + (k + 0.5) / n * (W - left - right);

@@ -97,7 +97,7 @@ def render(
         paired=_paired(list(pairs(binned, worst_error(columns)))),
         blocked="".join(_limits(line) for line in summary.lines),
         worst="".join(
-            _worst(name, rows, study, columns, places)
+            _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
             for name, rows in zip(binned.controllers, worst, strict=True)
         ),
         data=script_json(finite(data)),
@@ -211,12 +211,12 @@ def _bars(title: str, counts: dict[str, int], of: int) -> str:
 
 
 def _worst(
-    name: str, rows: Sequence[int], study: Study, columns: Columns, places: dict[int, int]
+    name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
 ) -> str:
     if not rows:
         return f"<h3>{breakable(name)}</h3><p class='hint'>Every row that is done succeeds.</p>"
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
-    shown = [*study.columns, *errors, MARGIN, "blocked_by", "broken"]
+    shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     table = [
         [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]

@@ -1,0 +1,162 @@
+"""Studies: throughput against a plain loop, results whoever is killed, and equal rows on Dask.
+
+    python -m benchmarks.studies                      2,000 short variants: loop, then two processes
+    python -m benchmarks.studies --kills 10           as many clients and workers killed on the way
+    python -m benchmarks.studies --scheduler ADDRESS  the same study on a Dask cluster
+
+The first prints the ratio of the two in one run. Where other programs use the processor it says
+less than the second line, what the engine costs in processor time for each variant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from pyarrow import parquet as pq
+
+from coopqp.scenario.loader import shipped
+from coopqp.study.engine import Engine
+from coopqp.study.sweep import Study, read_study, sweep
+from coopqp.study.sweep.variant import job_of, run_variants
+
+STUDY = """scenario: short.yaml
+vary:
+  tasks.slide.goal: {{box: [[0.24, -0.10, 0.0], [0.46, 0.20, 0.0]]}}
+  object.mass: {{log: [0.1, 2.0]}}
+samples: {{random: {variants}, seed: 1}}
+"""
+TICKS = 50  # of a variant
+SHORT = {"duration: 3.0": "duration: 0.5", "duration: 2.0": "duration: 0.4"}
+CONTROLLERS = "controllers: [qp, pseudoinverse, pseudoinverse_null_space, damped_pseudoinverse]"
+
+
+def written(folder: Path, variants: int) -> Path:
+    """A study of the planar pair, half a second a variant under the QP law."""
+    text = shipped()["planar_pair"].read_text(encoding="utf-8")
+    for before, after in {**SHORT, CONTROLLERS: "controllers: [qp]"}.items():
+        assert before in text
+        text = text.replace(before, after)
+    (folder / "short.yaml").write_text(text, encoding="utf-8")
+    (folder / "study.yaml").write_text(STUDY.format(variants=variants), encoding="utf-8")
+    return folder / "study.yaml"
+
+
+def processor() -> float:
+    """Processor time of this process and of those it has waited for [s]."""
+    return sum(
+        used.ru_utime + used.ru_stime
+        for used in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
+
+
+def throughput(folder: Path, variants: int, jobs: int) -> None:
+    study = read_study(written(folder, variants))
+    job = job_of(study, ((), ()))
+    run_variants([study.variant(0)], job=job)  # what is imported late is imported
+    begun, used = time.perf_counter(), processor()
+    for k in range(variants):
+        run_variants([study.variant(k)], job=job)
+    plain, plain_used = time.perf_counter() - begun, processor() - used
+    warm = read_study(written(folder, 8 * jobs))
+    sweep(warm, folder / "warm", engine=Engine(jobs))  # starts workers, which the next sweep finds
+    begun, used = time.perf_counter(), processor()
+    sweep(study, folder / "out", engine=Engine(jobs))
+    swept, here = time.perf_counter() - begun, processor() - used
+    print(f"{variants} variants of {TICKS} ticks, {jobs} processes")
+    print(f"plain loop {plain:.1f} s, {1e3 * plain_used / variants:.2f} ms of processor a variant")
+    print(f"sweep {swept:.1f} s: {plain / swept:.2f} times the loop's throughput")
+    print(f"of that in the process that hands out and writes: {1e3 * here / variants:.2f} ms each")
+
+
+def rows(folder: Path) -> object:
+    return pq.read_table(folder / "results.parquet")
+
+
+def killed(folder: Path, kills: int, seed: int) -> None:
+    """Kill the client, then a worker, and so on; the results are those of an undisturbed run."""
+    variants = 150 * kills
+    study = read_study(written(folder, variants))
+    sweep(study, folder / "whole", engine=Engine(2))
+    rng, left = random.Random(seed), {"client": kills, "worker": kills}
+    words = ["sweep", str(folder / "study.yaml"), "--out", str(folder / "out"), "--jobs", "2"]
+    done = 0
+    while done < variants and any(left.values()):
+        client = subprocess.Popen([sys.executable, "-m", "benchmarks.studies", "--as", *words])
+        while client.poll() is None and any(left.values()):
+            time.sleep(rng.uniform(1.0, 3.0))
+            before, done = done, _lines(folder / "out")
+            if done <= before:
+                continue  # nothing has come since the last one; it is still starting
+            whom = rng.choice([kind for kind, n in left.items() if n])
+            found = _workers(client.pid)
+            if whom == "worker" and found:
+                os.kill(rng.choice(found), signal.SIGKILL)
+                left[whom] -= 1
+            elif whom == "client" and client.poll() is None:
+                client.kill()
+                client.wait()
+                left[whom] -= 1
+        client.wait()
+        done = _lines(folder / "out")
+    print(f"not killed, because the study had ended: {left}")
+    sweep(study, folder / "out", engine=Engine(2))
+    print("rows equal:", rows(folder / "whole").equals(rows(folder / "out")))  # type: ignore[attr-defined]
+
+
+def _lines(folder: Path) -> int:
+    path = folder / "journal.jsonl"
+    return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
+
+
+def _workers(pid: int) -> list[int]:
+    found = []
+    path = Path(f"/proc/{pid}/task/{pid}/children")
+    for child in path.read_text().split() if path.exists() else ():
+        command = Path(f"/proc/{child}/cmdline")
+        if command.exists() and b"LokyProcess" in command.read_bytes():
+            found.append(int(child))
+    return found
+
+
+def on_cluster(folder: Path, variants: int, address: str) -> None:
+    study: Study = read_study(written(folder, variants))
+    sweep(study, folder / "here", engine=Engine(2))
+    begun = time.perf_counter()
+    sweep(study, folder / "there", engine=Engine(scheduler=address))
+    print(f"{variants} variants on {address}: {time.perf_counter() - begun:.1f} s")
+    print("rows equal:", rows(folder / "here").equals(rows(folder / "there")))  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    if "--as" in sys.argv:
+        from coopqp.cli import main as command
+
+        command(sys.argv[sys.argv.index("--as") + 1 :])
+        return
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--variants", type=int, default=2000)
+    asked.add_argument("--jobs", type=int, default=2)
+    asked.add_argument("--kills", type=int, default=0)
+    asked.add_argument("--seed", type=int, default=0)
+    asked.add_argument("--scheduler", default="")
+    given = asked.parse_args()
+    with tempfile.TemporaryDirectory() as place:
+        if given.kills:
+            killed(Path(place), given.kills, given.seed)
+        elif given.scheduler:
+            on_cluster(Path(place), given.variants, given.scheduler)
+        else:
+            throughput(Path(place), given.variants, given.jobs)
+
+
+if __name__ == "__main__":
+    main()
