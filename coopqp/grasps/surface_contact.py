@@ -1,0 +1,47 @@
+"""A grasp that holds by pressing with a flat pad: friction bears the rest, and nothing pulls."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from coopqp.checked import Array, Direction, Positive, Vector3, spec
+from coopqp.contact import Contact
+from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.grasps._pad import Pad
+from coopqp.grasps._placed import placed
+
+
+@spec
+class SurfaceContact(Grasp):
+    """Flat pad: holds by pressing; friction bears what goes along it, and nothing pulls."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """The pad's middle, in the hand [m]."""
+    normal: Direction = (0.0, 0.0, 1.0)
+    """Where it presses, in the hand; any length."""
+    along: Direction | None = None
+    """Direction of the first half-length, in the hand; across the normal if omitted."""
+    half_lengths: tuple[Positive, Positive] = (0.03, 0.03)
+    """Of the pad [m]."""
+    friction: Positive = 0.5
+    """Coefficient between pad and object."""
+    torsion: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    """Share of the corners' yaw that it bears: 1 hard and level, about 0.5 soft."""
+
+    def __post_init__(self) -> None:
+        placed(self.position, self.normal, self.along)
+
+    def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
+        """None: while it holds, hand and object move as one body."""
+        return ()
+
+    @property
+    def contact(self) -> Contact:
+        """The pad."""
+        placement = placed(self.position, self.normal, self.along)
+        return Pad(
+            placement=placement, friction=self.friction, half_lengths=self.half_lengths,
+            torsion=self.torsion,
+        )  # fmt: skip
