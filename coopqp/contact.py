@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike
 
 from coopqp.checked import Array
 
+#: Friction is counted on over this where nothing else is said.
+SAFETY = 1.5
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import TELL_APART
 from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
 from coopqp.hold import arm_weights, grasp_of_each
@@ -74,6 +75,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
+    _check_contacts(file, places)
     first = places[scenario.schedule[0].name]
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
     faults = faults or list(_broken_inputs(file, scenario, places))
@@ -83,6 +85,20 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
             for i, limit in enumerate(scenario.limits)
             for words in limit.start_faults(scenario.chain)
         ]
+    if faults:
+        raise ScenarioError(faults)
+
+
+def _check_contacts(file: YamlFile, places: Mapping[str, Places]) -> None:
+    """Refuse hands that press away from the object, or cannot hold it at rest, in some phase."""
+    faults = []
+    found = (fault for place in places.values() for fault in contact_faults(place.start.chain))
+    for arm, words in dict.fromkeys(found):
+        where: Location = ["grasps", arm] if arm and "grasps" in file.data else ["grasps"]
+        place = where if "grasps" in file.data else ["grasp"]
+        faults.append(
+            Fault(file.place(place), words if where[1:] or not arm else f"{arm}: {words}")
+        )
     if faults:
         raise ScenarioError(faults)
 

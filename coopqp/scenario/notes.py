@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from coopqp.closed_loop.forces import contact_notes
 from coopqp.controller import Controller
 from coopqp.input import wanted
 from coopqp.limit import SHALLOW
@@ -21,7 +22,8 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    After it comes what limits cannot bound, what a tick is too long for, and goals that are far.
+    After it come what limits cannot bound, pads that reach beyond the object, what a tick is too
+    long for, and goals that are far.
 
     Args:
         scenario: what is to be run.
@@ -37,6 +39,7 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
     return [
         *deaf_to,
         *of_limits,
+        *contact_notes(scenario.chain),
         *_coarse_steps(scenario),
         *far_goals(scenario),
         *_of_inputs(scenario),
