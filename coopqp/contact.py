@@ -25,6 +25,21 @@ SAFETY = 1.5
 NO_CONTACT = 1e-6
 
 
+@dataclass(frozen=True)
+class ForceRows:
+    """What a wrench in the contact frame has to keep, rows @ w <= most.
+
+    Attributes:
+        rows: shape (r, 6).
+        most: shape (r,) [N].
+        labels: such as "friction[3]", "least" and "most".
+    """
+
+    rows: Array
+    most: Array
+    labels: tuple[str, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Contact(ABC):
     """A hand's contact with the object.
@@ -33,11 +48,15 @@ class Contact(ABC):
         placement: pose of the contact frame in the hand's tip frame, a pinocchio SE3.
         friction: coefficient mu.
         half_lengths: of the pad along the frame's x and y [m]; zero for a point.
+        least: normal force with which a hand is to press at least [N].
+        most: normal force that hand and object stand [N].
     """
 
     placement: Any
     friction: float
     half_lengths: tuple[float, float] = (0.0, 0.0)
+    least: float = 0.0
+    most: float = np.inf
 
     @abstractmethod
     def rows(self, friction: float) -> Array:
@@ -55,6 +74,23 @@ class Contact(ABC):
             wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
             friction: coefficient that there is.
         """
+
+    def force_rows(self, safety: float) -> ForceRows:
+        """All that a wrench of the hand has to keep: the inner cone, and the normal force.
+
+        Args:
+            safety: friction is counted on over this.
+        """
+        cone = self.rows(self.friction / safety)
+        normal = np.zeros((2, 6))
+        normal[:, 2] = -1.0, 1.0
+        bounds, labels = [-self.least, self.most], ["least", "most"]
+        ends = 1 if np.isinf(self.most) else 2
+        return ForceRows(
+            np.vstack([cone, normal[:ends]]),
+            np.array([0.0] * len(cone) + bounds[:ends]),
+            tuple([f"friction[{i}]" for i in range(len(cone))] + labels[:ends]),
+        )
 
     def use(self, wrench: ArrayLike, friction: float) -> float:
         """How much of the inner cone a wrench uses: 0 pure squeeze, 1 its edge; inf without one.

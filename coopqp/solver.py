@@ -43,6 +43,7 @@ class Status(enum.Enum):
     BOUND_RESIDUAL = "the answer breaks a limit"
     TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
     ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
+    CONTACT_GIVEN_UP = "friction cannot bear it: a hand that presses may slip", True, True
     DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
     SOLVER_FAILED = (
         "the solver failed on the whole problem; a smaller one had an answer",

@@ -59,7 +59,6 @@ class StaticHold:
         chain: the closed chain.
         q: configuration with the loops closed, shape (n,); the start when omitted.
         safety: friction is counted on over this.
-        least: normal force of each hand that presses, at least [N].
 
     Attributes:
         hands: those that hold.
@@ -67,9 +66,7 @@ class StaticHold:
         weight: the wrench at the object's origin that carries it, shape (6,).
     """
 
-    def __init__(
-        self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0, least: float = 0.0
-    ) -> None:
+    def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:
         at = chain.q_start if q is None else q
         self.hands: tuple[Hand, ...] = hands(chain)
         X_WO = chain.object_pose(at)
@@ -83,7 +80,7 @@ class StaticHold:
         self._rows: list[Array] = []
         self._most: list[float] = []
         self._add_joints(chain, at)
-        self._add_contacts(X_WO.rotation, safety, least)
+        self._add_contacts(X_WO.rotation, safety)
         # Torques as forces at LENGTH, so that one tolerance serves all variables.
         self._scale = np.tile(np.repeat([1.0, LENGTH], 3), len(self.hands))
 
@@ -100,16 +97,17 @@ class StaticHold:
                 self._bound(f"motor {name}", felt[i], effort[i] - own[i])
                 self._bound(f"motor {name}", -felt[i], effort[i] + own[i])
 
-    def _add_contacts(self, R_WO: Array, safety: float, least: float) -> None:
+    def _add_contacts(self, R_WO: Array, safety: float) -> None:
         turned = into_contacts(self.hands, R_WO)
         for i, (hand, R) in enumerate(zip(self.hands, turned, strict=True)):
             if not hand.contact:
                 continue
             into = np.zeros((6, 6 * len(self.hands)))
             into[:, 6 * i : 6 * i + 6] = np.kron(np.eye(2), R)
-            for row in hand.contact.rows(hand.contact.friction / safety):
-                self._bound(f"friction of {hand.arm}", row @ into, 0.0)
-            self._bound(f"least force of {hand.arm}", -into[2], -least)
+            kept = hand.contact.force_rows(safety)
+            for row, most, label in zip(kept.rows, kept.most, kept.labels, strict=True):
+                what = "friction" if label.startswith("friction") else f"{label} force"
+                self._bound(f"{what} of {hand.arm}", row @ into, float(most))
 
     def _bound(self, name: str, row: Array, most: float) -> None:
         self._names.append(name)

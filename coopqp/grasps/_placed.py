@@ -1,4 +1,4 @@
-"""Where a contact is in the hand."""
+"""Where a contact is in the hand, and how hard it may press."""
 
 from __future__ import annotations
 
@@ -34,3 +34,17 @@ def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE
         raise ValueError("along: goes along the normal; needs a direction across it")
     x /= length
     return pin.SE3(np.column_stack([x, np.cross(z, x), z]), np.array(position))
+
+
+def check_range(least: float, most: float | None) -> None:
+    """Refuse normal forces that leave nothing between them.
+
+    Args:
+        least: [N].
+        most: [N]; any if None.
+
+    Raises:
+        ValueError: that is so.
+    """
+    if most is not None and not least < most:
+        raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")

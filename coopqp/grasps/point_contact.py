@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from coopqp.checked import Array, Direction, Positive, Vector3, spec
+from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.contact import NO_CONTACT, Contact
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps._ball import ball
-from coopqp.grasps._placed import placed
+from coopqp.grasps._placed import check_range, placed
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4
@@ -60,10 +60,15 @@ class PointContact(Grasp):
     """Direction of one of the pyramid's vertices, in the hand; across the normal if omitted."""
     friction: Positive = 0.5
     """Coefficient between fingertip and object."""
+    least: NonNegative = 1.0
+    """Normal force with which it is to press at least [N]."""
+    most: Positive | None = None
+    """Normal force that the object, or the hand, stands [N]; any if omitted."""
     edges: Annotated[int, Field(ge=4, le=32)] = 8
     """Of the pyramid that stands for the cone; at worst it loses 1 - cos(pi / edges), 8 %."""
 
     def __post_init__(self) -> None:
+        check_range(self.least, self.most)
         placed(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
@@ -74,4 +79,10 @@ class PointContact(Grasp):
     def contact(self) -> Contact:
         """The point."""
         placement = placed(self.position, self.normal, self.along)
-        return Fingertip(placement=placement, friction=self.friction, edges=self.edges)
+        return Fingertip(
+            placement=placement,
+            friction=self.friction,
+            least=self.least,
+            most=math.inf if self.most is None else self.most,
+            edges=self.edges,
+        )

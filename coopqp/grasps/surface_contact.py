@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field
 
-from coopqp.checked import Array, Direction, Positive, Vector3, spec
+from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.contact import Contact
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps._pad import Pad
-from coopqp.grasps._placed import placed
+from coopqp.grasps._placed import check_range, placed
 
 
 @spec
@@ -27,10 +28,15 @@ class SurfaceContact(Grasp):
     """Of the pad [m]."""
     friction: Positive = 0.5
     """Coefficient between pad and object."""
+    least: NonNegative = 1.0
+    """Normal force with which it is to press at least [N]."""
+    most: Positive | None = None
+    """Normal force that the object, or the hand, stands [N]; any if omitted."""
     torsion: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Share of the corners' yaw that it bears: 1 hard and level, about 0.5 soft."""
 
     def __post_init__(self) -> None:
+        check_range(self.least, self.most)
         placed(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
@@ -42,6 +48,10 @@ class SurfaceContact(Grasp):
         """The pad."""
         placement = placed(self.position, self.normal, self.along)
         return Pad(
-            placement=placement, friction=self.friction, half_lengths=self.half_lengths,
+            placement=placement,
+            friction=self.friction,
+            half_lengths=self.half_lengths,
+            least=self.least,
+            most=math.inf if self.most is None else self.most,
             torsion=self.torsion,
-        )  # fmt: skip
+        )

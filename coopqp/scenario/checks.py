@@ -156,7 +156,9 @@ def _broken_inputs(
                 yield Fault(file.place(used(name)), words)
                 continue
             try:
-                scenario.feed(replace(scenario.problem(phase, start.chain), tasks=[task]), start)
+                scenario.feed(
+                    replace(scenario.problem(phase, start.chain), tasks=[task], wrenches=()), start
+                )
             except CoopqpError as error:
                 where = used(name) if here is None else ["inputs", name]
                 yield Fault(file.place(where), str(error))

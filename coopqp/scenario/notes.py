@@ -88,6 +88,8 @@ def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "modes", "that tasks are hard or scaled has"
     if any(task.priority for task in tasks):
         yield "priorities", "the priorities of tasks have"
+    if any(task.of_forces for task in tasks):
+        yield "forces", "the forces that are asked for have"
     if scenario.secondary:
         yield "secondary", "the secondary objectives have"
     if scenario.on_infeasible != "scale":
