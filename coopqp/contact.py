@@ -67,13 +67,21 @@ class Contact(ABC):
         """
 
     @abstractmethod
+    def needed(self, wrench: ArrayLike) -> float:
+        """The coefficient of true friction that a wrench needs; inf where none bears it.
+
+        Args:
+            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
+        """
+
     def holds(self, wrench: ArrayLike, friction: float) -> bool:
         """Whether true friction bears a wrench.
 
         Args:
-            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
+            wrench: contact frame, shape (6,) [N, N m].
             friction: coefficient that there is.
         """
+        return self.needed(wrench) <= friction
 
     def force_rows(self, safety: float) -> ForceRows:
         """All that a wrench of the hand has to keep: the inner cone, and the normal force.

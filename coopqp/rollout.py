@@ -96,7 +96,7 @@ def drive(
             feed.step(state)
         before = time.perf_counter_ns()
         broken = guarded.broken
-        command = law.refuse(Status.PLANT_FAILED, broken) if broken else law.tick(state)
+        command = law.refuse(guarded.why, broken) if broken else law.tick(state)
         yield command, 1e-3 * (time.perf_counter_ns() - before)
         guarded.step(state, command)
         if guarded.broken:

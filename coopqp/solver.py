@@ -56,6 +56,7 @@ class Status(enum.Enum):
     OVERWRITTEN = "state.q is not what was commanded; write measurements to q_measured", True
     RAISED = "stands still: code of a task, a limit, a solver or the controller raised an error"
     PLANT_FAILED = "stands still: what is controlled broke down, or its simulation did"
+    OBJECT_LOST = "the run ends: the hands have lost the object"
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     INPUT_STALE = "nothing new has arrived at an input in time", True
     INPUT_REFUSED = "what arrived at an input cannot be used", True

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
+from scipy.optimize import nnls
 
 from coopqp.checked import Array
 from coopqp.contact import NO_CONTACT, Contact
@@ -27,6 +27,10 @@ from coopqp.contact import NO_CONTACT, Contact
 INNER = 1.0 / np.sqrt(2.0)
 #: Edges of each corner's cone where neither square tells; it loses 1 - cos(pi/16) = 1.9 %.
 CORNER_EDGES = 16
+#: To what share the friction that is needed is told.
+NEAR = 0.005
+#: Forces sum up to a wrench where no more than this share of the normal force is left.
+SUMS_UP = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +48,37 @@ class Pad(Contact):
         """The 16 rows with the square inside Coulomb's circle, and 2 where torsion is below 1."""
         return self._rows(INNER * friction)
 
-    def holds(self, wrench: ArrayLike, friction: float) -> bool:
-        """By the squares inside and around the cones, and by the corners' cones between them."""
+    def needed(self, wrench: ArrayLike) -> float:
+        """By cones at the corners, between what the squares in and around them say."""
         w = np.asarray(wrench, float)
-        if not w[2] > NO_CONTACT:
-            return False
-        if (self._rows(INNER * friction) @ w <= 0.0).all():
-            return True
-        if (self._rows(friction) @ w > 0.0).any():
-            return False
-        return corners_hold(w, self.half_lengths, friction)
+        X, Y = self.half_lengths
+        if not w[2] > NO_CONTACT or abs(w[3]) > Y * w[2] or abs(w[4]) > X * w[2]:
+            return np.inf
+        # The square around needs the least, and the one inside sqrt(2) of that at most.
+        low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
+        low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
+        high = self._needed(w) / INNER
+        while high - low > NEAR * high + 1e-9:
+            middle = 0.5 * (low + high)
+            if corners_hold(w, self.half_lengths, middle):
+                high = middle
+            else:
+                low = middle
+        return max(low, high)
+
+    def _needed(self, w: Array) -> float:
+        """The least m with which the 16 rows hold, by what they are made of."""
+        X, Y = self.half_lengths
+        fx, fy, fz, tx, ty, tz = w.tolist()
+        need = max(abs(fx), abs(fy)) / fz
+        for a, b in itertools.product((1.0, -1.0), repeat=2):
+            # a Y fx + b X fy + sign tz <= m ((X + Y) fz - sign (a tx + b ty))
+            for sign in (1.0, -1.0):
+                room = (X + Y) * fz - sign * (a * tx + b * ty)
+                force = a * Y * fx + b * X * fy + sign * tz
+                if force > 0.0:
+                    need = max(need, force / room if room > 0.0 else np.inf)
+        return need
 
     def _rows(self, m: float) -> Array:
         X, Y = self.half_lengths
@@ -103,5 +128,4 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
         columns.append(np.vstack([edges, torques / max(X, Y)]))
     wanted = wrench / wrench[2]
     wanted[3:] /= max(X, Y)
-    A = np.hstack(columns)
-    return bool(linprog(np.zeros(A.shape[1]), A_eq=A, b_eq=wanted, method="highs").status == 0)
+    return bool(nnls(np.hstack(columns), wanted)[1] < SUMS_UP)

@@ -42,10 +42,10 @@ class Fingertip(Contact):
         rows[:, 2] = -friction * math.cos(0.5 * step)
         return rows
 
-    def holds(self, wrench: ArrayLike, friction: float) -> bool:
+    def needed(self, wrench: ArrayLike) -> float:
         """By the round cone."""
         w = np.asarray(wrench, float)
-        return bool(w[2] > NO_CONTACT and math.hypot(w[0], w[1]) <= friction * w[2])
+        return math.hypot(w[0], w[1]) / float(w[2]) if w[2] > NO_CONTACT else math.inf
 
 
 @spec
