@@ -15,6 +15,7 @@ Only laws that command forces do something about it; others leave it out.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -78,7 +79,8 @@ class InternalWrench(Task):
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """Forces and torques, as far as given."""
-        return tuple(part for part in self._parts() if part.rows)
+        parts = tuple(part for part in self._parts() if part.rows)
+        return parts if len(parts) > 1 else (replace(parts[0], name=""),)
 
     def _parts(self) -> Iterator[Part]:
         units = dict(zip(COMPONENTS, UNITS, strict=True))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.row import Row
 from coopqp.state import State
 from coopqp.task import Task, TaskRows
@@ -27,7 +28,7 @@ class WrenchStack:
         C: shape (r, 6 N), on the wrenches of the hands that hold the object, each at its point,
             in world axes.
         wanted: shape (r,) [N, N m].
-        weights: of the rows.
+        weights: of the rows; torques count as forces at LENGTH.
         hard: which of them must hold, shape (r,).
         priorities: of the rows, shape (r,).
     """
@@ -44,7 +45,9 @@ class WrenchStack:
         ends = list(itertools.accumulate(self.sizes, initial=0))
         self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
         self.C, self.wanted = np.zeros((ends[-1], 6 * chain.holding)), np.zeros(ends[-1])
+        turns = np.array([row.unit == "N m" for row in self.rows], bool)
         self.weights = np.repeat([float(task.weight) for task in tasks], self.sizes)
+        self.weights[turns] /= LENGTH**2
         self.hard = np.repeat([task.mode == "hard" for task in tasks], self.sizes).astype(bool)
         self.priorities = np.repeat([task.priority for task in tasks], self.sizes).astype(int)
         e = np.zeros(ends[-1])

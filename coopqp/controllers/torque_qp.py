@@ -35,6 +35,7 @@ from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.controllers._force_checks import require_forces
 from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
@@ -198,9 +199,9 @@ class TorqueQp(Controller):
     """Cost of squared accelerations that do not brake [s4/rad2]."""
     damping_time: Positive = 0.05
     """Motion that no task asks for dies out in this time [s]."""
-    effort: Positive = 1e-4
+    effort: Positive = 1e-5
     """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
-    grip: Positive = 1e-3
+    grip: Positive = 1e-4
     """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
     split: SplitName = "virtual_inertia"
     """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
@@ -229,6 +230,7 @@ class TorqueQp(Controller):
                 )
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)
+        require_forces(problem, self.safety, name)
         self._require_times(problem.dt, name)
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)

@@ -14,6 +14,7 @@ the square inside it has m = mu / sqrt(2).
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,7 @@ class Pad(Contact):
         w = np.asarray(wrench, float)
         X, Y = self.half_lengths
         if not w[2] > NO_CONTACT or abs(w[3]) > Y * w[2] or abs(w[4]) > X * w[2]:
-            return np.inf
+            return math.inf
         # The square around needs the least, and the one inside sqrt(2) of that at most.
         low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
         low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
@@ -64,7 +65,7 @@ class Pad(Contact):
                 high = middle
             else:
                 low = middle
-        return max(low, high)
+        return float(max(low, high))
 
     def _needed(self, w: Array) -> float:
         """The least m with which the 16 rows hold, by what they are made of."""
@@ -78,7 +79,7 @@ class Pad(Contact):
                 force = a * Y * fx + b * X * fy + sign * tz
                 if force > 0.0:
                     need = max(need, force / room if room > 0.0 else np.inf)
-        return need
+        return float(need)
 
     def _rows(self, m: float) -> Array:
         X, Y = self.half_lengths
