@@ -46,15 +46,21 @@ def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()
     """
     parts = [
         *_broken(trace), _hold(trace, metrics), _arrival(trace), _limits(trace, unseen),
-        _speed(trace), _loop(metrics),
+        _speed(trace), _loop(trace, metrics),
         _gap(metrics), _motors(trace), _ticks(trace, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
 
 
+def fell(trace: Trace) -> bool:
+    """Whether hands that press have lost the object, so that it is nowhere any more."""
+    held = trace.signals.get("held")
+    return held is not None and not held[:, 0].all()
+
+
 def _arrival(trace: Trace) -> str:
-    if trace.broke_down:
+    if trace.broke_down or fell(trace):
         return "reaches no goal"
     missed = [
         k
@@ -159,8 +165,10 @@ def _speed(trace: Trace) -> str:
     return f"needs {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 
-def _loop(metrics: Mapping[str, Any]) -> str:
+def _loop(trace: Trace, metrics: Mapping[str, Any]) -> str:
     error = metrics["loop_error_max"]
+    if fell(trace):
+        return ""
     if error["position"] <= CLOSED_POSITION and error["orientation"] <= CLOSED_ORIENTATION:
         return ""
     return (

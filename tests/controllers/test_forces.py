@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import qpsolvers
 from chains import HANDS, Hinge
 from laws import problem
 from pads import pressing
@@ -216,3 +217,49 @@ def test_hinges_transmit_no_torque_about_them(nao: RobotModel) -> None:
         for i in range(2)
     )
     assert np.abs(np.asarray(felt)[chain.passive]).max() < 1e-6
+
+
+def round_cones(law: TorqueQpLaw, edges: int = 24) -> tuple[Array, float]:
+    """The same program with forces at the pads' corners in nearly round cones: h and its cost.
+
+    Columns of corner forces stand for each hand's wrench instead of the 16 rows.
+    """
+    qp, layout = law.qp, law.layout
+    keep, rays = np.arange(layout.h.start), []
+    for i, hand in enumerate(law.hands.hands):
+        assert hand.contact
+        X, Y = hand.contact.half_lengths
+        mu = hand.contact.friction / 1.5 / np.cos(np.pi / edges)  # around the round cone
+        angles = 2.0 * np.pi * np.arange(edges) / edges
+        f = np.array([mu * np.cos(angles), mu * np.sin(angles), np.ones(edges)])
+        for x, y in ((X, Y), (X, -Y), (-X, Y), (-X, -Y)):
+            w = np.vstack([f, [y * f[2], -x * f[2], x * f[1] - y * f[0]]])
+            turned = law.start().R_WO @ hand.X_OC.rotation
+            column = np.zeros((law.hands.size, edges))
+            column[6 * i : 6 * i + 3] = turned @ w[:3]
+            column[6 * i + 3 : 6 * i + 6] = turned @ w[3:]
+            rays.append(column)
+    to_h = np.hstack(rays)
+    size = len(keep) + to_h.shape[1]
+    T = np.zeros((qp.n, size))
+    T[: len(keep), : len(keep)] = np.eye(len(keep))
+    T[layout.h, len(keep) :] = to_h
+    P = T.T @ qp.P @ T + 1e-9 * np.eye(size)
+    lb = np.concatenate([np.maximum(qp.lb[keep], -1e6), np.zeros(to_h.shape[1])])
+    ub = np.concatenate([np.minimum(qp.ub[keep], 1e6), np.full(to_h.shape[1], 1e6)])
+    y = qpsolvers.solve_qp(P, T.T @ qp.q, None, None, qp.A @ T, qp.b, lb, ub, solver="quadprog")
+    assert y is not None
+    x = T @ y
+    return x, float(0.5 * x @ qp.P @ x + qp.q @ x)
+
+
+def test_the_inner_square_costs_no_more_than_it_says(nao: RobotModel) -> None:
+    """Against corners in round cones: never cheaper, and at most sqrt(2) times the squeeze."""
+    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    law, h = decided(pressing(firm, 0.2, 0.02))
+    own = law.solution.v
+    cost = float(0.5 * own @ law.qp.P @ own + law.qp.q @ own)
+    x, least = round_cones(law)
+    assert least <= cost + 1e-9
+    ratio = components(law, h)[0] / components(law, x[law.layout.h])[0]
+    assert 1.0 < ratio <= np.sqrt(2.0) * 1.01

@@ -14,8 +14,8 @@ from pads import pressing
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.section import section
-from coopqp.controller import ControlProblem
-from coopqp.controllers import TorqueQp
+from coopqp.controller import Controller, ControlProblem
+from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import InvalidValueError
 from coopqp.grasps import PointContact, Rigid
@@ -55,7 +55,7 @@ def ran(
     *wrenches: Task,
     seconds: float = 0.6,
     chain: ClosedChain | None = None,
-    **settings: object,
+    controller: Controller | None = None,
 ) -> Trace:
     held = chain or nao()
     x, y, z = held.start_position
@@ -67,7 +67,7 @@ def ran(
         dt=DT,
         kappa=50.0,
     )
-    law = TorqueQp(**settings).build(asked)
+    law = (controller or TorqueQp()).build(asked)
     built = plant.build(asked, 0, disturbance or Disturbance())
     return rollout(law, built, round(seconds / DT), controller="torque_qp", solver="daqp")
 
@@ -204,3 +204,28 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
     normal: Array = trace.signals["normal_force"][-20:]
     assert np.all(normal > 0.97 * MASS * G / (2.0 * 0.5 / 1.5))
     assert np.all(normal < 1.03 * least)
+
+
+@pytest.mark.parametrize(
+    ("split", "squeeze", "held"),
+    [
+        ("walker", 0.0, False),
+        ("minimum_norm", 0.0, False),
+        ("virtual_inertia", 0.0, False),
+        ("virtual_inertia", 1.7, False),
+        ("virtual_inertia", 2.3, True),
+        ("walker", 4.4, False),
+        ("walker", 6.0, True),
+    ],
+)
+def test_formulas_hold_with_a_squeeze_that_somebody_found_for_them(
+    split: str, squeeze: float, held: bool
+) -> None:
+    """Friction asks for m g / (2 mu) = 1.96 N; Walker's torques on pads for m g a / (2 X) = 5.1 N.
+
+    Without any squeeze nothing holds, whatever the split.
+    """
+    settings = WrenchSplit(split=split, squeeze=squeeze)
+    found = Held().measure(ran(Mujoco(), seconds=0.5, controller=settings))
+    assert found
+    assert found["held"] is held
