@@ -27,7 +27,7 @@ TELL_APART = "add 'name:' to tell them apart"
 
 OnInfeasible = Literal["scale", "hold", "stop"]
 
-Heeds = frozenset[Literal["limits", "modes", "priorities", "secondary", "on_infeasible"]]
+Heeds = frozenset[Literal["limits", "modes", "priorities", "secondary", "on_infeasible", "forces"]]
 """Parts of a problem that a controller reads; what it does not name has no effect on it."""
 
 HEEDS_NOTHING: Heeds = frozenset()
@@ -41,6 +41,7 @@ class ControlProblem:
     Attributes:
         chain: the robot with the object in its hands.
         tasks: the main tasks.
+        wrenches: tasks that ask for wrenches of the hands, for the controllers that heed forces.
         secondary: objectives for what the tasks leave free.
         limits: hard bounds, for the controllers that heed them.
         dt: control period [s].
@@ -59,6 +60,7 @@ class ControlProblem:
     chain: ClosedChain
     tasks: Sequence[Task]
     solver: Solver
+    wrenches: Sequence[Task] = ()
     secondary: Sequence[Task] = ()
     limits: Sequence[Limit] = ()
     dt: float = 0.01
@@ -69,7 +71,8 @@ class ControlProblem:
     def __post_init__(self) -> None:
         if self.kappa == math.inf and self.dt > 0.0:
             object.__setattr__(self, "kappa", 1.0 / self.dt)
-        found = list(problem_faults(self.dt, self.kappa, self.tasks, self.secondary))
+        asked = (*self.tasks, *self.wrenches)
+        found = list(problem_faults(self.dt, self.kappa, asked, self.secondary))
         if self.on_infeasible not in get_args(OnInfeasible):
             known = unknown_name("choice", str(self.on_infeasible), get_args(OnInfeasible))
             found.append((("on_infeasible",), known))
@@ -99,6 +102,8 @@ def problem_faults(
     yield from _task_faults("tasks", tasks, dt)
     yield from _task_faults("secondary", secondary, dt)
     for i, task in enumerate(secondary):
+        if task.of_forces:
+            yield ("secondary", i), f"'{task.name}' asks for a force; put it under tasks"
         if task.mode != "soft":
             words = f"'{task.name}' is {task.mode}, secondary objectives are soft"
             yield ("secondary", i), f"{words}; put it under tasks"
@@ -329,7 +334,10 @@ class Law(ABC):
     def _plugins(self) -> list[tuple[str, object]]:
         """Whose code a tick runs, with words for each."""
         problem = self.problem
-        tasks = ((f"task '{task.name}'", task) for task in (*problem.tasks, *problem.secondary))
+        tasks = (
+            (f"task '{task.name}'", task)
+            for task in (*problem.tasks, *problem.wrenches, *problem.secondary)
+        )
         limits = ((f"limit '{type_name(type(limit))}'", limit) for limit in problem.limits)
         solver = (f"solver '{type_name(type(problem.solver))}'", problem.solver)
         return [*tasks, *limits, solver]

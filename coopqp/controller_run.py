@@ -17,6 +17,9 @@ from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
 from coopqp.wording import by_user, raised
 
+#: After these there is no next phase.
+ENDED = (Status.PLANT_FAILED.value, Status.OBJECT_LOST.value)
+
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
 
@@ -165,7 +168,7 @@ def _legs(
         )
         yield PhaseInfo(phase.name, first, phase.released), leg
         last = first == scenario.first_ticks[-1]
-        if not last and leg.failures and leg.failures[-1].cause == Status.PLANT_FAILED.value:
+        if not last and leg.failures and leg.failures[-1].cause in ENDED:
             words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
             raise InvalidValueError(f"{name}: {words}")
 

@@ -63,6 +63,10 @@ class Disturbance:
 
     object_mass: Positive = 1.0
     """Mass and inertia of the real object over those of the model."""
+    object_com: Vector3 = (0.0, 0.0, 0.0)
+    """How far the real centre of mass is from the modelled one, in the object [m]."""
+    friction: Positive = 1.0
+    """Of the real contacts over the modelled one."""
     push: Push | None = None
     """On the object."""
     noise_position: NonNegative = 0.0

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array, Pose, spec, unit
+from coopqp.contact import Contact
 from coopqp.errors import InvalidValueError
 
 
@@ -62,6 +63,11 @@ class Grasp(ABC):
             R_WT: orientation of the tip frame at the start, shape (3, 3), for axes that are given
                 in the world.
         """
+
+    @property
+    def contact(self) -> Contact | None:
+        """How it presses where it holds by that; None where it is fastened to the object."""
+        return None
 
 
 def axis_frame(

@@ -19,14 +19,18 @@ class PlantModel(ABC):
             keeps it.
         measured: where the sensors say that the joints are, shape (n,) [rad, m]; None where the
             joints do exactly as told. A run begins there, and so does each phase.
+        lost: which hand has lost the object and why, where the plant cannot go on without; empty
+            while it is held.
     """
 
     def __init__(self) -> None:
+        self.lost = ""
         self.signals = {}
         self.measured = None
 
     signals: dict[str, Array]
     measured: Array | None
+    lost: str
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:

@@ -11,7 +11,8 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.leverage import leverage
-from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.controller import HEEDS_NOTHING, Command, ControlProblem, Heeds, Law
 from coopqp.input import Sender
 from coopqp.plant import PlantModel
 from coopqp.plants._guarded import GuardedPlant
@@ -96,7 +97,7 @@ def drive(
             feed.step(state)
         before = time.perf_counter_ns()
         broken = guarded.broken
-        command = law.refuse(Status.PLANT_FAILED, broken) if broken else law.tick(state)
+        command = law.refuse(guarded.why, broken) if broken else law.tick(state)
         yield command, 1e-3 * (time.perf_counter_ns() - before)
         guarded.step(state, command)
         if guarded.broken:
@@ -104,6 +105,37 @@ def drive(
     if feed:
         feed.step(state)
     state.update()
+
+
+class _MeasuredWrenches:
+    """What tasks ask of the hands' wrenches, against what the plant tells of them.
+
+    Args:
+        problem: with the tasks.
+        start: the state from which their references set out.
+        plant: that tells ``hand_wrench``.
+    """
+
+    def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
+        begin = State(problem.chain, start.q, start.t)
+        begin.inputs = start.inputs
+        self.stack = WrenchStack(problem.wrenches, begin)
+        chain = problem.chain
+        robot = [arm.name for arm in chain.robot.arms]
+        self._at = [robot.index(arm.name) for arm in chain.arms[: chain.holding]]
+        self._told = plant.signals.get("hand_wrench")
+
+    def error(self, true: State) -> Array:
+        """C h - wanted of each row; NaN where the plant tells no forces."""
+        try:
+            self.stack.update(true)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            return np.full(len(self.stack.wanted), np.nan)
+        if self._told is None:
+            return np.full(len(self.stack.wanted), np.nan)
+        return self.stack.error(self._told.reshape(-1, 6)[self._at])
 
 
 class _Recorder:
@@ -127,12 +159,14 @@ class _Recorder:
         self.measured = np.full((ticks, n), np.nan)
         self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
         self._remembered = start.memory.numbers.copy()
-        self._parts = _parts(problem.tasks, problem.chain)
+        self._parts = _parts((*problem.tasks, *problem.wrenches), problem.chain)
+        self._wrenches = _MeasuredWrenches(problem, start, plant)
         asking = [task for task in problem.tasks for _ in task.parts(problem.chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self.task_error, self.goal_error = np.zeros((2, rows, len(self._parts)))
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
-        self.e, self.rate = np.full((2, rows, len(stacks[0].e)), np.nan)
+        asked = len(stacks[0].e) + len(self._wrenches.stack.wanted)
+        self.e, self.rate = np.full((2, rows, asked), np.nan)
         self.tick_us, self.compiled = np.zeros(ticks), np.zeros(ticks, bool)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
@@ -162,11 +196,24 @@ class _Recorder:
             except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
                 error[k] = np.nan
                 continue
+            motion = len(stack.e)
             for i, (_, part) in enumerate(self._parts):
-                if i not in self._velocities:
+                if i not in self._velocities and part.stop <= motion:
                     error[k, i] = np.linalg.norm(stack.e[part])
             if error is self.task_error:
-                self.e[k], self.rate[k] = stack.e, stack.rate
+                self.e[k, :motion], self.rate[k, :motion] = stack.e, stack.rate
+        self._wrench_errors(k, true)
+
+    def _wrench_errors(self, k: int, true: State) -> None:
+        """How far the hands' wrenches are from what is wanted; nobody knows before the first."""
+        told, motion = self._wrenches, len(self._stacks[0][0].e)
+        if not len(told.stack.wanted):
+            return
+        self.e[k, motion:] = told.error(true) if k else np.nan
+        self.rate[k, motion:] = 0.0
+        for i, (_, part) in enumerate(self._parts):
+            if part.start >= motion:
+                self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
 
     def _close(self, k: int, v: Array) -> None:
         """Keep what only shows after the step of tick k."""
@@ -263,7 +310,7 @@ class _Recorder:
             task_error=self.task_error,
             leverage=self._leverage(),
             goal_error=self.goal_error,
-            task_rows=_task_rows(problem.tasks, chain),
+            task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
             e=self.e,
             rate=self.rate,
             usable=self.usable,

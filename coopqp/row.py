@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-Kind = Literal["joint", "share", "loop", "task", "limit", "decided", "dynamics", "motor"]
+Kind = Literal["joint", "share", "loop", "task", "limit", "decided", "dynamics", "motor", "hand"]
 Side = Literal["lower", "upper"]
 
 

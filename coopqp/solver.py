@@ -43,6 +43,7 @@ class Status(enum.Enum):
     BOUND_RESIDUAL = "the answer breaks a limit"
     TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
     ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
+    CONTACT_GIVEN_UP = "friction cannot bear it: a hand that presses may slip", True, True
     DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
     SOLVER_FAILED = (
         "the solver failed on the whole problem; a smaller one had an answer",
@@ -55,6 +56,7 @@ class Status(enum.Enum):
     OVERWRITTEN = "state.q is not what was commanded; write measurements to q_measured", True
     RAISED = "stands still: code of a task, a limit, a solver or the controller raised an error"
     PLANT_FAILED = "stands still: what is controlled broke down, or its simulation did"
+    OBJECT_LOST = "the run ends: the hands have lost the object"
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     INPUT_STALE = "nothing new has arrived at an input in time", True
     INPUT_REFUSED = "what arrived at an input cannot be used", True

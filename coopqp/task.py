@@ -80,6 +80,10 @@ class Task(ABC):
     asks_velocity: ClassVar[bool] = False
     """Whether e is zero and the task asks for a velocity alone; J v - rate counts as its error."""
 
+    of_forces: ClassVar[bool] = False
+    """Whether it asks for wrenches h of the hands, J h = rate with J of shape (k, 6 N), e unused:
+    see :mod:`coopqp.closed_loop.wrench_stack`. Gain has no effect then."""
+
     name: Annotated[str, Field(validate_default=True)] = ""
     """Your name for it in tables and messages; its type's name if omitted."""
     gain: Positive = 5.0

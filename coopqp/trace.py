@@ -369,7 +369,8 @@ class Trace:
     @property
     def broke_down(self) -> bool:
         """Whether the plant could not go on, so that nothing is true of it any more."""
-        return any(Status.PLANT_FAILED.name in status.split("+") for status in self.status)
+        ended = {Status.PLANT_FAILED.name, Status.OBJECT_LOST.name}
+        return any(not ended.isdisjoint(status.split("+")) for status in self.status)
 
     @property
     def torn(self) -> tuple[bool, ...]:
@@ -378,6 +379,9 @@ class Trace:
         Beyond what the law itself allows, :class:`coopqp.solver.Budget`.
         """
         most = Budget()
+        if "held" in self.signals:  # hands that press may move along the object
+            held = np.append(True, self.signals["held"][:, 0] > 0.0)
+            return tuple(not held[: i + 1].all() for i in self.last_instants)
         apart = self.loop_position > most.loop_position
         apart |= self.loop_orientation > most.loop_orientation
         return tuple(bool(apart[: i + 1].any()) for i in self.last_instants)

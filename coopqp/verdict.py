@@ -12,6 +12,7 @@ from coopqp.checked import Array
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.limit import ROUNDING
 from coopqp.overrun import Overrun, at_limits, broken, matters, outside
+from coopqp.solver import Status
 from coopqp.trace import Trace
 
 #: A gap between the hands and the model below both is not worth saying [m], [rad].
@@ -21,6 +22,7 @@ WORTH_CALIBRATING = (5e-3, 20e-3)
 #: What a run that gave something up has done, by cause.
 GIVEN_UP = {
     "TASKS_GIVEN_UP": "gives up hard or scaled tasks",
+    "CONTACT_GIVEN_UP": "asks for more than friction can bear",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
 }
 #: A speed beyond its limit by less than this share is not worth a word.
@@ -30,6 +32,8 @@ PASSING = 0.01
 #: Joints that can bring about less than this share of what they could at the start are singular.
 SINGULAR = 0.02
 MOST_NAMES = 3
+#: An object that moves along a hand by more has slipped; less is the creep of simulated contacts.
+SLIPPED = 1e-3  # [m]
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
@@ -41,15 +45,22 @@ def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()
         unseen: what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
-        *_broken(trace), _arrival(trace), _limits(trace, unseen), _speed(trace), _loop(metrics),
+        *_broken(trace), _hold(trace, metrics), _arrival(trace), _limits(trace, unseen),
+        _speed(trace), _loop(trace, metrics),
         _gap(metrics), _motors(trace), _ticks(trace, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
 
 
+def fell(trace: Trace) -> bool:
+    """Whether hands that press have lost the object, so that it is nowhere any more."""
+    held = trace.signals.get("held")
+    return held is not None and not held[:, 0].all()
+
+
 def _arrival(trace: Trace) -> str:
-    if trace.broke_down:
+    if trace.broke_down or fell(trace):
         return "reaches no goal"
     missed = [
         k
@@ -154,8 +165,10 @@ def _speed(trace: Trace) -> str:
     return f"needs {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 
-def _loop(metrics: Mapping[str, Any]) -> str:
+def _loop(trace: Trace, metrics: Mapping[str, Any]) -> str:
     error = metrics["loop_error_max"]
+    if fell(trace):
+        return ""
     if error["position"] <= CLOSED_POSITION and error["orientation"] <= CLOSED_ORIENTATION:
         return ""
     return (
@@ -189,12 +202,29 @@ def _motors(trace: Trace) -> str:
 
 def _broken(trace: Trace) -> list[str]:
     """What is first to be said where code raised an error, or the plant broke down."""
-    said = [failure for failure in trace.failures if failure.note]
+    lost = Status.OBJECT_LOST.value
+    said = [failure for failure in trace.failures if failure.note and failure.cause != lost]
     return [f"stands still from {trace.t[said[0].tick]:.3g} s: {said[0].note}"] if said else []
 
 
+def _hold(trace: Trace, metrics: Mapping[str, Any]) -> str:
+    """Whether hands that press hold the object, and how much friction they leave unused."""
+    held = metrics.get("held")
+    if held is None:
+        return ""
+    if not held["held"]:
+        lost = [f.note for f in trace.failures if f.cause == Status.OBJECT_LOST.value]
+        why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
+        return f"loses the object at {held['lost_at']:.3g} s{why}"
+    margin, slip = metrics["friction_margin"], metrics["slip_distance"]
+    slipped = f" and slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
+    if margin <= 0.0:
+        return f"holds the object at the edge of its friction{slipped}"
+    return f"holds the object with {100.0 * margin:.0f} % of the friction unused{slipped}"
+
+
 def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:
-    failed = metrics["failed_ticks"]
+    failed = 0 if trace.broke_down and _lost(trace) else metrics["failed_ticks"]
     given_up = metrics["fallback_ticks"]
     said = []
     if failed:
@@ -205,6 +235,11 @@ def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:
         if cause in given_up
     ]
     return "; ".join(said)
+
+
+def _lost(trace: Trace) -> bool:
+    """Whether the run ended where the object was lost."""
+    return any(failure.cause == Status.OBJECT_LOST.value for failure in trace.failures)
 
 
 def _cause(trace: Trace) -> str:

@@ -1,6 +1,7 @@
 """The tasks: one file each, the YAML name is the file's name."""
 
 from coopqp.tasks.distance import Distance
+from coopqp.tasks.internal_wrench import InternalWrench
 from coopqp.tasks.joint_centering import JointCentering
 from coopqp.tasks.joint_limit_barrier import JointLimitBarrier
 from coopqp.tasks.line_on_line import LineOnLine
@@ -24,6 +25,7 @@ from coopqp.tasks.twist import Twist
 
 __all__ = [
     "Distance",
+    "InternalWrench",
     "JointCentering",
     "JointLimitBarrier",
     "LineOnLine",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coopqp.grasp import Grasp
-from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
+from coopqp.grasps import PointContact, Prismatic, Revolute, Rigid, Spherical, SurfaceContact
 
 EXAMPLES: dict[str, Grasp] = {
     "rigid": Rigid(),
@@ -11,4 +11,6 @@ EXAMPLES: dict[str, Grasp] = {
     "hinge about the world's z": Revolute(axis=(0, 0, 1), axis_in="world"),
     "slide": Prismatic(),
     "ball": Spherical(),
+    "pad": SurfaceContact(normal=(1, 0, 0)),
+    "fingertip": PointContact(normal=(1, 0, 0), edges=12),
 }

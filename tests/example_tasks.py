@@ -16,6 +16,7 @@ from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
+    InternalWrench,
     JointCentering,
     JointLimitBarrier,
     LineOnLine,
@@ -111,6 +112,14 @@ EXAMPLES: dict[str, Task] = {
     "posture": Posture(goal={"right": [0.5, -0.3, 1.0, 0.8, 0.0], "LElbowRoll": -0.7}),
     "whole posture": Posture(goal=[0.1 * i for i in range(10)], profile=SMOOTH),
 }
+#: These ask for wrenches of the hands.
+OF_FORCES: dict[str, Task] = {
+    "squeeze": InternalWrench(squeeze=15.0),
+    "squeeze alone": InternalWrench(
+        squeeze=15.0, shear_up=0.0, shear_side=0.0, twist=0.1, bend_up=0.0, bend_side=0.0,
+        mode="hard",
+    ),
+}  # fmt: skip
 IN_SPACE = {name: task for name, task in EXAMPLES.items() if not task.joint_space}
 IN_JOINTS = {name: task for name, task in EXAMPLES.items() if task.joint_space}
 #: These wish a velocity and have no error that could change.

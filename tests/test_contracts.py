@@ -39,7 +39,7 @@ ENTRIES = [
 ]
 EXAMPLES: dict[str, Iterable[object]] = {
     "grasps": example_grasps.EXAMPLES.values(),
-    "tasks": example_tasks.EXAMPLES.values(),
+    "tasks": [*example_tasks.EXAMPLES.values(), *example_tasks.OF_FORCES.values()],
     "signals": example_signals.EXAMPLES.values(),
     "limits": example_limits.EXAMPLES,
     "controllers": example_controllers.EXAMPLES.values(),

@@ -97,7 +97,7 @@ def mobility(
         return
     for table in report.tables(study):
         console().print(table)
-    console().print(study.mobility.verdict(), markup=False, highlight=False)
+    console().print(study.verdict(), markup=False, highlight=False)
     if page:
         say(f"wrote {page}", aside=False)
 

@@ -93,7 +93,10 @@ class ClosedLoopDynamics:
     Attributes:
         model: the tree with the object's mass.
         A, H, J, drift: the terms above as of the last :meth:`update`; drift is Jdot_c v, (m,).
-        J_object: Jacobian of the object by arm 0 as of the last update, shape (6, n).
+        J_arms: Jacobian of the object as carried by each arm, shape (6 N, n).
+        drift_arms: how the object accelerates at a = 0 by each arm, shape (6 N,).
+        J_object: the first six rows of J_arms.
+        kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
 
     Raises:
@@ -132,12 +135,12 @@ class ClosedLoopDynamics:
     def _allocate(self) -> None:
         chain, n = self.chain, self.chain.n
         rows = len(chain.loops.names)
-        self._kept = np.array(chain.loops.kept, int)
-        self._kept = self._kept[: chain.loops.rank]
-        m, k = len(self._kept), len(self.actuated)
+        self.kept = np.array(chain.loops.kept, int)
+        self.kept = self.kept[: chain.loops.rank]
+        m, k = len(self.kept), len(self.actuated)
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
-        self._J_arms, self._drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
-        self.J_object = self._J_arms[:6]
+        self.J_arms, self.drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
+        self.J_object = self.J_arms[:6]
         self._J_rel, self._drift_rel = np.zeros((rows, n)), np.zeros(rows)
         whole = m == rows
         self.J = self._J_rel if whole else np.zeros((m, n))
@@ -174,19 +177,19 @@ class ClosedLoopDynamics:
         for frame in self.chain.frames:
             pin.updateFramePlacement(model, data, frame)
             acceleration = pin.getFrameClassicalAcceleration(model, data, frame, world)
-            self._J_arms[at : at + 6] = pin.getFrameJacobian(model, data, frame, world)
-            self._drift_arms[at : at + 6] = acceleration.vector
+            self.J_arms[at : at + 6] = pin.getFrameJacobian(model, data, frame, world)
+            self.drift_arms[at : at + 6] = acceleration.vector
             at += 6
-        self._relative.dot(self._J_arms, self._J_rel)
-        self._relative.dot(self._drift_arms, self._drift_rel)
+        self._relative.dot(self.J_arms, self._J_rel)
+        self._relative.dot(self.drift_arms, self._drift_rel)
         if self.chain.loops.varying:
             kept = np.array(self.chain.loops.kept, int)
             chosen = kept[independent_rows(self._J_rel[kept], most=len(self.drift))]
             # At a singular pose fewer rows are independent; any others fill up.
-            self._kept = np.concatenate([chosen, np.setdiff1d(kept, chosen)])[: len(self.drift)]
+            self.kept = np.concatenate([chosen, np.setdiff1d(kept, chosen)])[: len(self.drift)]
         if self.J is not self._J_rel:
-            np.take(self._J_rel, self._kept, axis=0, out=self.J)
-            np.take(self._drift_rel, self._kept, out=self.drift)
+            np.take(self._J_rel, self.kept, axis=0, out=self.J)
+            np.take(self._drift_rel, self.kept, out=self.drift)
 
     def _add_friction(self, v: Array) -> None:
         if self._friction:
@@ -208,7 +211,7 @@ class ClosedLoopDynamics:
         x, singular = saddle.solve(rhs)
         self._a[:] = x[:n]
         self._wrench[:] = 0.0
-        self._wrench[self._kept] = -x[n:]
+        self._wrench[self.kept] = -x[n:]
         return DirectResult(self._a, self._wrench, singular)
 
     def impact(self, v: Array) -> Array:
@@ -257,7 +260,7 @@ class ClosedLoopDynamics:
         x, singular = saddle.solve(rhs)
         wrench = x[:m]
         self._wrench[:] = 0.0
-        self._wrench[self._kept] = wrench
+        self._wrench[self.kept] = wrench
         self._tau[act] = Gamma_a - wrench.dot(J_a)
         undone = Gamma_p - wrench.dot(J_p) if singular else _NOTHING
         return InverseResult(
@@ -292,19 +295,29 @@ class ClosedLoopDynamics:
 
     def _object_wrench(self, a: Array) -> tuple[Array, Array]:
         """The wrench at the object's origin that its own motion needs, world axes."""
+        M, b, R = self.object_inertia()
+        return M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b, R
+
+    def object_inertia(self) -> tuple[Array, Array, Array]:
+        """What the object's motion and weight need, w = M a_o + b at its origin in world axes.
+
+        Returns:
+            M, shape (6, 6), b, shape (6,), and its rotation R, as of the last update.
+        """
         model, data, frame = self.model, self._data, self.chain.frames[0]
-        drift = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        acceleration = drift.vector + self._J_arms[:6] @ a
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()
         body = self._body
-        r, I = R @ body.lever, R @ body.inertia @ R.T  # noqa: E741
-        alpha = acceleration[3:]
+        r, I = pin.skew(R @ body.lever), R @ body.inertia @ R.T  # noqa: E741
         turn = pin.skew(omega)  # whose product with a vector is a tenth of np.cross's time
-        a_com = acceleration[:3] + pin.skew(alpha) @ r + turn @ (turn @ r)
-        force = body.mass * (a_com - self.model.gravity.linear)
-        torque = I @ alpha + turn @ (I @ omega) + pin.skew(r) @ force
-        return np.concatenate([force, torque]), R
+        M, b = np.zeros((6, 6)), np.zeros(6)
+        M[:3, :3] = body.mass * np.eye(3)
+        M[:3, 3:] = -body.mass * r
+        M[3:, :3] = body.mass * r
+        M[3:, 3:] = I - body.mass * r @ r
+        b[:3] = body.mass * (turn @ (turn @ (R @ body.lever)) - self.model.gravity.linear)
+        b[3:] = turn @ (I @ omega) + r @ b[:3]
+        return M, b, R
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""

@@ -37,20 +37,20 @@ class Screw:
 
     def words(self) -> str:
         """Such as "rotation about y through (0.300, 0.000, 0.200) m"."""
-        direction = _in_words(np.array(self.axis))
+        direction = axis_words(np.array(self.axis))
         if math.isinf(self.pitch):
             return f"translation along {direction}"
         v, turn = np.array(self.twist[:3]), float(np.linalg.norm(self.twist[3:]))
         far = float(np.linalg.norm(v))
         if turn * LENGTH < LITTLE * far:
-            way = _in_words(v / far, NEARLY)
+            way = axis_words(v / far, NEARLY)
             angle = np.degrees(turn / far * LENGTH)
             return (
                 f"{PEOPLE.get(way, f'translation along {way}')}, with a little turning about "
-                f"{_in_words(np.array(self.axis), NEARLY)} ({angle:.2g} degrees per "
+                f"{axis_words(np.array(self.axis), NEARLY)} ({angle:.2g} degrees per "
                 f"{1e3 * LENGTH:.0f} mm)"
             )
-        at = f"{_numbers(np.array(self.point))} m"
+        at = f"{numbers(np.array(self.point))} m"
         if abs(self.pitch) < 1e-3 * LENGTH:
             return f"rotation about {direction} through {at}"
         return f"screw about {direction} through {at}, {1e3 * self.pitch:.1f} mm per radian"
@@ -67,15 +67,16 @@ def screw_of(twist: Array, origin: Array) -> Screw:
     return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
 
 
-def _in_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
+def axis_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
     """The axis that it goes along, if its part along it is at least so large, or its numbers."""
     for i, name in enumerate(("x", "y", "z")):
         if abs(direction[i]) >= least:
             return name
-    return _numbers(direction)
+    return numbers(direction)
 
 
-def _numbers(values: Array) -> str:
+def numbers(values: Array) -> str:
+    """Three numbers in brackets."""
     return "({:.3f}, {:.3f}, {:.3f})".format(*(np.round(values, 3) + 0.0))
 
 

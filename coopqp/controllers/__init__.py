@@ -9,6 +9,7 @@ from coopqp.controllers.saturation_null_space import SaturationNullSpace
 from coopqp.controllers.torque_qp import TorqueQp
 from coopqp.controllers.two_step import TwoStep
 from coopqp.controllers.weighted_least_norm import WeightedLeastNorm
+from coopqp.controllers.wrench_split import WrenchSplit
 
 __all__ = [
     "DampedPseudoinverse",
@@ -20,4 +21,5 @@ __all__ = [
     "TorqueQp",
     "TwoStep",
     "WeightedLeastNorm",
+    "WrenchSplit",
 ]

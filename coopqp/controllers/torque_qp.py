@@ -1,11 +1,19 @@
 """The QP at torque level: accelerations, torques and loop wrenches as variables.
 
     minimise    sum_i w_i |J_i a + drift_i + 2 g_i e_dot_i + g_i^2 e_i + integral g_i^3 int w_i|^2
-              + damping |a + v/damping_time|^2 + effort |tau|^2 + grip |lambda|^2
-    subject to  A a + H = S' tau + J_c' lambda                     dynamics          (hard)
-                J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration (hard)
-                |tau| <= effort limits                             motors            (hard)
-                lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits (hard)
+              + sum_j w_j |C_j h - wanted_j|^2                     internal wrenches asked for
+              + damping |a + v/damping_time|^2 + effort |tau|^2 + grip |h_int|^2
+    subject to  A a + H = S' tau - sum_i J_i' h_i                  dynamics of the arms   (hard)
+                G h = M a_o + b                                    of the object          (hard)
+                J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
+                |tau| <= effort limits                             motors                 (hard)
+                lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
+                h_i in its cone, friction over safety              hands that press       (hard)
+
+h are the wrenches of the hands on the object, and h_int what of them is internal and not asked for
+(``_hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority are met in what
+the earlier ones leave free (``_torque_program``). Between hands that press, friction and not the
+model says where they are: kappa^2 e is left out there.
 
 g_i is the task's gain, w_i how far the error is from its reference model (``_reference_model``), so
 that a step of the reference does not overshoot. While a motor is at its limit the integral stands
@@ -17,25 +25,26 @@ it comes back with the largest acceleration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from coopqp.checked import NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.controllers._force_checks import require_forces
+from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
+from coopqp.controllers._torque_program import Costs, Layout, hard_rows, programs
 from coopqp.errors import InvalidValueError
-from coopqp.qp import QP, Rows
+from coopqp.qp import QP
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import add_damping, normal_equations
-from coopqp.row import Row
-from coopqp.solver import Solution, Verifier
+from coopqp.solver import Solution, Status
 from coopqp.state import State
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
@@ -43,11 +52,12 @@ LEAST_TICKS = 4
 
 
 class TorqueQpLaw(Law):
-    """The QP of one problem; x = [a; tau of the motors; lambda]; memory: that of ReferenceModel.
+    """The QPs of one problem; memory: that of ReferenceModel.
 
     Attributes:
-        qp: the last tick's program.
-        solution: its answer.
+        programs: one a level of priority.
+        hands: what the hands do.
+        wrenches: what tasks ask of them.
     """
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
@@ -55,90 +65,119 @@ class TorqueQpLaw(Law):
         self._settings = settings
         self._level = level = TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
-        n, k, m = chain.n, len(dynamics.actuated), len(dynamics.drift)
         start = State(chain)
         self._bounds = Bounds(
             chain, problem.limits, start, problem.dt, position_time=settings.brake_time
         )
-        self.qp = QP(_rows(chain, dynamics.actuated.tolist(), self._bounds.rows))
-        self.solution = Solution(self.qp)
-        self._a, self._tau = slice(0, n), slice(n, n + k)
-        self._diagonal = np.repeat([settings.damping, settings.effort, settings.grip], [n, k, m])
+        self.hands = HandWrenches(
+            chain, safety=settings.safety, split=settings.split, shares=settings.shares
+        )
+        self.wrenches = WrenchStack(problem.wrenches, start)
+        self.layout = Layout(level, self.hands, self._bounds)
+        costs = Costs(settings.damping, settings.damping_time, settings.effort, settings.grip)
+        self.programs = programs(problem, self.layout, level, self.hands, self.wrenches, costs)
+        self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._gains = level.gains
         self._model = ReferenceModel(level.gains, problem.dt)
         self.memory_sizes = self._model.memory_sizes
-        self._weights = level.tasks.weights
-        self.qp.lb[self._tau], self.qp.ub[self._tau] = -self._effort, self._effort
-        # S' tau and J_c' lambda on the left of the dynamics row.
-        self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
-        curvature = float(self._diagonal.min())
-        self._verifier = Verifier(self.qp, self.solution, problem.budget, curvature)
-        self._solve = problem.solver.open(self.qp, self.solution)
+
+    @property
+    def qp(self) -> QP:
+        """The first level's program of the last tick."""
+        return self.programs[0].qp
+
+    @property
+    def solution(self) -> Solution:
+        """Its answer."""
+        return self.programs[0].solution
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify; without a usable answer the motors hold and brake."""
         command = self.command
         self.assemble(state)
-        self._solve()
-        self.solution.status = self._verifier.check()
-        command.say(self.solution.status)
+        x, causes = self._solved(state)
+        command.say(*causes)
         assert command.tau is not None
         command.tau[:] = 0.0
-        if command.status.usable:
-            tau = self.solution.v[self._tau]
+        if x is not None:
+            tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
             integrate = bool((np.abs(tau) < self._effort).all())
             self._model.update(state.memory, self._level.tasks.e)
             self._model.advance(state.memory, self._level.e_dot, integrate=integrate)
         else:
             command.tau[:] = self._level.holding(state, self._settings.damping_time)
-            self.solution.v[:] = 0.0
         return command
 
     def assemble(self, state: State) -> None:
-        """Fill the QP for a state."""
-        level = self._level
-        level.update(state)
-        self._fill_objective(state)
-        self._fill_equalities(state)
-        self._fill_bounds(state)
+        """Evaluate tasks, dynamics, hands and limits at a state, and fill the first level's QP."""
+        self._level.update(state)
+        self.hands.update(state, self._level.dynamics)
+        self.wrenches.update(state)
+        self._bounds.update(state)
+        self._fill(0, state, None)
 
-    def _fill_objective(self, state: State) -> None:
-        qp, level, a = self.qp, self._level, self._a
-        tasks, gains = level.tasks, self._gains
-        held = tasks.e + self._settings.integral * gains * state.memory["integral"]
-        wanted = -level.drift - gains * (2.0 * level.e_dot + gains * held)
-        qp.P[:], qp.q[:] = 0.0, 0.0
-        normal_equations(tasks.J, self._weights, wanted, 0.0, qp.P[a, a], qp.q[a])
-        add_damping(qp.P, self._diagonal)
-        qp.q[a] += self._settings.damping / self._settings.damping_time * state.v
+    def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
+        self.programs[number].assemble(
+            state, self._wanted(state), self._limits(state), self._loops(state), before,
+            soften=soften,
+        )  # fmt: skip
 
-    def _fill_equalities(self, state: State) -> None:
-        qp, dynamics, n = self.qp, self._level.dynamics, self.problem.chain.n
-        k, kappa = len(dynamics.actuated), self.problem.kappa
-        qp.A[:n, :n] = dynamics.A
-        qp.A[:n, n + k :] = -dynamics.J.T
-        qp.A[n:, :n] = dynamics.J
-        qp.b[:n] = -dynamics.H
-        qp.b[n:] = -dynamics.drift
-        qp.b[n:] -= 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * state.e_loop
-        qp.seal()
+    def _solved(self, state: State) -> tuple[Array | None, tuple[Status, ...]]:
+        """All that is asked; else hard tasks as soft ones; else beyond the cones, but little."""
+        x, status = self._solve_levels(state)
+        if x is not None or status is not Status.INFEASIBLE:
+            return x, (status,)
+        given_up: tuple[Status, ...] = ()
+        if self._has_hard:
+            x, status = self._solve_levels(state, soften=True)
+            given_up = (Status.TASKS_GIVEN_UP,)
+        if x is None and self.hands.pressing:
+            x, status = self._solve_levels(state, soften=True, keep=False)
+            given_up = (*given_up, Status.CONTACT_GIVEN_UP)
+        return (x, given_up) if x is not None else (None, (status,))
 
-    def _fill_bounds(self, state: State) -> None:
+    def _solve_levels(
+        self, state: State, *, soften: bool = False, keep: bool = True
+    ) -> tuple[Array | None, Status]:
+        """The answer of the last level that has one, and what became of the first."""
+        x, first = None, Status.OPTIMAL
+        for i, program in enumerate(self.programs):
+            program.keep_cones(keep=keep)
+            if i or soften:
+                self._fill(i, state, x, soften)
+            status = program.solve()
+            if i == 0:
+                first = status
+            if not status.usable:
+                break
+            x = program.solution.v
+        return x, first
+
+    def _wanted(self, state: State) -> Array:
+        """J a that the rows of all tasks ask for."""
+        level, gains = self._level, self._gains
+        held = level.tasks.e + self._settings.integral * gains * state.memory["integral"]
+        return np.asarray(-level.drift - gains * (2.0 * level.e_dot + gains * held), float)
+
+    def _loops(self, state: State) -> Array:
+        """J_c a with which open loops close; hands that press are held together by that."""
+        dynamics, kappa = self._level.dynamics, self.problem.kappa
+        pulls = self.hands.loop_pulls[dynamics.kept]
+        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
+        return np.asarray(-dynamics.drift - back, float)
+
+    def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """What the limits say of v + a dt, as bounds and rows on a."""
-        qp, a, bounds, v = self.qp, self._a, self._bounds, state.v
+        bounds, v = self._bounds, state.v
         dt, most = self.problem.dt, self._settings.acceleration
-        bounds.update(state)
         upper = np.clip((bounds.ub - v) / dt, -most, most)
         lower = np.clip((bounds.lb - v) / dt, -most, most)
-        qp.ub[a] = upper
-        np.minimum(lower, upper, out=qp.lb[a])
-        if qp.p:
-            # No row asks for more than the joints' acceleration can give.
-            qp.G[:, a] = bounds.G
-            room = (bounds.h - bounds.G.dot(v)) / dt
-            np.maximum(room, -most * np.abs(bounds.G).sum(axis=1), out=qp.h)
+        # No row asks for more than the joints' acceleration can give.
+        room = (bounds.h - bounds.G.dot(v)) / dt
+        room = np.maximum(room, -most * np.abs(bounds.G).sum(axis=1))
+        return np.minimum(lower, upper), upper, bounds.G, room
 
     def hold_still(self, state: State) -> None:
         """Hold the weight and brake."""
@@ -147,35 +186,12 @@ class TorqueQpLaw(Law):
         self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
 
 
-def _rows(chain: ClosedChain, actuated: Sequence[int], inequalities: tuple[Row, ...]) -> Rows:
-    """Accelerations, torques and wrenches; the dynamics and the loops."""
-    joints, units = chain.joint_names, chain.joint_units
-    a = (
-        Row(name=f"a[{name}]", kind="joint", unit=f"{unit}/s2", joint=name)
-        for name, unit in zip(joints, units, strict=True)
-    )
-    efforts = {"rad": "N m", "m": "N"}
-    tau = (
-        Row(name=f"tau[{joints[i]}]", kind="motor", unit=efforts[units[i]], joint=joints[i])
-        for i in actuated
-    )
-    wrench = (
-        replace(row, name=f"wrench.{row.name}", unit="N m" if row.unit == "rad/s" else "N")
-        for row in chain.loops.kept_rows
-    )
-    dynamics = (
-        Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
-        for name, unit in zip(joints, units, strict=True)
-    )
-    return Rows((*a, *tau, *wrench), inequalities, (*dynamics, *chain.loops.kept_rows))
-
-
 @spec
 class TorqueQp(Controller):
     """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
 
     uses_solver: ClassVar[bool] = True
-    heeds: ClassVar[Heeds] = frozenset({"limits"})
+    heeds: ClassVar[Heeds] = frozenset({"limits", "modes", "priorities", "forces"})
 
     integral: NonNegative = 0.3
     """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""
@@ -183,10 +199,17 @@ class TorqueQp(Controller):
     """Cost of squared accelerations that do not brake [s4/rad2]."""
     damping_time: Positive = 0.05
     """Motion that no task asks for dies out in this time [s]."""
-    effort: Positive = 1e-4
+    effort: Positive = 1e-5
     """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
-    grip: Positive = 1e-6
-    """Cost of squared loop wrenches [1/N2]; decides how hard the hands squeeze."""
+    grip: Positive = 1e-4
+    """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
+    split: SplitName = "virtual_inertia"
+    """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
+    shares: dict[str, NonNegative] | Literal["weights", "motors"] = "weights"
+    """Share of the load by arm, with sum 1; weights: as in the object's pose; motors: as they have
+    left."""
+    safety: Annotated[float, Field(ge=1.0, le=10.0)] = SAFETY
+    """Friction of hands that press is counted on over this."""
     brake_time: Positive = 0.05
     """A joint may move towards its stop at most at the distance over this time [s]."""
     acceleration: Positive = 500.0
@@ -200,8 +223,14 @@ class TorqueQp(Controller):
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, gains and integrals that ring."""
         name = self.name or "torque_qp"
+        for task in problem.tasks:
+            if task.mode == "scaled":
+                raise InvalidValueError(
+                    f"{name}: task '{task.name}' is scaled; accelerations are soft or hard"
+                )
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)
+        require_forces(problem, self.safety, name)
         self._require_times(problem.dt, name)
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import pinocchio as pin
-
 from coopqp.checked import Array, Positive, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.grasps._ball import ball
 
 
 @spec
@@ -30,13 +28,4 @@ class Spherical(Grasp):
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         """Hinges about x, y and z through the point."""
-        centre = pin.SE3(np.eye(3), np.array(self.point))
-        kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
-        places = (centre, pin.SE3.Identity(), pin.SE3.Identity())
-        return tuple(
-            PassiveJoint(
-                name=f"ball_{axis}", joint=joint, placement=place,
-                lower=-self.cone, upper=self.cone,
-            )
-            for axis, joint, place in zip("xyz", kinds, places, strict=True)
-        )  # fmt: skip
+        return ball(self.point, self.cone)

@@ -6,6 +6,7 @@ import numpy as np
 
 from coopqp.controller import Command
 from coopqp.plant import PlantModel
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.wording import raised
 
@@ -21,17 +22,22 @@ class GuardedPlant(PlantModel):
 
     Attributes:
         broken: what happened; empty so far.
+        why: that as a status.
     """
 
     def __init__(self, plant: PlantModel) -> None:
         super().__init__()
-        self._plant, self.broken = plant, ""
+        self._plant, self.broken, self.why = plant, "", Status.PLANT_FAILED
         self.signals, self.measured = plant.signals, plant.measured
         self._told: State | None = None  # what is true, where that is not the state itself
 
     def step(self, state: State, command: Command) -> None:
         """As the plant does; where that fails, everything stays as it was."""
         if self.broken:
+            return
+        if self._plant.lost:  # where it was lost everything stays
+            self.broken = f"the object is lost: {self._plant.lost}"
+            self.why = Status.OBJECT_LOST
             return
         before = self._kept(state)
         try:

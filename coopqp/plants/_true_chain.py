@@ -40,6 +40,10 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
     Raises:
         InvalidValueError: the true loops cannot be closed near the start.
     """
+    if any(disturbance.object_com):
+        held = chain.hold.held
+        x, y, z = np.array(held.com) + disturbance.object_com
+        chain = ClosedChain(replace(chain.hold, held=replace(held, com=(x, y, z))))
     nothing = Disturbance(slip=disturbance.slip)
     if disturbance.kinematic == nothing:
         return chain

@@ -2,11 +2,13 @@
 
 Each joint of the chain is a body, the object is a free body, and a weld holds it in each hand
 (behind the grasp's passive joints, where there are some). Welds are springs: the loop opens by
-some tenths of a millimetre under load, as a real grasp does.
+some tenths of a millimetre under load, as a real grasp does. Where a hand presses there is no weld
+but a contact with friction, and nothing else holds the object.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,19 +16,21 @@ import pinocchio as pin
 
 from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.forces import OFF_FACE, overhang
+from coopqp.closed_loop.grasp_matrix import moved
+from coopqp.closed_loop.hands import into_contacts
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
-from coopqp.errors import MissingDependencyError
+from coopqp.errors import InvalidValueError, MissingDependencyError
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
+from coopqp.plants._hands import HandSignals
+from coopqp.plants._mjcf import OBJECT, Firmness, free_joints, mjcf
 from coopqp.plants._servo import Servo
+from coopqp.state import State
 
-#: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
-LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
-#: How much of a weld's or a stop's acceleration MuJoCo's solver brings about.
-FIRM = "0.99 0.999 0.0001"
-#: The stop of a joint that has none on one side [rad, m].
-NO_STOP = 1e3
+#: A contact's time constant is at least so many steps, or MuJoCo makes it so.
+LEAST_STEPS = 2.0
 
 
 class MujocoModel(DynamicModel):
@@ -37,11 +41,12 @@ class MujocoModel(DynamicModel):
 
     Attributes:
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
-            it [m], and ``internal_wrench`` (6 N,), what the hands do to the object that cancels,
-            arm by arm [N, N m], world axes.
+            it [m], ``internal_wrench`` (6 N,), what the hands do to the object that cancels,
+            arm by arm [N, N m], world axes, and those of :class:`HandSignals`.
 
     Raises:
         MissingDependencyError: mujoco is not installed.
+        InvalidValueError: a hand presses where the object has no face.
     """
 
     def __init__(
@@ -53,16 +58,47 @@ class MujocoModel(DynamicModel):
         except ImportError:
             raise MissingDependencyError("plant 'mujoco'", "mujoco") from None
         self._mujoco: Any = mujoco
-        self._settings, chain = settings, problem.chain
+        self._firm = Firmness(
+            weld=settings.stiffness_time,
+            contact=max(settings.contact_time, LEAST_STEPS * self.h),
+            end_stops=settings.end_stops,
+            mass=disturbance.object_mass,
+            friction=disturbance.friction,
+        )
+        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
+        self._require_faces()
         self._open()
-        self._data.qpos[self._q] = self.true.q
+        self._data.qpos[self._q] = self.true.q[self._moved]
         mujoco.mj_forward(self._model, self._data)
         self.signals["gap"] = np.zeros(1)
-        self.signals["internal_wrench"] = np.zeros(6 * len(chain.robot.arms))
+        self.signals["internal_wrench"] = np.zeros(6 * len(problem.chain.robot.arms))
+        self.signals |= self._told_hands.signals
+
+    def _require_faces(self) -> None:
+        """Refuse contacts that do not touch the box that the object is."""
+        half = 0.5 * np.array(self.true.chain.held.size)
+        for hand in self._told_hands.hands:
+            if hand.contact and abs(overhang(hand, half)[0]) > OFF_FACE:
+                raise InvalidValueError(
+                    f"plant mujoco: the contact of {hand.arm} is "
+                    f"{1e3 * abs(overhang(hand, half)[0]):.1f} mm from the object's face; change "
+                    "object.size, or the contact's position"
+                )
+
+    def truth(self, state: State) -> State:
+        """Before noise; where hands press, the object is where it is, whatever the hands say."""
+        told = super().truth(state)
+        if self._told_hands.pressing:
+            told.p_WO[:] = self._data.xpos[self._object]
+            told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
+        return told
 
     def take_hold(self, before: PlantModel) -> None:
         """Everything moves on as it did; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
+        self._told_hands = before._told_hands
+        self._told_hands.follow(self.true.chain)
+        self.signals |= self._told_hands.signals
         self._go_on(before._data)
 
     def grip(self) -> None:
@@ -78,23 +114,31 @@ class MujocoModel(DynamicModel):
     def _open(self) -> None:
         """Make MuJoCo's model of the true chain."""
         chain, mujoco = self.true.chain, self._mujoco
-        text = mjcf(chain, self.h, self._settings, self.disturbance.object_mass)
-        self._model = mujoco.MjModel.from_xml_string(text)
+        self._model = mujoco.MjModel.from_xml_string(mjcf(chain, self.h, self._firm))
         self._data = mujoco.MjData(self._model)
-        joints = [self._model.joint(name) for name in chain.joint_names]
+        left_out = free_joints(chain)
+        moved = [i for i, name in enumerate(chain.joint_names) if name not in left_out]
+        joints = [self._model.joint(chain.joint_names[i]) for i in moved]
+        self._moved = np.array(moved)
         self._q = np.array([joint.qposadr[0] for joint in joints])
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._object = self._model.body(OBJECT).id
         self._object_v = self._model.joint(OBJECT).dofadr[0] + np.arange(6)
-        names = [arm.name for arm in chain.arms[: chain.holding]]
-        self._ends = [self._model.site(f"end[{name}]").id for name in names]
+        held = self._told_hands.hands
+        self._ends = [self._model.site(f"end[{hand.arm}]").id for hand in held]
+        self._pads = {
+            self._model.geom(f"pad[{hand.arm}]").id: i
+            for i, hand in enumerate(held)
+            if hand.contact
+        }
+        self._balls = list(_balls(chain))
         robots = [arm.name for arm in chain.robot.arms]
-        self._held_by = [robots.index(name) for name in names]
+        self._held_by = [robots.index(hand.arm) for hand in held]
 
     def integrate(self) -> None:
         """One step of MuJoCo with the servos' torques."""
         true, data = self.true, self._data
-        data.qfrc_applied[self._v] = self.servo.torque(true.q, true.v)
+        data.qfrc_applied[self._v] = self.servo.torque(true.q, true.v)[self._moved]
         push = self.disturbance.wrench(true.t)
         data.xfrc_applied[self._object] = 0.0
         if push is not None:
@@ -103,157 +147,117 @@ class MujocoModel(DynamicModel):
             data.xfrc_applied[self._object, 3:] = push[3:] - pin.skew(lever) @ push[:3]
         self._mujoco.mj_step(self._model, data)
         true.t += self.h
-        true.q[:], true.v[:] = data.qpos[self._q], data.qvel[self._v]
+        true.q[self._moved], true.v[self._moved] = data.qpos[self._q], data.qvel[self._v]
 
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy by MuJoCo; keeps gap and wrenches of this instant too."""
         data = self._data
         place = data.xpos[self._object]
-        self.signals["gap"][0] = max(np.linalg.norm(data.site_xpos[k] - place) for k in self._ends)
+        R_WO = data.xmat[self._object].reshape(3, 3)
+        self._follow_balls(R_WO)
+        wrenches = self._wrenches()
+        told = self._told_hands
+        self.signals["gap"][0] = self._gap(place)
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
-        internal[self._held_by] = self._internal()
+        alpha = self.true.chain.alpha[: len(wrenches)]
+        internal[self._held_by] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
+        points = place + np.array([R_WO @ hand.X_OC.translation for hand in told.hands])
+        at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
+        told.tell(np.array(at_hands), points, into_contacts(told.hands, R_WO))
+        if told.pressing:
+            self._tell_slip(points)
+            told.touch(self._dt)
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
 
-    def _internal(self) -> Array:
-        """What the welds do to the object that cancels, arm by arm, shape (holding, 6)."""
-        data, generalised = self._data, np.zeros(self._model.nv)
-        welds = data.efc_type == self._mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        by_arm = np.zeros((len(self._ends), 6))
-        for i, wrench in enumerate(by_arm):
-            force = np.where(welds & (data.efc_id == i), data.efc_force, 0.0)
-            self._mujoco.mj_mulJacTVec(self._model, data, generalised, force)
+    def _gap(self, place: Array) -> float:
+        """Largest distance between the object and where a fastened hand holds it [m]."""
+        told = zip(self._ends, self._told_hands.hands, strict=True)
+        fastened = [self._data.site_xpos[k] - place for k, hand in told if not hand.contact]
+        return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
+
+    def _tell_slip(self, points: Array) -> None:
+        """How far the object's points of contact have moved along the pads."""
+        data, told = self._data, self._told_hands
+        for i, (site, hand) in enumerate(zip(self._ends, told.hands, strict=True)):
+            if hand.contact:
+                along = data.site_xmat[site].reshape(3, 3)[:, :2]
+                away = along.T @ (points[i] - data.site_xpos[site])
+                told.signals["slip"][self._held_by[i]] = np.hypot(away[0], away[1])
+
+    def _follow_balls(self, R_WO: Array) -> None:
+        """Angles of the joints that stand for a fingertip, from how the object is turned."""
+        true = self.true
+        for index, X_JT, R_EO, joint in self._balls:
+            R_WT = self._data.xmat[self._model.body(joint).id].reshape(3, 3) @ X_JT
+            R = R_WT.T @ R_WO @ R_EO.T
+            before = true.q[index].copy()
+            true.q[index] = angles_xyz(R)
+            true.v[index] = (true.q[index] - before) / self._dt
+
+    def _wrenches(self) -> Array:
+        """What each hand does to the object, at its origin in world axes, shape (holding, 6)."""
+        data, mujoco = self._data, self._mujoco
+        by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
+        welds = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        fastened = [i for i, h in enumerate(self._told_hands.hands) if not h.contact]
+        R_WO = data.xmat[self._object].reshape(3, 3)
+        for weld, i in enumerate(fastened):
+            force = np.where(welds & (data.efc_id == weld), data.efc_force, 0.0)
+            mujoco.mj_mulJacTVec(self._model, data, generalised, force)
             # A free body's angular velocity, and so its torque, is in the body's own axes.
-            wrench[:] = generalised[self._object_v]
-            wrench[3:] = data.xmat[self._object].reshape(3, 3) @ wrench[3:]
-        alpha = self.true.chain.alpha[: len(by_arm)]
-        return np.asarray(by_arm - np.outer(alpha, by_arm.sum(axis=0)), float)
+            by_arm[i] = generalised[self._object_v]
+            by_arm[i, 3:] = R_WO @ by_arm[i, 3:]
+        found = np.zeros(6)
+        for k in range(data.ncon if self._pads else 0):
+            contact = data.contact[k]
+            pad = self._pads.get(contact.geom1, self._pads.get(contact.geom2))
+            if pad is None:
+                continue
+            mujoco.mj_contactForce(self._model, data, k, found)
+            sign = -1.0 if contact.geom2 in self._pads else 1.0  # it acts on the second body
+            frame = sign * contact.frame.reshape(3, 3).T
+            at = np.concatenate([frame @ found[:3], frame @ found[3:]])
+            by_arm[pad] += moved(at, contact.pos, data.xpos[self._object])
+        return by_arm
 
 
-OBJECT = "object"
+def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
+    """Joints that stand for a fingertip: indices, rotation of the tip, object, and their body."""
+    model = chain.model
+    for arm in chain.arms[: chain.holding]:
+        passive = chain.hold.passive[arm.name]
+        if chain.grasps[arm.name].contact and passive:
+            names = [f"{arm.name}.{joint.name}" for joint in passive]
+            index = np.array([chain.joint_names.index(name) for name in names])
+            tip = model.frames[model.getFrameId(arm.tip)]
+            X_EO = chain.hold.X_EO[arm.name]
+            yield index, tip.placement.rotation, X_EO.rotation, model.names[tip.parentJoint]
 
 
-def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, object_mass: float) -> str:
-    """The closed chain as MJCF text.
-
-    Args:
-        chain: arms, grasps and object.
-        time_step: [s].
-        settings: of welds and end stops.
-        object_mass: of the real object over the modelled one.
-    """
-    model, data = chain.model, chain.model.createData()
-    pin.framesForwardKinematics(model, data, chain.q_start)
-    children: dict[int, list[int]] = {}
-    for joint in range(1, model.njoints):
-        children.setdefault(model.parents[joint], []).append(joint)
-    ends: dict[int, list[str]] = {}
-    welds = []
-    for arm, index in zip(chain.arms[: chain.holding], chain.frames, strict=False):
-        frame = model.frames[index]
-        body = model.names[frame.parentJoint]
-        ends.setdefault(frame.parentJoint, []).append(
-            f'<site name="end[{arm.name}]" {_pose(frame.placement)}/>'
-        )
-        welds.append(
-            f'<weld body1="{body}" body2="{OBJECT}" relpose="{_relpose(frame.placement)}" '
-            f'solref="{settings.stiffness_time} 1" solimp="{FIRM}"/>'
-        )
-    stops = _stops(chain, settings) if settings.end_stops else {}
-    arms = "".join(_body(model, joint, children, ends, stops) for joint in children.get(0, []))
-    held = chain.held.body()
-    scaled = pin.Inertia(object_mass * held.mass, held.lever, object_mass * held.inertia)
-    gravity = " ".join(repr(float(g)) for g in model.gravity.linear)
-    return f"""<mujoco>
-<compiler angle="radian" autolimits="false" balanceinertia="false"/>
-<option timestep="{time_step!r}" gravity="{gravity}" integrator="implicitfast" iterations="200"
- tolerance="1e-12"><flag energy="enable" contact="disable"/></option>
-<worldbody>{arms}
-<body name="{OBJECT}" {_pose(data.oMf[chain.frames[0]])}>
-<freejoint name="{OBJECT}"/>{_inertial(scaled)}</body>
-</worldbody>
-<equality>{"".join(welds)}</equality>
-</mujoco>"""
-
-
-def _body(
-    model: pin.Model,
-    joint: int,
-    children: dict[int, list[int]],
-    ends: dict[int, list[str]],
-    stops: dict[str, str],
-) -> str:
-    below = children.get(joint, [])
-    inside = "".join(_body(model, child, children, ends, stops) for child in below)
-    kind, axis = _axis(model, joint)
-    name = model.names[joint]
-    return (
-        f'<body name="{name}" {_pose(model.jointPlacements[joint])}>'
-        f'<joint name="{name}" type="{kind}" axis="{_numbers(axis)}"{stops.get(name, "")}/>'
-        f"{_inertial(model.inertias[joint])}{''.join(ends.get(joint, []))}{inside}</body>"
+def angles_xyz(R: Array) -> Array:
+    """The angles of turns about x, y and z, one after the other, R = Rx Ry Rz, shape (3,) [rad]."""
+    return np.array(
+        [
+            np.arctan2(-R[1, 2], R[2, 2]),
+            np.arcsin(np.clip(R[0, 2], -1.0, 1.0)),
+            np.arctan2(-R[0, 1], R[0, 0]),
+        ]
     )
-
-
-def _stops(chain: ClosedChain, settings: Mujoco) -> dict[str, str]:
-    """Attributes of the joints that have a stop; one that starts beyond a limit has it there."""
-    lower = np.minimum(chain.lower, chain.q_start)
-    upper = np.maximum(chain.upper, chain.q_start)
-    return {
-        name: f' limited="true" range="{_numbers([max(low, -NO_STOP), min(high, NO_STOP)])}" '
-        f'solreflimit="{settings.stiffness_time} 1" solimplimit="{FIRM}"'
-        for name, low, high in zip(chain.joint_names, lower, upper, strict=True)
-        if np.isfinite(low) or np.isfinite(high)
-    }
-
-
-def _axis(model: pin.Model, joint: int) -> tuple[str, Array]:
-    """MuJoCo's joint type and axis of a joint with one coordinate."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.idx_vs[joint]]
-    turning = np.linalg.norm(column[3:]) > 0.5
-    return ("hinge", column[3:]) if turning else ("slide", column[:3])
-
-
-def _inertial(body: pin.Inertia) -> str:
-    mass = max(float(body.mass), LEAST_MASS)
-    moments = np.array(body.inertia)
-    if np.linalg.eigvalsh(moments)[0] < LEAST_INERTIA:
-        moments = moments + LEAST_INERTIA * np.eye(3)
-    xx, yy, zz, xy, xz, yz = moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return (
-        f'<inertial mass="{mass!r}" pos="{_numbers(body.lever)}" '
-        f'fullinertia="{_numbers([xx, yy, zz, xy, xz, yz])}"/>'
-    )
-
-
-def _pose(X: pin.SE3) -> str:
-    return f'pos="{_numbers(X.translation)}" quat="{_numbers(_quaternion(X))}"'
-
-
-def _relpose(X: pin.SE3) -> str:
-    return f"{_numbers(X.translation)} {_numbers(_quaternion(X))}"
-
-
-def _quaternion(X: pin.SE3) -> Array:
-    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-    return np.array([w, x, y, z])
-
-
-def _numbers(values: Any) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 @spec
 class Mujoco(Plant):
-    """The same system in MuJoCo: a free object welded to the hands (extra coopqp[mujoco])."""
+    """The same in MuJoCo: a free object, welded to the hands or pressed (extra coopqp[mujoco])."""
 
     time_step: Positive = 0.0005
     """Integration step; must divide the control period [s]."""
     stiffness_time: Positive = 0.002
     """Time constant of the welds [s]; at least two time steps."""
+    contact_time: Positive = 0.005
+    """Time constant of contacts [s]; at least two time steps."""
     servo: Servo = Servo()
     """How the joints follow velocity commands."""
     end_stops: bool = True

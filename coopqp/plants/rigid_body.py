@@ -10,11 +10,14 @@ import numpy as np
 
 from coopqp.checked import Array, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
+from coopqp.closed_loop.grasp_matrix import moved
+from coopqp.closed_loop.hands import into_contacts, points
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._end_stops import EndStops
+from coopqp.plants._hands import HandSignals
 from coopqp.plants._servo import Servo, fair_shares
 
 #: Newton steps on the loops after a small slip.
@@ -30,7 +33,10 @@ class RigidBodyModel(DynamicModel):
     Attributes:
         signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut
             off, and ``internal_wrench`` (6 N,), what the hands do to the object that cancels, arm
-            by arm [N, N m], world axes.
+            by arm [N, N m], world axes, and those of :class:`HandSignals`.
+
+    Hands that press hold the object as if they were fastened, until friction cannot bear it: then
+    it is lost, and the run ends.
     """
 
     def __init__(
@@ -38,17 +44,22 @@ class RigidBodyModel(DynamicModel):
     ) -> None:
         super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
+        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._open()
         arms = len(chain.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
         self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
         self.signals["internal_wrench"] = np.zeros(6 * arms)
+        self.signals |= self._told_hands.signals
 
     def take_hold(self, before: PlantModel) -> None:
         """Hands that take hold while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true
+        self._told_hands = before._told_hands
+        self._told_hands.follow(true.chain)
+        self.signals |= self._told_hands.signals
         self._open()
         # The object comes with the speed of an arm that has held it.
         carrier = before.true.chain.hold.holders[0]
@@ -102,7 +113,18 @@ class RigidBodyModel(DynamicModel):
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
         self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
+        self._tell_hands(wrenches.by_arm)
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
+
+    def _tell_hands(self, by_arm: Array) -> None:
+        """What the hands do at their points; where friction cannot bear it the object is lost."""
+        true, told = self.true, self._told_hands
+        at = points(told.hands, true.p_WO, true.R_WO)
+        wrenches = [moved(h, true.p_WO, p) for h, p in zip(by_arm, at, strict=False)]
+        told.tell(np.array(wrenches), at, into_contacts(told.hands, true.R_WO))
+        if told.pressing:
+            told.bear()
+            self.lost = told.lost
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
         self._dynamics.update(q, v)

@@ -19,7 +19,9 @@ from rich.text import Text
 
 from coopqp import __version__
 from coopqp.checked import Array
+from coopqp.closed_loop.forces import Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
+from coopqp.closed_loop.transmission import force_words
 from coopqp.controller_run import run
 from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.report.strict_json import finite
@@ -40,6 +42,7 @@ class Study:
         scenario: what was analysed.
         phase: name of the phase, if the scenario has phases.
         mobility: at generic poses and at the start.
+        forces: between the hands at the start; None where one arm alone holds the object.
         t: shape (K,) [s].
         manipulability: of the tasks along the run of the scenario's first controller, shape (K,).
     """
@@ -47,6 +50,7 @@ class Study:
     scenario: Scenario
     phase: str
     mobility: Mobility
+    forces: Forces | None
     t: Array
     manipulability: Array
 
@@ -54,6 +58,11 @@ class Study:
     def name(self) -> str:
         """Of the scenario, and of the phase."""
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
+
+    def verdict(self) -> str:
+        """The report in a few sentences."""
+        told = self.forces.sentences() if self.forces else ()
+        return " ".join([self.mobility.verdict(), *told])
 
 
 def study(
@@ -95,7 +104,8 @@ def study(
     every = max(1, (last - first) // MOST_POINTS)
     kept = slice(first, last + 1, every)
     measure = _along(trace.t[kept] - trace.t[first], trace.q[kept], tasks, state)
-    return Study(scenario, phases[number], found, trace.t[kept], measure)
+    between = forces(chain) if chain.holding > 1 else None
+    return Study(scenario, phases[number], found, between, trace.t[kept], measure)
 
 
 def _along(times: Array, path: Array, tasks: TaskStack, state: State) -> Array:
@@ -118,7 +128,8 @@ def as_json(result: Study) -> dict[str, Any]:
     data |= {
         "scenario": result.scenario.name,
         "phase": result.phase,
-        "verdict": m.verdict(),
+        "verdict": result.verdict(),
+        "forces": _forces_json(result.forces),
         "inadmissible": m.inadmissible,
         "inadmissible_start": m.inadmissible_start,
         "lost_at_start": [list(s.joints) for s in m.lost_at_start],
@@ -126,6 +137,35 @@ def as_json(result: Study) -> dict[str, Any]:
     }
     written: dict[str, Any] = finite(data)
     return written
+
+
+def _forces_json(found: Forces | None) -> dict[str, Any] | None:
+    """Ranks by arm and pair, and the range of the squeeze."""
+    if found is None:
+        return None
+    told = found.transmission
+    return {
+        "dimensions": told.dimensions,
+        "all": dataclasses.asdict(told.all),
+        "arms": {
+            arm.arm: {**dataclasses.asdict(arm.counts), "borne": [*map(force_words, arm.borne)]}
+            for arm in told.arms
+        },
+        "pairs": [
+            {"arms": pair.arms, **dataclasses.asdict(pair.counts), "components": pair.components}
+            for pair in told.pairs
+        ],
+        "squeeze": [
+            {
+                "arms": squeeze.arms,
+                "least": squeeze.least and {"value": squeeze.least.value, "by": squeeze.least.by},
+                "most": squeeze.most and {"value": squeeze.most.value, "by": squeeze.most.by},
+            }
+            for squeeze in found.squeezes
+        ],
+        "load": {"value": found.load.value, "by": found.load.by},
+        "safety": found.safety,
+    }
 
 
 def _screw_json(screw: Any) -> dict[str, Any]:
@@ -158,9 +198,23 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
         lines.append((f"all tasks, {m.tasks_rows} rows", "", free))
     lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
+    lines += _force_rows(result.forces) if result.forces else []
     if len(result.manipulability):
         low, high = result.manipulability.min(), result.manipulability.max()
         lines.append(("manipulability on the way", "", f"{low:.3g} to {high:.3g}"))
+    return lines
+
+
+def _force_rows(found: Forces) -> list[tuple[str, str, str]]:
+    """Who decides which internal wrench, and how hard the hands can squeeze."""
+    told = found.transmission
+    lines = [(f"internal wrenches, {told.dimensions}", "", told.all.words)]
+    for arm in told.arms:
+        borne = "".join(f"; borne: {force_words(screw)}" for screw in arm.borne)
+        lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.words}{borne}"))
+    if len(told.pairs) > 1:
+        lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in told.pairs]
+    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in found.squeezes]
     return lines
 
 
@@ -220,7 +274,7 @@ def page(result: Study) -> str:
         title=html.escape(result.name),
         version=__version__,
         description=html.escape(result.scenario.description),
-        verdict=html.escape(result.mobility.verdict()),
+        verdict=html.escape(result.verdict()),
         rows=_html_rows(rows(result)),
         schemes=_html_rows(schemes(result)),
         figure=json.dumps({"data": [line], "layout": layout}).replace("<", "\\u003c"),

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import TELL_APART
 from coopqp.errors import (
     CoopqpError,
@@ -80,6 +81,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     if not allowed:
         _check_passive(file, chain, passive, key)
     places = _places(scenario)
+    _check_contacts(file, places)
     first = places[scenario.schedule[0].name]
     faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
     faults = faults or list(_broken_inputs(file, scenario, places))
@@ -105,6 +107,20 @@ def _check_plant(file: YamlFile, scenario: Scenario) -> None:
     except CoopqpError as error:
         location = "disturbance" if "disturbance" in error.keys else "plant"
         raise ScenarioError([_fault(file, [location], error)]) from None
+
+
+def _check_contacts(file: YamlFile, places: Mapping[str, Places]) -> None:
+    """Refuse hands that press away from the object, or cannot hold it at rest, in some phase."""
+    faults = []
+    found = (fault for place in places.values() for fault in contact_faults(place.start.chain))
+    for arm, words in dict.fromkeys(found):
+        where: Location = ["grasps", arm] if arm and "grasps" in file.data else ["grasps"]
+        place = where if "grasps" in file.data else ["grasp"]
+        faults.append(
+            Fault(file.place(place), words if where[1:] or not arm else f"{arm}: {words}")
+        )
+    if faults:
+        raise ScenarioError(faults)
 
 
 def _longest(scenario: Scenario) -> Location:
@@ -160,7 +176,9 @@ def _broken_inputs(
                 yield Fault(file.place(used(name)), words)
                 continue
             try:
-                scenario.feed(replace(scenario.problem(phase, start.chain), tasks=[task]), start)
+                scenario.feed(
+                    replace(scenario.problem(phase, start.chain), tasks=[task], wrenches=()), start
+                )
             except CoopqpError as error:
                 where = used(name) if here is None else ["inputs", name]
                 yield Fault(file.place(where), str(error))

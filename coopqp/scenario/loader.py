@@ -299,6 +299,9 @@ class _Reader:
                 self._fault([*inside, *place] if place[0] == "tasks" else place, message)
         for place, task, phase in placed_tasks(scenario):
             self._check_end(place, task, phase.duration)
+            if task.of_forces and not scenario.plant.takes_torques:
+                words = f"asks '{task.name}' for a force, and this plant has none; use plant: "
+                self._fault(place, f"{words}rigid_body or mujoco")
 
     def _check_end(self, place: Location, task: Task, duration: float) -> None:
         try:

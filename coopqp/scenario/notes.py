@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from coopqp.closed_loop.forces import contact_notes
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
 from coopqp.kernel import native
@@ -21,8 +22,8 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    After it comes that the kernel is not built, what limits cannot bound, what a tick is too long
-    for, and goals that are far.
+    After it comes that the kernel is not built, what limits cannot bound, pads that reach beyond the
+    object, what a tick is too long for, and goals that are far.
 
     Args:
         scenario: what is to be run.
@@ -39,6 +40,7 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         *deaf_to,
         *_without_kernel(chosen),
         *of_limits,
+        *contact_notes(scenario.chain),
         *_coarse_steps(scenario),
         *far_goals(scenario),
         *_of_inputs(scenario),
@@ -92,6 +94,8 @@ def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "modes", "that tasks are hard or scaled has"
     if any(task.priority for task in tasks):
         yield "priorities", "the priorities of tasks have"
+    if any(task.of_forces for task in tasks):
+        yield "forces", "the forces that are asked for have"
     if scenario.secondary:
         yield "secondary", "the secondary objectives have"
     if scenario.on_infeasible != "scale":

@@ -209,9 +209,11 @@ class Scenario:
             phase: of the schedule; the first if omitted.
             chain: at the start of the phase; that at the start of the scenario if omitted.
         """
+        tasks = (phase or self.schedule[0]).tasks
         return ControlProblem(
             chain=chain or self.chain,
-            tasks=(phase or self.schedule[0]).tasks,
+            tasks=tuple(task for task in tasks if not task.of_forces),
+            wrenches=tuple(task for task in tasks if task.of_forces),
             secondary=self.secondary,
             limits=self.limits,
             dt=self.dt,
@@ -232,7 +234,8 @@ class Scenario:
         Raises:
             CoopqpError: a task wants an input that is not there, or as what it cannot be.
         """
-        inputs = Inputs(self.inputs, (*problem.tasks, *problem.secondary), start, self.dt)
+        asked = (*problem.tasks, *problem.wrenches, *problem.secondary)
+        inputs = Inputs(self.inputs, asked, start, self.dt)
         return Feed(self.inputs, inputs, first * self.dt) if inputs.channels else None
 
     def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:

@@ -121,7 +121,8 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         counts = [part.rows for part in task.parts(start.chain)]
         if sum(counts) != len(names) or not names:
             raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
-        look = _Look(task, names, task.bind(start), start.chain.n)
+        columns = 6 * start.chain.holding if task.of_forces else start.chain.n
+        look = _Look(task, names, task.bind(start), columns)
         look.at(start, start.t)
         for t in (0.0, duration):
             _check_marks(task.marks(Moment(t)))
@@ -130,16 +131,21 @@ def try_task(task: Task, places: Places, duration: float) -> None:
             _Seen(look, place, start.t + share * end)
             for place, share in zip(places.nearby, SHARES, strict=True)
         ]
-        if task.joint_space:
-            _check_joint_space(look, seen)
-        elif task.asks_velocity:
-            _check_zero_error(look, seen)
-        elif any(s.rows.e.any() or s.rows.rate.any() for s in seen):
-            for i, s in enumerate(seen):
-                if s.disagreement():
-                    s = _Seen(look, places.farther[i], s.t)
-                if wrong := s.disagreement():
-                    raise _PromiseError(wrong)
+        _check_kind(task, look, seen, places)
+
+
+def _check_kind(task: Task, look: _Look, seen: Sequence[_Seen], places: Places) -> None:
+    """What is tried of a task of its kind; a force is the derivative of nothing."""
+    if task.joint_space:
+        _check_joint_space(look, seen)
+    elif task.asks_velocity:
+        _check_zero_error(look, seen)
+    elif not task.of_forces and any(s.rows.e.any() or s.rows.rate.any() for s in seen):
+        for i, s in enumerate(seen):
+            if s.disagreement():
+                s = _Seen(look, places.farther[i], s.t)
+            if wrong := s.disagreement():
+                raise _PromiseError(wrong)
 
 
 class _Look:

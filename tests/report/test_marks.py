@@ -210,8 +210,8 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]
 
 #: These have nothing to go to.
 BARE = {
-    "joint_centering", "joint_limit_barrier", "manipulability", "minimum_kinetic_energy",
-    "minimum_velocity",
+    "internal_wrench", "joint_centering", "joint_limit_barrier", "manipulability",
+    "minimum_kinetic_energy", "minimum_velocity",
 }  # fmt: skip
 #: The goals of these move with the robot; test_carried_marks.py holds what is drawn against them.
 CARRIED = {"posture", "relative_motion", "twist"}

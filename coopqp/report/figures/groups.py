@@ -11,6 +11,7 @@ from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.errors import loop_errors, task_errors
 from coopqp.report.figures.freedom import freedom_figures
+from coopqp.report.figures.hands import hands, load_shares
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures
 from coopqp.report.figures.limits import limit_figures
 from coopqp.report.figures.object import object_figures
@@ -47,6 +48,7 @@ def groups(comparison: Comparison) -> list[Group]:
         _limits(chart),
         _joints(chart),
         _freedom(chart),
+        _hands(chart),
         _torques(chart),
         _rest(chart),
     ]
@@ -127,6 +129,20 @@ def _freedom(chart: Chart) -> Group:
             "is lost.",
         },
         figures=freedom_figures(chart),
+    )
+
+
+def _hands(chart: Chart) -> Group:
+    return Group(
+        title="Hands that press",
+        hint="Hatched: beyond friction, where the object slips along the hand.",
+        words={
+            "Friction": "the coefficient that the hand's wrench needs, over the real one. What a "
+            "controller counts on is less, by its safety factor.",
+        },
+        figures=hands(chart),
+        folded=load_shares(chart),
+        more="Share of the load by arm",
     )
 
 

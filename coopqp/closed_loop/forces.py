@@ -1,0 +1,214 @@
+"""Forces between the hands before anything moves, in words and numbers.
+
+Who decides which internal wrench (:mod:`coopqp.closed_loop.transmission`), and how hard the hands
+can squeeze the object at rest while they carry it (:mod:`coopqp.closed_loop.holding`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.hands import Hand, hands
+from coopqp.closed_loop.holding import Bound, StaticHold
+from coopqp.closed_loop.section import section
+from coopqp.closed_loop.transmission import (
+    COMMANDED,
+    LET_GO,
+    MIXED,
+    STRUCTURE,
+    Transmission,
+    transmission,
+)
+from coopqp.closed_loop.virtual_linkage import EDGES, FLAT, flatness, virtual_linkage
+from coopqp.contact import SAFETY
+
+#: What becomes of components of a section wrench, in the order in which it is told.
+FATES = {
+    COMMANDED: "the motors command",
+    MIXED: "only together with others they command",
+    STRUCTURE: "the structure bears, unseen by any motor,",
+    LET_GO: "a passive joint does not transmit",
+}
+
+
+@dataclass(frozen=True)
+class Squeeze:
+    """How hard two hands can press on the object at rest.
+
+    Attributes:
+        arms: their names.
+        least: and what it rests on; None where the object cannot be carried.
+        most: likewise.
+    """
+
+    arms: tuple[str, str]
+    least: Bound | None
+    most: Bound | None
+
+    @property
+    def words(self) -> str:
+        """Such as "42 to 226 N (least by friction of left, most by motor joint6)"."""
+        if self.least is None or self.most is None:
+            return "none: the object cannot be carried"
+        ends = f"{_newtons(self.least.value)} to {_newtons(self.most.value)} N"
+        return f"{ends} (least by {self.least.words}; most by {self.most.words})"
+
+
+@dataclass(frozen=True)
+class Forces:
+    """The report.
+
+    Attributes:
+        transmission: who decides which internal wrench.
+        load: the largest multiple of the object's weight that can be held at rest.
+        squeezes: by pair; along the edges between three hands; none for more.
+        safety: friction is counted on over this.
+        contacts: names of the arms that hold by pressing.
+    """
+
+    transmission: Transmission
+    load: Bound
+    squeezes: tuple[Squeeze, ...]
+    safety: float
+    contacts: tuple[str, ...]
+
+    def sentences(self) -> Iterator[str]:
+        """What is worth saying before a run."""
+        found = self.transmission
+        yield f"Of {found.dimensions} internal wrenches {found.all.words}."
+        for pair in found.pairs if len(found.arms) == 2 else ():
+            for fate, words in FATES.items():
+                names = [name for name, said in pair.components.items() if said == fate]
+                if names and fate != COMMANDED:
+                    yield f"{words[0].upper()}{words[1:]} {', '.join(names)}."
+        for squeeze in self.squeezes:
+            yield f"Squeeze of {' and '.join(squeeze.arms)} at rest: {squeeze.words}."
+        if self.contacts:
+            yield self._carried()
+
+    def _carried(self) -> str:
+        share = self.load.value
+        if share < 1.0:
+            return (
+                f"The hands cannot hold the object: at safety {self.safety:g} they carry "
+                f"{100.0 * share:.0f} % of its weight; {self.load.words} hold it back."
+            )
+        return (
+            f"At rest and safety {self.safety:g} they could carry {share:.3g} times its weight; "
+            f"then {self.load.words} are at their limits."
+        )
+
+
+def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
+    """Analyse a chain at its start.
+
+    Args:
+        chain: the closed chain; at least two arms hold the object.
+        safety: friction is counted on over this.
+    """
+    hold = StaticHold(chain, safety=safety)
+    names = tuple(hand.arm for hand in hold.hands)
+    squeezes = [
+        Squeeze((names[i], names[j]), hold.extreme(row, -1.0), hold.extreme(row, 1.0))
+        for (i, j), row in squeeze_rows(hold.points).items()
+    ]
+    pressing = tuple(hand.arm for hand in hold.hands if hand.contact)
+    found = transmission(chain, chain.q_start)
+    return Forces(found, hold.load(), tuple(squeezes), safety, pressing)
+
+
+def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
+    """Rows from the hands' wrenches to the squeeze of each pair, shape (6 N,), by the pair.
+
+    The section's of two hands, the virtual linkage's of three; none where that does not exist.
+
+    Args:
+        points: of the hands, shape (N, 3) [m].
+    """
+    if len(points) == 2:
+        return {(0, 1): section(points[0], points[1]).rows[0]}
+    if len(points) != 3 or flatness(points) < FLAT:
+        return {}
+    pushes = virtual_linkage(points).rows
+    rows = np.zeros((3, 3, 6))
+    rows[:, :, :3] = pushes.reshape(3, 3, 3)
+    return dict(zip(EDGES, rows.reshape(3, 18), strict=True))
+
+
+def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:
+    """Hands that cannot hold by pressing: the arm, empty for all, and what is wrong.
+
+    Args:
+        chain: the closed chain.
+    """
+    pressing = [hand for hand in hands(chain) if hand.contact]
+    away = [hand for hand in pressing if hand.X_OC.rotation[:, 2] @ hand.X_OC.translation >= 0.0]
+    for hand in away:
+        yield hand.arm, "the contact's normal points away from the object; turn it round"
+    if away or not pressing:
+        return
+    if chain.holding == 1:
+        yield pressing[0].arm, "one hand alone holds nothing by pressing; use another grasp"
+        return
+    load = StaticHold(chain).load()
+    if load.value < 1.0:
+        yield (
+            "",
+            f"cannot hold the object at rest: the hands carry {100.0 * load.value:.0f} % of its "
+            f"weight, then {load.words} are at their limits; make the object lighter, friction or "
+            "pads larger, the motors stronger, or press from other sides",
+        )
+
+
+def contact_notes(chain: ClosedChain) -> Iterator[str]:
+    """Pads that are larger than the face that they press on, or not on it.
+
+    Args:
+        chain: the closed chain.
+    """
+    half = 0.5 * np.array(chain.held.size)
+    for hand in hands(chain):
+        if not hand.contact:
+            continue
+        face, beyond = overhang(hand, half)
+        if beyond > 1e-6:
+            yield (
+                f"the pad of {hand.arm} reaches {1e3 * beyond:.1f} mm beyond the face of the "
+                "object that it presses on, where nothing bears; its cone counts on all of it"
+            )
+        if abs(face) > OFF_FACE:
+            yield (
+                f"the contact of {hand.arm} is {1e3 * abs(face):.1f} mm "
+                f"{'outside' if face > 0.0 else 'inside'} the object's face"
+            )
+
+
+#: A contact that is farther from the object's face is worth a word [m].
+OFF_FACE = 1e-3
+
+
+def overhang(hand: Hand, half: Array) -> tuple[float, float]:
+    """How far a contact is outside the face it presses on, and its pad beyond the face's edges [m].
+
+    Args:
+        hand: with a contact.
+        half: half the edges of the object, shape (3,) [m].
+    """
+    assert hand.contact
+    R, p = hand.X_OC.rotation, hand.X_OC.translation
+    axis = int(np.abs(R[:, 2]).argmax())
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=2))) * hand.contact.half_lengths
+    places = p + corners @ R[:, :2].T
+    beyond = np.delete(np.abs(places) - half, axis, axis=1)
+    outside = -np.sign(R[axis, 2]) * p[axis] - half[axis]
+    return float(outside), max(0.0, float(beyond.max()))
+
+
+def _newtons(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "any"

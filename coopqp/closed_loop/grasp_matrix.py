@@ -1,0 +1,151 @@
+"""What several hands do to one object: the grasp matrix, and splits of what moves it from the rest.
+
+Hand i does h_i = (f_i; m_i), force and torque on the object at p_i, world axes [N, N m]. With
+r_i = p_i - o and o the object's origin,
+
+    G = [G_1 ... G_N],  G_i = [1 0; [r_i]x 1],      w = G h      (Uchiyama and Dauchez 1988)
+
+is the wrench at o, shape (6,), and G_i' V the twist of hand i. Any X with G X = 1 splits
+
+    h = X w + h_int,   h_int = (1 - X G) h,   G h_int = 0
+
+h_int does no work on the object, for every X; so that says nothing about which X is right. Two are
+in use, and they are different:
+
+    Walker, Freeman, Marcus 1991   f_i = a_i F,  m_i = a_i (M - r_i x F), shares a_i of sum 1
+    Erhart, Hirche 2015            X = W G' (G W G')^-1,  W = diag(m_i 1, j_i 1)
+
+The second is what hands would do that were free bodies of mass m_i and inertia j_i; m = 1 kg and
+j = 1 kg m2 is the pseudoinverse, whose answer depends on the unit of length. Walker's hands bear
+torques that a contact may not be able to bear; there take the second with a small j. About the
+line through two hands somebody has to bear a torque, so that j cannot be zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from coopqp.checked import Array
+from coopqp.errors import InvalidValueError
+
+#: Inertia of a virtual hand over its mass: what moves with it is about a hand's size [m2].
+HAND_INERTIA = 0.01
+#: Shares sum to one within this.
+SHARE_SUM = 1e-9
+
+
+def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
+    """G with w = G h, shape (6, 6 N).
+
+    Args:
+        points: of the hands in the world, shape (N, 3) [m].
+        origin: of the object, shape (3,) [m].
+    """
+    levers = np.asarray(points, float) - np.asarray(origin, float)
+    return np.hstack([_moved(lever) for lever in levers])
+
+
+def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
+    """A wrench at a point as one at another, shape (6,).
+
+    Args:
+        wrench: force and torque, shape (6,).
+        point: where it is given, shape (3,) [m].
+        to: where it is wanted, shape (3,) [m].
+    """
+    return np.asarray(_moved(np.asarray(point, float) - np.asarray(to, float)) @ wrench, float)
+
+
+def _moved(lever: Array) -> Array:
+    matrix = np.eye(6)
+    matrix[3:, :3] = pin.skew(lever)
+    return matrix
+
+
+@dataclass(frozen=True)
+class Split:
+    """What moves the object and what is internal, at one instant.
+
+    Attributes:
+        name: of the split.
+        G: grasp matrix, shape (6, 6 N).
+        X: what the hands do for a wrench on the object, G X = 1, shape (6 N, 6).
+    """
+
+    name: str
+    G: Array
+    X: Array
+
+    def moving(self, h: Array) -> Array:
+        """The part of the hands' wrenches that moves the object, X w.
+
+        Args:
+            h: of all hands at their points, shape (N, 6) or (6 N,) [N, N m].
+        """
+        return np.asarray((self.X @ (self.G @ np.ravel(h))).reshape(np.shape(h)), float)
+
+    def internal(self, h: Array) -> Array:
+        """The part that cancels, h - X w, of the shape of h."""
+        return np.asarray(h, float) - self.moving(h)
+
+    @property
+    def projector(self) -> Array:
+        """1 - X G, from h to its internal part, shape (6 N, 6 N)."""
+        return np.eye(len(self.X)) - self.X @ self.G
+
+
+def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
+    """Walker's split: every hand does its share of force and of torque.
+
+    The same for any origin of the object, any point of the hands and any unit.
+
+    Args:
+        points: of the hands, shape (N, 3) [m].
+        origin: of the object, shape (3,) [m].
+        shares: a_i, at least 0 and with sum 1, shape (N,).
+
+    Raises:
+        InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
+    """
+    p, o = np.asarray(points, float), np.asarray(origin, float)
+    a = _each("shares", shares, len(p))
+    if not a.min() >= 0.0 or abs(a.sum() - 1.0) > SHARE_SUM:
+        raise InvalidValueError(f"shares: found {a.tolist()}, needs shares that sum to 1")
+    X = np.vstack([share * _moved(o - place) for share, place in zip(a, p, strict=True)])
+    return Split("walker", grasp_matrix(p, o), X)
+
+
+def virtual_inertia(
+    points: ArrayLike, origin: ArrayLike, masses: ArrayLike, inertias: ArrayLike
+) -> Split:
+    """Erhart and Hirche's split: what the hands would do that were free bodies.
+
+    Args:
+        points: of the hands, shape (N, 3) [m].
+        origin: of the object, shape (3,) [m].
+        masses: virtual, shape (N,) [kg]; their ratio alone counts where the inertias go with them.
+        inertias: virtual, about the hand's own point, shape (N,) [kg m2].
+
+    Raises:
+        InvalidValueError: masses or inertias that are not positive, or not one a hand.
+    """
+    p = np.asarray(points, float)
+    m, j = _each("masses", masses, len(p)), _each("inertias", inertias, len(p))
+    if not min(m.min(), j.min()) > 0.0:
+        raise InvalidValueError(
+            f"masses and inertias: found {m.tolist()} and {j.tolist()}, need more than 0"
+        )
+    G = grasp_matrix(p, origin)
+    WGt = np.repeat(np.column_stack([m, j]).ravel(), 3)[:, None] * G.T
+    return Split("virtual_inertia", G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
+
+
+def _each(name: str, values: ArrayLike, hands: int) -> Array:
+    found = np.asarray(values, float)
+    if found.shape != (hands,) or not np.isfinite(found).all():
+        raise InvalidValueError(f"{name}: found {np.array2string(found)}, needs {hands} numbers")
+    return found

@@ -1,0 +1,61 @@
+"""Where the hands that hold an object touch it: their points and, by contact, their normals.
+
+C is the contact frame of a hand. It is fixed to the object: a pad moves with it, and a fingertip
+stays at its place while the object turns. Where a hand is fastened, C is where its tip is at the
+start; behind a hinge the tip moves on, and C stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.contact import Contact
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand that holds the object.
+
+    Attributes:
+        arm: its name.
+        X_OC: pose of the contact frame in the object.
+        contact: how it presses; None where it is fastened.
+    """
+
+    arm: str
+    X_OC: pin.SE3
+    contact: Contact | None
+
+
+def hands(chain: ClosedChain) -> tuple[Hand, ...]:
+    """The hands that hold the object, in the order of ``chain.arms``."""
+    model, data = chain.model, chain.model.createData()
+    pin.framesForwardKinematics(model, data, chain.q_start)
+    found = []
+    for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
+        contact = chain.grasps[arm.name].contact
+        X_OC = data.oMf[frame].actInv(data.oMf[model.getFrameId(arm.tip)])
+        found.append(Hand(arm.name, X_OC * contact.placement if contact else X_OC, contact))
+    return tuple(found)
+
+
+def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
+    """Where the hands are in the world, shape (N, 3) [m].
+
+    Args:
+        hands: of :func:`hands`.
+        p_WO: where the object is, shape (3,) [m].
+        R_WO: how it is turned, shape (3, 3).
+    """
+    return np.array([p_WO + R_WO @ hand.X_OC.translation for hand in hands])
+
+
+def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
+    """Each hand's contact axes: R_CW, shape (N, 3, 3)."""
+    return np.array([(R_WO @ hand.X_OC.rotation).T for hand in hands])

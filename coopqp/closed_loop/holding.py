@@ -1,0 +1,171 @@
+"""What the hands can do to an object at rest: linear programs over their wrenches.
+
+With h the hands' wrenches at their points, at rest, and the arms' own weight g(q),
+
+    G h = s w                          s = 1 carries the object, w what holds its weight
+    |g + sum_i J_i' h_i| <= effort     motors; equal to 0 at passive joints
+    C_i h_i <= 0                       friction of hands that press, with a safety factor
+
+The largest s says whether the object can be held, and the least and the largest squeeze with s = 1
+how hard. The rows that a program's optimum rests on name what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import linprog
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.grasp_matrix import grasp_matrix
+from coopqp.closed_loop.hands import Hand, hands, into_contacts, points
+from coopqp.closed_loop.screw import LENGTH
+
+#: Multipliers below this share of the largest do not hold a program back.
+IDLE = 1e-6
+#: Loads are told up to this many times the object's weight.
+MOST_LOAD = 100.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """An extreme value and what it rests on.
+
+    Attributes:
+        value: of what was asked for.
+        by: what holds it back, such as "motor joint6" or "friction of left".
+        h: the wrenches with which it is reached, shape (N, 6) [N, N m].
+    """
+
+    value: float
+    by: tuple[str, ...]
+    h: Array
+
+    @property
+    def words(self) -> str:
+        """What it rests on, such as "motor a and friction of b"."""
+        *before, last = self.by or ("nothing",)
+        return f"{', '.join(before)} and {last}" if before else last
+
+
+class StaticHold:
+    """The programs of one pose.
+
+    Args:
+        chain: the closed chain.
+        q: configuration with the loops closed, shape (n,); the start when omitted.
+        safety: friction is counted on over this.
+
+    Attributes:
+        hands: those that hold.
+        points: where they are, shape (N, 3) [m].
+        weight: the wrench at the object's origin that carries it, shape (6,).
+    """
+
+    def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:
+        at = chain.q_start if q is None else q
+        self.hands: tuple[Hand, ...] = hands(chain)
+        X_WO = chain.object_pose(at)
+        self._origin = X_WO.translation.copy()
+        self.points = points(self.hands, X_WO.translation, X_WO.rotation)
+        body = chain.held.body()
+        force = -body.mass * chain.model.gravity.linear
+        self.weight = np.concatenate([force, np.cross(X_WO.rotation @ body.lever, force)])
+        self._G = grasp_matrix(self.points, self._origin)
+        self._names: list[str] = []
+        self._rows: list[Array] = []
+        self._most: list[float] = []
+        self._add_joints(chain, at)
+        self._add_contacts(X_WO.rotation, safety)
+        # Torques as forces at LENGTH, so that one tolerance serves all variables.
+        self._scale = np.tile(np.repeat([1.0, LENGTH], 3), len(self.hands))
+
+    def _add_joints(self, chain: ClosedChain, q: Array) -> None:
+        model, N = chain.model, len(self.hands)
+        own = np.asarray(pin.computeGeneralizedGravity(model, model.createData(), q), float)
+        J = chain.object_jacobians(q)[:N]
+        at_origin = [self._G[:, 6 * i : 6 * i + 6] for i in range(N)]
+        felt = np.hstack([J_i.T @ G_i for J_i, G_i in zip(J, at_origin, strict=True)])
+        self._passive = felt[chain.passive], -own[chain.passive]
+        effort = model.effortLimit
+        for i, name in enumerate(chain.joint_names):
+            if i not in chain.passive and np.isfinite(effort[i]):
+                self._bound(f"motor {name}", felt[i], effort[i] - own[i])
+                self._bound(f"motor {name}", -felt[i], effort[i] + own[i])
+
+    def _add_contacts(self, R_WO: Array, safety: float) -> None:
+        turned = into_contacts(self.hands, R_WO)
+        for i, (hand, R) in enumerate(zip(self.hands, turned, strict=True)):
+            if not hand.contact:
+                continue
+            into = np.zeros((6, 6 * len(self.hands)))
+            into[:, 6 * i : 6 * i + 6] = np.kron(np.eye(2), R)
+            kept = hand.contact.force_rows(safety)
+            for row, most, label in zip(kept.rows, kept.most, kept.labels, strict=True):
+                what = "friction" if label.startswith("friction") else f"{label} force"
+                self._bound(f"{what} of {hand.arm}", row @ into, float(most))
+
+    def _bound(self, name: str, row: Array, most: float) -> None:
+        self._names.append(name)
+        self._rows.append(row)
+        self._most.append(most)
+
+    def load(self) -> Bound:
+        """The largest share s of the object's weight that can be carried; below 1 it falls."""
+        size = self._G.shape[1]
+        G = np.hstack([self._G, -self.weight[:, None]])
+        passive = np.hstack([self._passive[0], np.zeros((len(self._passive[1]), 1))])
+        found = self._solve(
+            np.append(np.zeros(size), -1.0),
+            np.vstack([G, passive]),
+            np.concatenate([np.zeros(6), self._passive[1]]),
+            [(0.0, MOST_LOAD)],
+        )
+        return found or Bound(0.0, ("the arms' own weight",), np.zeros((len(self.hands), 6)))
+
+    def extreme(
+        self, row: Array, sign: float, equal: tuple[Array, Array] | None = None
+    ) -> Bound | None:
+        """The largest (sign 1) or least (sign -1) value of row @ h with the object carried.
+
+        Args:
+            row: shape (6 N,), on the wrenches at the hands' points in world axes.
+            sign: which of the two.
+            equal: rows, shape (r, 6 N), and the values that they must have, shape (r,).
+
+        Returns:
+            None where the object cannot be carried so.
+        """
+        rows, values = equal or (np.zeros((0, len(row))), np.zeros(0))
+        found = self._solve(
+            -sign * row,
+            np.vstack([self._G, self._passive[0], rows]),
+            np.concatenate([self.weight, self._passive[1], values]),
+            [],
+        )
+        return Bound(sign * found.value, found.by, found.h) if found else None
+
+    def _solve(
+        self, cost: Array, A: Array, b: Array, more: Sequence[tuple[float, float]]
+    ) -> Bound | None:
+        size = self._G.shape[1]
+        extra = len(cost) - size
+        scale = np.append(self._scale, np.ones(extra))
+        G = np.hstack([np.array(self._rows).reshape(-1, size), np.zeros((len(self._rows), extra))])
+        found = linprog(
+            cost * scale, A_ub=G * scale, b_ub=self._most, A_eq=A * scale, b_eq=b,
+            bounds=[(None, None)] * size + list(more), method="highs",
+        )  # fmt: skip
+        if found.status == 3:  # unbounded: nothing holds it back
+            return Bound(np.inf, (), np.full((len(self.hands), 6), np.nan))
+        if found.status != 0:
+            return None
+        pull = np.abs(found.ineqlin.marginals)
+        felt = pull > IDLE * max(pull.max(initial=0.0), 1e-12)
+        by = tuple(dict.fromkeys(n for n, on in zip(self._names, felt, strict=True) if on))
+        h = (found.x * scale)[:size].reshape(-1, 6)
+        return Bound(-float(found.fun), by, h)

@@ -1,0 +1,78 @@
+"""The rows of tasks that ask for wrenches of the hands, in one block: C h = wanted."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.row import Row
+from coopqp.state import State
+from coopqp.task import Task, TaskRows
+
+
+class WrenchStack:
+    """The rows of several such tasks.
+
+    Args:
+        tasks: with ``of_forces``, in the order of their rows.
+        start: the state from which their references set out.
+
+    Attributes:
+        tasks: as given.
+        rows: such as "task[internal_wrench].squeeze".
+        slices: of each task's rows. sizes: their numbers.
+        C: shape (r, 6 N), on the wrenches of the hands that hold the object, each at its point,
+            in world axes.
+        wanted: shape (r,) [N, N m].
+        weights: of the rows; torques count as forces at LENGTH.
+        hard: which of them must hold, shape (r,).
+        priorities: of the rows, shape (r,).
+    """
+
+    def __init__(self, tasks: Sequence[Task], start: State) -> None:
+        chain = start.chain
+        self.tasks = tuple(tasks)
+        self.rows = tuple(
+            Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=unit)
+            for task in tasks
+            for name, unit in zip(task.rows(chain), _units(task, start), strict=True)
+        )
+        self.sizes = tuple(len(task.rows(chain)) for task in tasks)
+        ends = list(itertools.accumulate(self.sizes, initial=0))
+        self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+        self.C, self.wanted = np.zeros((ends[-1], 6 * chain.holding)), np.zeros(ends[-1])
+        turns = np.array([row.unit == "N m" for row in self.rows], bool)
+        self.weights = np.repeat([float(task.weight) for task in tasks], self.sizes)
+        self.weights[turns] /= LENGTH**2
+        self.hard = np.repeat([task.mode == "hard" for task in tasks], self.sizes).astype(bool)
+        self.priorities = np.repeat([task.priority for task in tasks], self.sizes).astype(int)
+        e = np.zeros(ends[-1])
+        self._evaluate = [
+            (task.bind(start), TaskRows(e[part], self.C[part], self.wanted[part]))
+            for task, part in zip(tasks, self.slices, strict=True)
+        ]
+
+    def update(self, state: State) -> None:
+        """Fill all rows for a state."""
+        state.lock()
+        try:
+            for evaluate, block in self._evaluate:
+                evaluate(state, block)
+        finally:
+            state.unlock()
+
+    def error(self, h: Array) -> Array:
+        """How far wrenches are from what is wanted, shape (r,).
+
+        Args:
+            h: of the hands that hold the object, shape (N, 6) [N, N m].
+        """
+        return np.asarray(self.C @ np.ravel(h) - self.wanted, float)
+
+
+def _units(task: Task, start: State) -> list[str]:
+    return [part.unit for part in task.parts(start.chain) for _ in range(part.rows)]

@@ -1,0 +1,130 @@
+"""What a hand can do that holds by pressing: the cone of wrenches that friction allows.
+
+A contact frame has its z axis into the object. w = (f; t) is what the hand does to the object, in
+that frame and at its origin. A cone is rows with ``rows @ w <= 0``, so that it is closed under
+scaling: what counts is the ratio to the normal force f_z, which pushes and never pulls.
+
+Two linear cones stand for the round one of Coulomb, |f_t| <= mu f_z. The inner one lies inside it,
+so that what it allows friction bears; the outer one around it, so that what it forbids slips.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from coopqp.checked import Array
+
+#: Friction is counted on over this where nothing else is said.
+SAFETY = 1.5
+#: A hand that presses with less does not hold anything, whatever the ratio says [N].
+NO_CONTACT = 1e-6
+
+
+@dataclass(frozen=True)
+class ForceRows:
+    """What a wrench in the contact frame has to keep, rows @ w <= most.
+
+    Attributes:
+        rows: shape (r, 6).
+        most: shape (r,) [N].
+        labels: such as "friction[3]", "least" and "most".
+    """
+
+    rows: Array
+    most: Array
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact(ABC):
+    """A hand's contact with the object.
+
+    Attributes:
+        placement: pose of the contact frame in the hand's tip frame, a pinocchio SE3.
+        friction: coefficient mu.
+        half_lengths: of the pad along the frame's x and y [m]; zero for a point.
+        least: normal force with which a hand is to press at least [N].
+        most: normal force that hand and object stand [N].
+    """
+
+    placement: Any
+    friction: float
+    half_lengths: tuple[float, float] = (0.0, 0.0)
+    least: float = 0.0
+    most: float = np.inf
+
+    @abstractmethod
+    def rows(self, friction: float) -> Array:
+        """A cone inside Coulomb's, rows @ w <= 0, shape (r, 6).
+
+        Args:
+            friction: coefficient that is counted on: mu over a safety factor.
+        """
+
+    @abstractmethod
+    def needed(self, wrench: ArrayLike) -> float:
+        """The coefficient of true friction that a wrench needs; inf where none bears it.
+
+        Args:
+            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
+        """
+
+    def holds(self, wrench: ArrayLike, friction: float) -> bool:
+        """Whether true friction bears a wrench.
+
+        Args:
+            wrench: contact frame, shape (6,) [N, N m].
+            friction: coefficient that there is.
+        """
+        return self.needed(wrench) <= friction
+
+    def force_rows(self, safety: float) -> ForceRows:
+        """All that a wrench of the hand has to keep: the inner cone, and the normal force.
+
+        Args:
+            safety: friction is counted on over this.
+        """
+        cone = self.rows(self.friction / safety)
+        normal = np.zeros((2, 6))
+        normal[:, 2] = -1.0, 1.0
+        bounds, labels = [-self.least, self.most], ["least", "most"]
+        ends = 1 if np.isinf(self.most) else 2
+        return ForceRows(
+            np.vstack([cone, normal[:ends]]),
+            np.array([0.0] * len(cone) + bounds[:ends]),
+            tuple([f"friction[{i}]" for i in range(len(cone))] + labels[:ends]),
+        )
+
+    def use(self, wrench: ArrayLike, friction: float) -> float:
+        """How much of the inner cone a wrench uses: 0 pure squeeze, 1 its edge; inf without one.
+
+        Args:
+            wrench: contact frame, shape (6,) [N, N m].
+            friction: coefficient that is counted on.
+        """
+        w = np.asarray(wrench, float)
+        if not w[2] > NO_CONTACT:
+            return np.inf
+        rows = self.rows(friction)
+        return used(rows, w)
+
+    def margin(self, wrench: ArrayLike, friction: float) -> float:
+        """Share of the inner cone that is left, 1 - use; negative beyond it."""
+        return 1.0 - self.use(wrench, friction)
+
+
+def used(rows: Array, w: Array) -> float:
+    """The largest share of a row's normal part that the rest of the wrench takes.
+
+    Args:
+        rows: of a cone, shape (r, 6).
+        w: wrench with a normal force that presses, shape (6,).
+    """
+    normal = -rows[:, 2] * w[2]
+    bound = normal > 0.0
+    return float(np.max((rows[bound] @ w + normal[bound]) / normal[bound], initial=0.0))

@@ -1,0 +1,132 @@
+"""The cone of a rectangular pad in closed form: Caron, Pham and Nakamura 2015 (arXiv 1501.04719).
+
+Half-lengths X along x, Y along y, z into the object; every corner bears |f_x| <= m f_z and
+|f_y| <= m f_z. Their sums are exactly the wrenches with
+
+    |f_x| <= m f_z,  |f_y| <= m f_z,  |t_x| <= Y f_z,  |t_y| <= X f_z,
+    -m(X+Y) f_z + |Y f_x - m t_x| + |X f_y - m t_y| <= t_z
+                 <= m(X+Y) f_z - |Y f_x + m t_x| - |X f_y + m t_y|
+
+which are 4 + 4 + 8 rows. m = mu is a square around Coulomb's circle, which allows up to 1.41 mu;
+the square inside it has m = mu / sqrt(2).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import nnls
+
+from coopqp.checked import Array
+from coopqp.contact import NO_CONTACT, Contact
+
+#: From a circle to the square inside it.
+INNER = 1.0 / np.sqrt(2.0)
+#: Edges of each corner's cone where neither square tells; it loses 1 - cos(pi/16) = 1.9 %.
+CORNER_EDGES = 16
+#: To what share the friction that is needed is told.
+NEAR = 0.005
+#: Forces sum up to a wrench where no more than this share of the normal force is left.
+SUMS_UP = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pad(Contact):
+    """A flat pad.
+
+    Attributes:
+        torsion: share of the corners' yaw that the pad bears: 1 where it carries at its corners,
+            about a half under even pressure.
+    """
+
+    torsion: float = 1.0
+
+    def rows(self, friction: float) -> Array:
+        """The 16 rows with the square inside Coulomb's circle, and 2 where torsion is below 1."""
+        return self._rows(INNER * friction)
+
+    def needed(self, wrench: ArrayLike) -> float:
+        """By cones at the corners, between what the squares in and around them say."""
+        w = np.asarray(wrench, float)
+        X, Y = self.half_lengths
+        if not w[2] > NO_CONTACT or abs(w[3]) > Y * w[2] or abs(w[4]) > X * w[2]:
+            return math.inf
+        # The square around needs the least, and the one inside sqrt(2) of that at most.
+        low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
+        low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
+        high = self._needed(w) / INNER
+        while high - low > NEAR * high + 1e-9:
+            middle = 0.5 * (low + high)
+            if corners_hold(w, self.half_lengths, middle):
+                high = middle
+            else:
+                low = middle
+        return float(max(low, high))
+
+    def _needed(self, w: Array) -> float:
+        """The least m with which the 16 rows hold, by what they are made of."""
+        X, Y = self.half_lengths
+        fx, fy, fz, tx, ty, tz = w.tolist()
+        need = max(abs(fx), abs(fy)) / fz
+        for a, b in itertools.product((1.0, -1.0), repeat=2):
+            # a Y fx + b X fy + sign tz <= m ((X + Y) fz - sign (a tx + b ty))
+            for sign in (1.0, -1.0):
+                room = (X + Y) * fz - sign * (a * tx + b * ty)
+                force = a * Y * fx + b * X * fy + sign * tz
+                if force > 0.0:
+                    need = max(need, force / room if room > 0.0 else np.inf)
+        return float(need)
+
+    def _rows(self, m: float) -> Array:
+        X, Y = self.half_lengths
+        rows = pad_rows(m, X, Y)
+        if self.torsion < 1.0:
+            yaw = self.torsion * m * (X + Y)
+            rows = np.vstack([rows, [0, 0, -yaw, 0, 0, 1.0], [0, 0, -yaw, 0, 0, -1.0]])
+        return rows
+
+
+def pad_rows(m: float, X: float, Y: float) -> Array:
+    """The 16 rows, shape (16, 6).
+
+    Args:
+        m: half the edge of the square of tangential forces over the normal force.
+        X: half-length along x [m].
+        Y: along y [m].
+    """
+    rows = []
+    for sign in (1.0, -1.0):
+        rows += [
+            [sign, 0.0, -m, 0.0, 0.0, 0.0],
+            [0.0, sign, -m, 0.0, 0.0, 0.0],
+            [0.0, 0.0, -Y, sign, 0.0, 0.0],
+            [0.0, 0.0, -X, 0.0, sign, 0.0],
+        ]
+    for a, b in itertools.product((1.0, -1.0), repeat=2):
+        rows.append([a * Y, b * X, -m * (X + Y), a * m, b * m, 1.0])
+        rows.append([a * Y, b * X, -m * (X + Y), -a * m, -b * m, -1.0])
+    return np.array(rows)
+
+
+def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> bool:
+    """Whether forces at the corners, each in a cone of many edges, sum up to a wrench.
+
+    Args:
+        wrench: shape (6,) with a normal force that presses.
+        half: half-lengths X, Y [m].
+        friction: coefficient.
+    """
+    angles = 2.0 * np.pi * np.arange(CORNER_EDGES) / CORNER_EDGES
+    edges = np.array([friction * np.cos(angles), friction * np.sin(angles), np.ones(CORNER_EDGES)])
+    X, Y = half
+    columns = []
+    for x, y in ((X, Y), (X, -Y), (-X, Y), (-X, -Y)):
+        torques = np.array([y * edges[2], -x * edges[2], x * edges[1] - y * edges[0]])
+        columns.append(np.vstack([edges, torques / max(X, Y)]))
+    wanted = wrench / wrench[2]
+    wanted[3:] /= max(X, Y)
+    return bool(nnls(np.hstack(columns), wanted)[1] < SUMS_UP)

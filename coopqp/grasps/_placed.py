@@ -1,0 +1,50 @@
+"""Where a contact is in the hand, and how hard it may press."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checked import unit
+
+Three = tuple[float, float, float]
+
+#: A direction that is nearer to the normal gives no axis along the pad.
+PARALLEL = 1e-3
+
+
+def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE3:
+    """The contact frame in the hand: z along the normal, x along the pad.
+
+    Args:
+        position: of its origin [m].
+        normal: into the object.
+        along: of x, less its part along the normal; the hand's own x, or y, if omitted.
+
+    Raises:
+        ValueError: along goes along the normal.
+    """
+    z = unit(normal)
+    if along is None:
+        along = (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0)
+    x = unit(along)
+    x = x - (x @ z) * z
+    length = float(np.linalg.norm(x))
+    if length < PARALLEL:
+        raise ValueError("along: goes along the normal; needs a direction across it")
+    x /= length
+    return pin.SE3(np.column_stack([x, np.cross(z, x), z]), np.array(position))
+
+
+def check_range(least: float, most: float | None) -> None:
+    """Refuse normal forces that leave nothing between them.
+
+    Args:
+        least: [N].
+        most: [N]; any if None.
+
+    Raises:
+        ValueError: that is so.
+    """
+    if most is not None and not least < most:
+        raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")

@@ -1,0 +1,88 @@
+"""A grasp that holds by pressing with a fingertip: it bears forces and no torques."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
+from coopqp.contact import NO_CONTACT, Contact
+from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.grasps._ball import ball
+from coopqp.grasps._placed import check_range, placed
+
+#: The ball's hinges are singular where the second has turned by a quarter [rad].
+CONE = 1.4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fingertip(Contact):
+    """A point that presses.
+
+    Attributes:
+        edges: of the pyramid inside Coulomb's cone.
+    """
+
+    edges: int = 8
+
+    def rows(self, friction: float) -> Array:
+        """One a face of the pyramid whose edges lie on Coulomb's cone, the first along x.
+
+        Between two edges cos(pi / edges) of the friction is left.
+        """
+        step = 2.0 * math.pi / self.edges
+        faces = step * (np.arange(self.edges) + 0.5)
+        rows = np.zeros((self.edges, 6))
+        rows[:, 0], rows[:, 1] = np.cos(faces), np.sin(faces)
+        rows[:, 2] = -friction * math.cos(0.5 * step)
+        return rows
+
+    def needed(self, wrench: ArrayLike) -> float:
+        """By the round cone."""
+        w = np.asarray(wrench, float)
+        return math.hypot(w[0], w[1]) / float(w[2]) if w[2] > NO_CONTACT else math.inf
+
+
+@spec
+class PointContact(Grasp):
+    """Fingertip: holds by pressing at a point; the object turns freely about it."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """The point, in the hand [m]."""
+    normal: Direction = (0.0, 0.0, 1.0)
+    """Where it presses at the start, in the hand; any length."""
+    along: Direction | None = None
+    """Direction of one of the pyramid's vertices, in the hand; across the normal if omitted."""
+    friction: Positive = 0.5
+    """Coefficient between fingertip and object."""
+    least: NonNegative = 1.0
+    """Normal force with which it is to press at least [N]."""
+    most: Positive | None = None
+    """Normal force that the object, or the hand, stands [N]; any if omitted."""
+    edges: Annotated[int, Field(ge=4, le=32)] = 8
+    """Of the pyramid that stands for the cone; at worst it loses 1 - cos(pi / edges), 8 %."""
+
+    def __post_init__(self) -> None:
+        check_range(self.least, self.most)
+        placed(self.position, self.normal, self.along)
+
+    def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
+        """Hinges about x, y and z through the point."""
+        return ball(self.position, CONE)
+
+    @property
+    def contact(self) -> Contact:
+        """The point."""
+        placement = placed(self.position, self.normal, self.along)
+        return Fingertip(
+            placement=placement,
+            friction=self.friction,
+            least=self.least,
+            most=math.inf if self.most is None else self.most,
+            edges=self.edges,
+        )

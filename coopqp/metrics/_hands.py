@@ -1,0 +1,39 @@
+"""What metrics of the hands have in common: their signals, from when the hands have taken hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.trace import Trace
+
+#: Hands that begin without pressing have taken hold after this [s].
+TAKEN = 0.05
+
+
+def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
+    """A signal of hands that press, shape (T', N, width); None where the plant tells none.
+
+    Args:
+        trace: of a run.
+        signal: its name.
+        width: how many numbers a hand has.
+    """
+    told = trace.signals.get(signal)
+    first = min(round(TAKEN / trace.dt), trace.ticks - 1)
+    if told is None or not trace.ticks:
+        return None
+    return np.asarray(told[first : end_of_hold(trace)].reshape(-1, told.shape[1] // width, width))
+
+
+def end_of_hold(trace: Trace) -> int:
+    """The tick in which the object was lost; the number of ticks where it was not."""
+    held = trace.signals.get("held")
+    if held is None or held[:, 0].all():
+        return trace.ticks
+    return max(int(np.argmin(held[:, 0])), min(round(TAKEN / trace.dt), trace.ticks - 1) + 1)
+
+
+def holding(points: Array) -> Array:
+    """Which hands hold the object in each tick, shape (T, N): the others have no point."""
+    return np.asarray((points != 0.0).any(axis=2))

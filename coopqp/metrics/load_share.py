@@ -1,0 +1,27 @@
+"""Which share of the object's weight each arm carries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import spec
+from coopqp.metric import Metric
+from coopqp.metrics._hands import by_hand
+from coopqp.trace import Trace
+
+#: Where the hands lift with less, nobody carries anything [N].
+LEAST_LIFT = 1e-3
+
+
+@spec
+class LoadShare(Metric):
+    """Mean share of the force upwards that each arm brings, in the robot's order of arms."""
+
+    def measure(self, trace: Trace) -> list[float] | None:
+        """None where the plant tells no forces."""
+        wrenches = by_hand(trace, "hand_wrench", 6)
+        if wrenches is None or not wrenches.size:
+            return None
+        lift = wrenches[:, :, 2].mean(axis=0)
+        total = float(lift.sum())
+        return (lift / total).tolist() if np.abs(total) > LEAST_LIFT else None

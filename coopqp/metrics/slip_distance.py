@@ -1,0 +1,22 @@
+"""How far the object has slipped along the hands that press on it."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from coopqp.checked import spec
+from coopqp.metric import Metric
+from coopqp.metrics._hands import by_hand
+from coopqp.trace import Trace
+
+
+@spec
+class SlipDistance(Metric):
+    """How far the object slipped along a hand that presses, at most, while it was held."""
+
+    unit: ClassVar[str] = "m"
+
+    def measure(self, trace: Trace) -> float | None:
+        """None where no hand presses."""
+        slip = by_hand(trace, "slip")
+        return None if slip is None or not slip.size else float(slip.max())

@@ -1,0 +1,54 @@
+"""How hard the hands press on the object."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.checked import Array, spec
+from coopqp.closed_loop.forces import squeeze_rows
+from coopqp.errors import CoopqpError
+from coopqp.metric import Metric
+from coopqp.metrics._hands import by_hand, holding
+from coopqp.trace import Trace
+
+
+@spec
+class Squeeze(Metric):
+    """How hard the hands press on the object: least, mean and worst, where the plant tells it."""
+
+    unit: ClassVar[str] = "N"
+
+    def measure(self, trace: Trace) -> dict[str, float] | None:
+        """Normal forces of hands that press; the squeeze between two or three fastened ones.
+
+        The mean is over hands and ticks. A hand that lets go, or has lost the object, is not
+        counted.
+        """
+        normal, points = by_hand(trace, "normal_force"), by_hand(trace, "hand_point", 3)
+        wrenches = by_hand(trace, "hand_wrench", 6)
+        if points is None or wrenches is None:
+            return None
+        holds = holding(points)
+        if normal is not None:
+            found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
+        else:
+            found = _between(wrenches, points, holds)
+        if not found.size:
+            return None
+        least, mean, worst = float(found.min()), float(found.mean()), float(found.max())
+        return {"least": least, "mean": mean, "worst": worst}
+
+
+def _between(wrenches: Array, points: Array, holds: Array) -> Array:
+    """Squeeze of every pair in every tick."""
+    found: list[float] = []
+    for h, p, held in zip(wrenches, points, holds, strict=True):
+        if held.sum() in (2, 3):
+            try:
+                rows = squeeze_rows(p[held])
+            except CoopqpError:  # hands in one place have no direction between them
+                continue
+            found += [float(row @ h[held].ravel()) for row in rows.values()]
+    return np.array(found)

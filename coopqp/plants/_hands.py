@@ -1,0 +1,108 @@
+"""What plants with masses tell of the hands: their wrenches, friction, slip, and what is held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.hands import Hand, hands
+
+#: A hand that presses and has not touched the object for so long has lost it [s].
+LOST = 0.02
+#: Friction beyond what there is by less than this share is rounding.
+ROUNDING = 1e-3
+
+
+class HandSignals:
+    """Signals of the hands, in the robot's order of arms; zero for those that hold nothing.
+
+    Args:
+        chain: as it really is.
+        friction: of real contacts over the modelled one.
+
+    Attributes:
+        hands: those that hold, in the chain's order.
+        signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
+            N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
+            ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), the
+            friction that is needed over what there is, ``slip`` (N,), how far the object has moved
+            along the contact [m], and ``held`` (1,), 1 until the object is lost.
+        lost: which hand lost it and why; empty while it is held.
+    """
+
+    def __init__(self, chain: ClosedChain, friction: float) -> None:
+        robot = [arm.name for arm in chain.robot.arms]
+        arms = len(robot)
+        self.signals = {"hand_wrench": np.zeros(6 * arms), "hand_point": np.zeros(3 * arms)}
+        self.lost, self._friction, self._apart = "", friction, np.zeros(arms)
+        if any(grasp.contact for grasp in chain.grasps.values()):
+            for name in ("normal_force", "tangential_force", "friction_use", "slip"):
+                self.signals[name] = np.zeros(arms)
+            self.signals["held"] = np.ones(1)
+        self.follow(chain)
+
+    def follow(self, chain: ClosedChain) -> None:
+        """Take another chain of the same robot, in which other arms hold the object."""
+        robot = [arm.name for arm in chain.robot.arms]
+        self.hands: tuple[Hand, ...] = hands(chain)
+        self._at = [robot.index(hand.arm) for hand in self.hands]
+
+    @property
+    def pressing(self) -> bool:
+        """Whether a hand holds by pressing."""
+        return any(hand.contact for hand in self.hands)
+
+    def tell(self, wrenches: Array, points: Array, turned: Array) -> None:
+        """Write what the hands do now.
+
+        Args:
+            wrenches: on the object, each at its point, world axes, shape (holding, 6).
+            points: in the world, shape (holding, 3) [m].
+            turned: R_CW of each contact, shape (holding, 3, 3).
+        """
+        for name, told in self.signals.items():
+            if name not in ("held", "slip"):
+                told[:] = 0.0
+        by_arm = self.signals["hand_wrench"].reshape(-1, 6)
+        by_arm[self._at] = wrenches
+        self.signals["hand_point"].reshape(-1, 3)[self._at] = points
+        for hand, i, h, R in zip(self.hands, self._at, wrenches, turned, strict=True):
+            if hand.contact:
+                w = np.concatenate([R @ h[:3], R @ h[3:]])
+                needed = hand.contact.needed(w) / (self._friction * hand.contact.friction)
+                self.signals["normal_force"][i] = w[2]
+                self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
+                self.signals["friction_use"][i] = min(needed, MOST_USE)
+
+    def touch(self, dt: float) -> None:
+        """Count how long hands have not pressed; the object is lost after some time.
+
+        Args:
+            dt: since the last call [s].
+        """
+        for hand, i in zip(self.hands, self._at, strict=True):
+            if hand.contact:
+                touches = self.signals["normal_force"][i] > 0.0
+                self._apart[i] = 0.0 if touches else self._apart[i] + dt
+                if self._apart[i] > LOST:
+                    self.lose(f"{hand.arm} no longer touches it")
+
+    def bear(self) -> None:
+        """Take the object for lost where friction cannot bear what the hands would have to do."""
+        for hand, i in zip(self.hands, self._at, strict=True):
+            if not hand.contact or self.signals["friction_use"][i] <= 1.0 + ROUNDING:
+                continue
+            pulls = self.signals["normal_force"][i] <= 0.0
+            why = "would have to pull it" if pulls else "needs more friction than there is"
+            self.lose(f"{hand.arm} {why}")
+
+    def lose(self, why: str) -> None:
+        """The object is lost, from now on."""
+        if not self.lost:
+            self.lost = why
+        self.signals["held"][0] = 0.0
+
+
+#: Where no friction bears a wrench, so much of it is told to be used.
+MOST_USE = 10.0

@@ -1,0 +1,63 @@
+"""How hard the hands press, and how much of the friction they use."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.report import curves
+from coopqp.report.curves import Figure, Window
+from coopqp.report.figures.chart import Chart
+from coopqp.trace import Trace
+
+#: Friction use beyond this is not worth a scale.
+MOST_USE = 1.5
+
+
+def hands(chart: Chart) -> list[Figure]:
+    """Normal force, friction and load share by hand, slip; none where no hand presses."""
+    told = {n: t for n, t in chart.traces.items() if "normal_force" in t.signals}
+    figures = []
+    arms = [arm.name for arm in chart.chain.robot.arms]
+    for i, arm in enumerate(arms) if told else ():
+        figures.append(chart.plain(f"Normal force of {arm}", "N", _of(told, "normal_force", i)))
+        figures.append(_friction(chart, arm, _of(told, "friction_use", i)))
+    if told:
+        slip = {n: 1e3 * t.signals["slip"].max(axis=1) for n, t in told.items()}
+        figures.append(chart.plain("Slip along the hands, largest", "mm", slip))
+    return figures
+
+
+def load_shares(chart: Chart) -> list[Figure]:
+    """Which part of the lift each arm brings; none where no plant tells forces."""
+    told = {n: t for n, t in chart.traces.items() if "hand_wrench" in t.signals and t.ticks}
+    arms = [arm.name for arm in chart.chain.robot.arms]
+    return [
+        chart.plain(f"Share of the load on {arm}", "1", {n: _share(t, i) for n, t in told.items()})
+        for i, arm in enumerate(arms)
+        if told
+    ]
+
+
+def _share(trace: Trace, i: int) -> Array:
+    lift = trace.signals["hand_wrench"].reshape(trace.ticks, -1, 6)[:, :, 2]
+    total = lift.sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(np.abs(total) > 1e-3, lift[:, i] / total, np.nan)
+    return np.asarray(share, float)
+
+
+def _of(told: dict[str, Trace], signal: str, i: int) -> dict[str, Array]:
+    return {name: trace.signals[signal][:, i] for name, trace in told.items()}
+
+
+def _friction(chart: Chart, arm: str, lines: dict[str, Array]) -> Figure:
+    """With the edge of the cone as the limit that it is."""
+    shown = Window(0.0, MOST_USE)
+    clipped = {name: np.minimum(line, MOST_USE) for name, line in lines.items()}
+    return Figure(
+        title=f"Friction that {arm} needs over what there is",
+        unit="1",
+        data=chart.beyond_limits(shown, -1.0, 1.0) + chart.curves(clipped),
+        layout=chart.layout(curves.linear(shown), curves.level(1.0, "slips")),
+    )

@@ -1,0 +1,170 @@
+"""How hard hands can squeeze at rest, against the notes' figures and closed forms."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pads import pressing, scenario_pads
+from scenario_files import HEAD, LOADABLE, PHASES, TAIL, write
+
+import coopqp
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.forces import contact_faults, contact_notes, forces
+from coopqp.closed_loop.holding import StaticHold
+from coopqp.closed_loop.section import section
+from coopqp.errors import ScenarioError
+
+G = 9.81  # [m/s2]
+
+#: Scenario, mass [kg], half-lengths [m]: least and most squeeze [N]; None where it falls.
+PADS = [
+    ("point_on_point", 0.2, 0.02, (4.16, 12.1)),
+    ("point_on_point", 0.5, 0.02, (10.4, 11.6)),
+    ("point_on_point", 0.7, 0.02, None),
+    ("two_pandas", 2.0, 0.03, (41.6, 226.0)),
+    ("two_pandas", 8.0, 0.03, (166.0, 198.0)),
+    ("two_pandas", 12.0, 0.03, None),
+    ("baxter_tray", 2.0, 0.03, (41.6, 82.5)),
+]
+
+
+@pytest.mark.parametrize(("name", "mass", "half", "squeeze"), PADS)
+def test_the_range_of_squeeze_of_the_notes(
+    name: str, mass: float, half: float, squeeze: tuple[float, float] | None
+) -> None:
+    if name not in LOADABLE:
+        pytest.skip("needs coopqp[robots]")
+    found = forces(scenario_pads(name, mass, half))
+    (between,) = found.squeezes
+    if squeeze is None:
+        assert between.least is between.most is None
+        assert found.load.value < 1.0
+        assert "cannot hold the object" in " ".join(found.sentences())
+        return
+    assert between.least
+    assert between.most
+    assert between.least.value == pytest.approx(squeeze[0], rel=5e-3)
+    assert between.most.value == pytest.approx(squeeze[1], rel=5e-3)
+    assert {*between.least.by} == {f"friction of {arm}" for arm in found.contacts}
+    assert any(name.startswith("motor") for name in between.most.by)
+
+
+def test_the_least_squeeze_is_the_closed_form(chain: ClosedChain) -> None:
+    """Two pads carry m g / 2 each along a pad's axis: m g / (2 mu / (sqrt(2) SF))."""
+    for safety in (1.0, 1.5):
+        (between,) = forces(pressing(chain, 0.2, 0.02), safety=safety).squeezes
+        assert between.least
+        closed = 0.2 * G / (2.0 * 0.5 / (math.sqrt(2.0) * safety))
+        assert between.least.value == pytest.approx(closed, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "alone", "free"),
+    [("point_on_point", 10.1, 37.8), ("two_pandas", 131.0, 476.0), ("baxter_tray", 78.6, 110.0)],
+)
+def test_what_motors_can_squeeze_with_fastened_hands(name: str, alone: float, free: float) -> None:
+    if name not in LOADABLE:
+        pytest.skip("needs coopqp[robots]")
+    hold = StaticHold(coopqp.load(name).chain)
+    rows = section(*hold.points).rows
+    most, others_zero = (
+        hold.extreme(rows[0], 1.0),
+        hold.extreme(rows[0], 1.0, (rows[1:], np.zeros(5))),
+    )
+    assert most
+    assert others_zero
+    assert most.value == pytest.approx(free, rel=5e-3)
+    assert others_zero.value == pytest.approx(alone, rel=5e-3)
+
+
+def test_the_wrenches_of_an_extreme_carry_the_object_within_the_motors(chain: ClosedChain) -> None:
+    held = pressing(chain, 0.2, 0.02)
+    hold = StaticHold(held, safety=1.5)
+    found = hold.extreme(section(*hold.points).rows[0], 1.0)
+    assert found is not None
+    force, torque = found.h[:, :3], found.h[:, 3:]
+    origin = held.object_pose(held.q_start).translation
+    assert np.allclose(force.sum(axis=0), [0, 0, 0.2 * G], atol=1e-8)
+    turned = np.cross(hold.points - origin, force) + torque
+    assert np.allclose(turned.sum(axis=0), np.cross(np.zeros(3), force[0]), atol=1e-8)
+    for hand, h, normal in zip(hold.hands, found.h, (1.0, -1.0), strict=True):
+        assert hand.contact
+        assert abs(h[1] * normal) > abs(h[0])  # it presses along the line between the hands
+
+
+def test_a_contact_that_points_away_is_refused(chain: ClosedChain) -> None:
+    good = pressing(chain, 0.2, 0.02)
+    away = {
+        name: type(grasp)(**{**_fields(grasp), "normal": tuple(-x for x in grasp.normal)})
+        for name, grasp in good.grasps.items()
+    }
+    bad = ClosedChain.take_hold(chain.robot, chain.q_start, away, good.held)
+    assert [arm for arm, words in contact_faults(bad) if "points away" in words] == [
+        "right",
+        "left",
+    ]
+    assert not [*contact_faults(good)]
+
+
+def _fields(grasp: object) -> dict[str, object]:
+    keys = ("normal", "along", "half_lengths", "friction")
+    return {key: getattr(grasp, key) for key in keys}
+
+
+def test_pads_beyond_the_face_are_told(chain: ClosedChain) -> None:
+    """The box is 8 cm high and deep: pads of 2 x 5 cm stand out by a centimetre."""
+    notes = [*contact_notes(pressing(chain, 0.2, 0.05))]
+    assert any("the pad of right reaches 10.0 mm beyond the face" in note for note in notes)
+    assert not any("reaches" in note for note in contact_notes(pressing(chain, 0.2, 0.02)))
+
+
+PADDED = """\
+robot: nao_t14
+grasps:
+  right: {surface_contact: {normal: [SIGN0.0323, SIGN0.0591, SIGN-0.1975], friction: MU,
+                            half_lengths: [0.02, 0.02], along: [0.13, 0.944, 0.304]}}
+  left: {surface_contact: {normal: [0.0323, -0.0591, -0.1975], half_lengths: [0.02, 0.02],
+                           along: [0.13, -0.944, 0.304]}}
+"""
+
+TASKS = """\
+tasks:
+  - point_on_point: {name: reach, goal: [0.17, 0.01, 0.06], gain: 5, profile: {duration: 0.4}}
+duration: 0.6
+"""
+
+
+def padded(mass: float, rest: str, sign: str = "", mu: str = "0.5") -> str:
+    """A scenario of NAO with pads."""
+    head = HEAD.split("grasp: {rigid: {}}\n")[1].replace("mass: 0.2", f"mass: {mass}")
+    numbers = PADDED.replace("SIGN-", "-" if not sign else "").replace("SIGN", sign)
+    return numbers.replace("MU", mu) + head + rest + TAIL
+
+
+@pytest.mark.parametrize(
+    ("sign", "mu", "mass", "words"),
+    [
+        ("", "0.5", 1.7, "grasps: cannot hold the object at rest: the hands carry "),
+        ("-", "0.5", 0.2, "grasps.right: the contact's normal points away from the object"),
+        ("", "0", 0.2, "friction: found 0; needs greater than 0"),
+        ("", "-0.5", 0.2, "friction: found -0.5; needs greater than 0"),
+    ],
+)
+def test_grasps_that_cannot_hold_are_refused_with_their_line(
+    sign: str, mu: str, mass: float, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ScenarioError) as error:
+        coopqp.load(write(tmp_path, padded(mass, TASKS, sign, mu)))
+    assert words in str(error.value)
+    if "weight" in words:
+        assert "motor RShoulderRoll" in str(error.value)
+
+
+def test_a_pad_cannot_hold_alone(tmp_path: Path) -> None:
+    """In the second phase the left hand lets go."""
+    with pytest.raises(ScenarioError, match="one hand alone holds nothing by pressing"):
+        coopqp.load(write(tmp_path, padded(0.2, PHASES)))
+    assert coopqp.load(write(tmp_path, padded(0.2, TASKS))).chain.holding == 2

@@ -1,0 +1,180 @@
+"""Cones of contacts against linear programs over forces at corners, and Coulomb's law."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import linprog, nnls
+
+from coopqp.checked import Array
+from coopqp.contact import Contact
+from coopqp.grasps import PointContact, SurfaceContact
+from coopqp.grasps._pad import Pad, corners_hold, pad_rows
+
+WRENCHES = 10_000
+#: Nearer to the edge of the cone, as a share of the normal force, both answers are right.
+EDGE = 1e-9
+
+
+def corner_maps(X: float, Y: float) -> Array:
+    """From forces at four corners, one after the other, to the wrench, written out; (6, 12)."""
+    blocks = []
+    for x, y in ((X, Y), (X, -Y), (-X, Y), (-X, -Y)):
+        blocks.append(np.vstack([np.eye(3), [[0, 0, y], [0, 0, -x], [-y, x, 0]]]))
+    return np.hstack(blocks)
+
+
+def random_wrench(rng: np.random.Generator, m: float, X: float, Y: float) -> Array:
+    """About half of them inside: corner forces near the edges of their cones, with noise."""
+    f = rng.uniform(-1.2, 1.2, (4, 2)) * m
+    normal = rng.uniform(0.05, 1.0, 4)
+    forces = np.column_stack([f * normal[:, None], normal]).ravel()
+    w = corner_maps(X, Y) @ forces
+    spread = np.array([m, m, 0.0, Y, X, m * (X + Y)]) * normal.sum()
+    return np.asarray(w + rng.uniform(-0.6, 0.6, 6) * spread)
+
+
+def test_the_16_rows_are_what_forces_at_the_corners_can_do() -> None:
+    """Whether forces in the corners' square cones sum up to a wrench: nonnegative least squares.
+
+    Every thirtieth by a linear program as well; both are scaled so that their tolerances mean the
+    same for every pad.
+    """
+    rng, inside = np.random.default_rng(2015), 0
+    for k in range(WRENCHES):
+        m, X, Y = rng.uniform(0.1, 1.0), rng.uniform(0.01, 0.1), rng.uniform(0.01, 0.1)
+        w = random_wrench(rng, m, X, Y)
+        excess = float((pad_rows(m, X, Y) @ w).max() / (w[2] * max(m, X, Y)))
+        if abs(excess) < EDGE:
+            continue
+        edges = np.array([[a * m, b * m, 1.0] for a in (-1, 1) for b in (-1, 1)]).T
+        scale = np.array([m, m, 1.0, Y, X, m * (X + Y)])
+        rays = corner_maps(X, Y) @ np.kron(np.eye(4), edges) / scale[:, None]
+        wanted = w / w[2] / scale
+        inside += excess < 0.0
+        assert (nnls(rays, wanted)[1] < 1e-9) == (excess < 0.0)
+        if k % 30 == 0:
+            found = linprog(np.zeros(16), A_eq=rays, b_eq=wanted, method="highs")
+            assert (found.status == 0) == (excess < 0.0)
+    assert 0.4 * WRENCHES < inside < 0.7 * WRENCHES
+
+
+def test_nothing_is_inside_that_coulomb_forbids_at_the_corners() -> None:
+    """Every extreme ray of the inner square's corners lies on the round cone."""
+    mu = 0.5
+    m = mu / math.sqrt(2.0)
+    edges = np.array([[a * m, b * m, 1.0] for a in (-1, 1) for b in (-1, 1)])
+    assert np.allclose(np.hypot(edges[:, 0], edges[:, 1]), mu * edges[:, 2])
+    pad = pad_of(SurfaceContact(friction=mu, half_lengths=(0.02, 0.05)))
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        w = random_wrench(rng, m, 0.02, 0.05)
+        if (pad.rows(mu) @ w <= 0.0).all():
+            assert pad.holds(w, mu)
+            assert pad.use(w, mu) <= 1.0 + 1e-12
+        else:
+            assert pad.use(w, mu) > 1.0
+
+
+def test_the_outer_square_allows_what_friction_does_not_bear() -> None:
+    """The notes' trap: with m = mu the corner of the square is 1.41 mu away."""
+    w = np.array([0.49, 0.49, 1.0, 0.0, 0.0, 0.0])
+    pad = pad_of(SurfaceContact(friction=0.5))
+    assert (pad_rows(0.5, 0.03, 0.03) @ w <= 0.0).all()
+    assert not pad.holds(w, 0.5)
+    assert not (pad.rows(0.5) @ w <= 0.0).all()
+
+
+def test_between_the_squares_the_round_cones_decide() -> None:
+    pad = pad_of(SurfaceContact(friction=0.5))
+    along = np.array([0.45, 0.0, 1.0, 0.0, 0.0, 0.0])  # outside the inner square, 90 % of mu
+    assert pad.use(along, 0.5) == pytest.approx(0.9 * math.sqrt(2.0))
+    assert pad.holds(along, 0.5)
+    assert not pad.holds(np.array([0.51, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.5)
+    assert corners_hold(along, (0.03, 0.03), 0.5)
+    # Turned by 45 degrees the square loses nothing.
+    diagonal = np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]) / math.sqrt(2.0) + [0, 0, 1, 0, 0, 0]
+    assert pad.use(diagonal, 0.5) == pytest.approx(1.0)
+
+
+def test_a_soft_pad_bears_less_yaw() -> None:
+    """Corners bear mu f_z sqrt(X^2 + Y^2) of yaw; on a square pad the inner square loses none."""
+    yaw = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    hard, soft = (pad_of(SurfaceContact(friction=0.5, torsion=t)) for t in (1.0, 0.5))
+    corners = 0.5 * 0.03 * math.sqrt(2.0)
+    yaw[5] = 0.99 * corners
+    assert hard.use(yaw, 0.5) == pytest.approx(0.99)
+    yaw[5] = 0.49 * corners
+    assert soft.use(yaw, 0.5) == pytest.approx(0.98)
+    yaw[5] = 0.51 * corners
+    assert not (soft.rows(0.5) @ yaw <= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("edges", "worst"), [(4, 0.707), (6, 0.866), (8, 0.924), (12, 0.966), (16, 0.981)]
+)
+def test_a_points_pyramid_loses_what_it_says(edges: int, worst: float) -> None:
+    contact = PointContact(friction=0.8, edges=edges).contact
+    angles = np.linspace(0.0, 2.0 * np.pi, 3601)
+    radii = []
+    for angle in angles:
+        w = np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle), 1.0, 0.0, 0.0, 0.0])
+        radii.append(1.0 / contact.use(w, 0.8))
+    assert max(radii) == pytest.approx(1.0)  # a vertex lies on the cone, and none beyond it
+    assert min(radii) == pytest.approx(worst, abs=6e-4)
+    assert radii[0] == pytest.approx(1.0)  # the first along x
+
+
+def test_use_is_zero_for_pure_squeeze_one_at_the_edge_and_none_without_contact() -> None:
+    for grasp in (SurfaceContact(friction=0.4), PointContact(friction=0.4)):
+        contact = grasp.contact
+        assert contact.use([0, 0, 7.0, 0, 0, 0], 0.4) == 0.0
+        assert contact.margin([0, 0, 7.0, 0, 0, 0], 0.4) == 1.0
+        assert contact.use([0, 0, 0.0, 0, 0, 0], 0.4) == np.inf
+        assert contact.use([0, 0, -1.0, 0, 0, 0], 0.4) == np.inf
+        assert not contact.holds([0, 0, -1.0, 0, 0, 0], 0.4)
+        for w in np.random.default_rng(0).normal(size=(50, 6)) * [0.2, 0.2, 0, 0.01, 0.01, 0.01]:
+            w[2] = 1.0
+            u = contact.use(w, 0.4)
+            assert contact.use(5.0 * w, 0.4) == pytest.approx(u)
+            edge = w / max(u, 1e-9)
+            edge[2] = 1.0
+            assert contact.use(edge, 0.4) == pytest.approx(1.0)
+            # What counts on less friction uses more of it.
+            assert contact.use(w, 0.3) > u
+
+
+def test_the_contact_frame_is_where_the_grasp_says() -> None:
+    grasp = SurfaceContact(position=(0.1, 0, 0), normal=(0, 2, 0), along=(0, 0.5, 1))
+    X: pin.SE3 = grasp.contact.placement
+    assert np.allclose(X.rotation.T @ X.rotation, np.eye(3))
+    assert np.allclose(X.rotation[:, 2], [0, 1, 0])
+    assert np.allclose(X.rotation[:, 0], [0, 0, 1])
+    assert np.allclose(X.translation, [0.1, 0, 0])
+    assert len(grasp.passive_joints(np.eye(3))) == 0
+    assert len(PointContact().passive_joints(np.eye(3))) == 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"friction": 0.0}, "friction"),
+        ({"friction": -0.5}, "friction"),
+        ({"normal": (0, 0, 0)}, "normal"),
+        ({"normal": (0, 0, 1), "along": (0, 0, 2)}, "along: goes along the normal"),
+        ({"half_lengths": (0.0, 0.03)}, "half_lengths"),
+    ],
+)
+def test_contacts_that_cannot_be_are_refused(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        SurfaceContact(**settings)
+
+
+def pad_of(grasp: SurfaceContact) -> Contact:
+    contact = grasp.contact
+    assert isinstance(contact, Pad)
+    return replace(contact)
