@@ -22,8 +22,8 @@ USUAL_LIMITS = (JointPosition(), JointVelocity())
 def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
-    After it comes that the kernel is not built, what limits cannot bound, pads that reach beyond the
-    object, what a tick is too long for, and goals that are far.
+    After it come that the kernel is not built, what limits cannot bound, pads that reach beyond
+    the object, what a tick is too long for, and goals that are far.
 
     Args:
         scenario: what is to be run.
