@@ -1,7 +1,7 @@
 """One tick side by side with the peers, all in one run and in turns, quiet and beside a busy loop.
 
 sh benchmarks/placo_env.sh; pip install mink    # once; without them their columns are empty
-python benchmarks/peers.py                      # about two minutes
+python benchmarks/peers.py                      # under three minutes
 python benchmarks/peers.py --rounds 5 --only NAO
 
 The job is that of ``peer_jobs.py``. A round is a motion of 300 ticks of each system, one after the
@@ -20,6 +20,7 @@ from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
+from time import monotonic
 
 import peer_systems
 from peer_jobs import Job, jobs
@@ -34,6 +35,7 @@ SYSTEMS = {
     "by hand": peer_systems.by_hand,
 }
 PLACO = "PlaCo"
+LONGEST = 75.0  # of a table; fewer rounds where the machine is slow [s]
 NEAR = 5e-3  # all end this close to the last target [m]
 BUSY = "while True: pass"
 Rounds = dict[str, list[float]]
@@ -51,7 +53,8 @@ def main() -> None:
             with busy(loops):
                 measured = in_turns(motions, asked.rounds)
             words = f"beside {loops} busy loop(s)" if loops else "nothing beside it"
-            print(f"\n{words}: median of {asked.rounds} rounds, and the best [us a tick]")
+            rounds = len(next(iter(measured.values()))["kernel"])
+            print(f"\n{words}: median of {rounds} rounds, and the best [us a tick]")
             table(measured)
 
 
@@ -75,7 +78,10 @@ def motions_of(job: Job, placo: subprocess.Popen[str] | None) -> dict[str, Motio
 def in_turns(motions: dict[str, dict[str, Motion]], rounds: int) -> dict[str, Rounds]:
     """Times of every round [us], by job and system; a slow moment hits whoever runs then."""
     found: dict[str, Rounds] = {job: {name: [] for name in of} for job, of in motions.items()}
-    for _ in range(rounds):
+    end = monotonic() + LONGEST
+    for k in range(rounds):
+        if k and monotonic() > end:
+            break
         for job, of_job in motions.items():
             for name, motion in of_job.items():
                 us, missed = motion()
