@@ -18,6 +18,7 @@ import pytest
 from command_line import typed
 from scipy.stats import qmc
 
+from coopqp.cli.sweep import _Drawn
 from coopqp.controller_run import run
 from coopqp.errors import CoopqpError, ScenarioError
 from coopqp.scenario.catalog import Catalog
@@ -27,6 +28,7 @@ from coopqp.study.sweep import Progress, Study, kept_study, read_study, scenario
 
 pq = pytest.importorskip("pyarrow.parquet")
 HERE = Engine(jobs=1)
+perhaps = _Drawn.perhaps
 STUDY = """scenario: plate.yaml
 vary:
   tasks.slide.goal: {box: [[0.30, -0.05, 0.0], [0.40, 0.10, 0.0]]}
@@ -304,6 +306,31 @@ def test_the_command_runs_shows_and_tells(plate: Path) -> None:
     assert typed("sweep", out, "--show", "16").exit_code == 2
     assert typed("sweep", plate / "study.yaml").exit_code == 2
     assert typed("sweep", plate / "nothing", "--table").exit_code == 2
+
+
+def test_the_page_is_drawn_while_it_runs(plate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("coopqp.cli.sweep._Drawn.EVERY", 0.0)
+    seen = []
+
+    def drawn(self: object) -> None:
+        perhaps(self)
+        seen.append("still to come" in (plate / "out" / "report.html").read_text(encoding="utf-8"))
+
+    monkeypatch.setattr("coopqp.cli.sweep._Drawn.perhaps", drawn)
+    result = typed("sweep", plate / "study.yaml", "--out", plate / "out", "--jobs", "1", "--watch")
+    assert result.exit_code == 0
+    assert seen[0]
+    assert "still to come" not in (plate / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_whose_points_cannot_be_drawn_again_is_refused(
+    plate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
+    monkeypatch.setattr("coopqp.study.sweep.points.SAMPLES", 1)
+    result = typed("sweep", plate / "out", "--table")
+    assert result.exit_code == 2
+    assert "by another scipy or numpy" in result.stderr
 
 
 # Nothing is lost

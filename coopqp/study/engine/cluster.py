@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import logging
 import warnings
 from collections.abc import Iterable, Iterator
@@ -42,8 +44,7 @@ class Cluster:
             from distributed import Client
         except ImportError:
             raise MissingDependencyError("--scheduler", "dask") from None
-        # Its own lines about what comes and goes would stand between ours.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        _hush()
         try:
             client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -80,7 +81,7 @@ class Cluster:
         try:
             parallel = Parallel(
                 n_jobs=-1,
-                backend=backend(self.client),
+                backend=backend(self.client, PATIENCE),
                 return_as="generator_unordered",
                 batch_size=1,
                 pre_dispatch=AHEAD * self.count,
@@ -91,3 +92,18 @@ class Cluster:
                     yield from outcomes
         except KilledWorker as error:
             raise WorkersLostError(f"ended {error.allowed_failures + 1} Dask workers") from None
+        except TimeoutError:
+            raise self._gone("has had no worker") from None
+        except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError):
+            raise self._gone("is gone") from None
+
+    def _gone(self, what: str) -> CoopqpError:
+        words = "what was done is kept, and the same command goes on from there"
+        return CoopqpError(f"the Dask scheduler at '{self.address}' {what}; {words}")
+
+
+def _hush() -> None:
+    """Keep Dask's own lines about what comes and goes from standing between ours."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -13,6 +13,10 @@ from joblib._dask import DaskDistributedBackend  # registers itself for the name
 
 
 class _Answering(DaskDistributedBackend):  # type: ignore[misc]
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        # With one, joblib would do the work in this process, whatever it is.
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
     async def _collect(self) -> None:
         while self._continue:
             async for future, result in self.waiting_futures:
@@ -39,6 +43,11 @@ class _GivenUp:
         self.error = error
 
 
-def backend(client: Any) -> Any:
-    """The back-end that submits to a client's scheduler."""
-    return _Answering(client=client)
+def backend(client: Any, patience: float) -> Any:
+    """The back-end that submits to a client's scheduler.
+
+    Args:
+        client: connected.
+        patience: how long it waits where all workers are gone [s].
+    """
+    return _Answering(client=client, wait_for_workers_timeout=patience)

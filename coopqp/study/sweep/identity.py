@@ -38,7 +38,7 @@ def identity(study: Study) -> dict[str, str]:
         ),
         "files": _hash(*_of_files(sorted(set(_named(study)), key=str))),
         "plugins": _hash(*_of_files(sorted(_plugins(study)))),
-        "points": study.points.digest[:16],
+        "points": study.points.digest,
         "version": f"{coopqp.__version__} ({_code()})",
     }
 

@@ -21,7 +21,8 @@ def kept_study(folder: Path) -> Study:
     """The study whose results a folder holds.
 
     Raises:
-        CoopqpError: it holds none; plug-ins are no longer where they were.
+        CoopqpError: it holds none; plug-ins are no longer where they were; its points cannot be
+            drawn again.
     """
     if not folder.is_dir():
         raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
@@ -37,7 +38,11 @@ def kept_study(folder: Path) -> Study:
             raise CoopqpError(f"'{path}' is gone, with the plug-ins of this study")
     path, text = head["scenario"]
     own, words = head["study"]
-    return study_text(Path(own), words, (Path(path), text), Catalog(tasks, plugins))
+    study = study_text(Path(own), words, (Path(path), text), Catalog(tasks, plugins))
+    if head["identity"]["points"] != study.points.digest:
+        words = "other points are drawn here than where it was run, by another scipy or numpy"
+        raise CoopqpError(f"'{folder}': {words}; use that one's")
+    return study
 
 
 def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
