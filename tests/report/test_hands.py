@@ -1,0 +1,88 @@
+"""What reports and verdicts say of hands that press."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import typed
+from scenario_files import cut, write
+
+import coopqp
+from coopqp.comparison import Comparison, compare
+from coopqp.metrics.held import Held
+from coopqp.report.figures.groups import groups
+from coopqp.solver import Status
+from coopqp.trace import Failure
+from coopqp.verdict import verdict
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Comparison:
+    return compare(cut(coopqp.load("nao_presses"), 60))
+
+
+def test_the_page_draws_forces_and_friction_with_its_edge(pressed: Comparison) -> None:
+    (group,) = (g for g in groups(pressed) if g.title == "Hands that press")
+    titles = [figure.title for figure in group.figures]
+    assert "Normal force of right" in titles
+    assert "Friction that left needs over what there is" in titles
+    assert "slips" in json.dumps([figure.layout for figure in group.figures])
+    assert [figure.title for figure in group.folded] == [
+        "Share of the load on right",
+        "Share of the load on left",
+    ]
+
+
+def test_the_verdict_tells_what_friction_is_left(pressed: Comparison) -> None:
+    (name,) = pressed.verdicts
+    margin = pressed.metrics[name]["friction_margin"]
+    words = f"Holds the object with {100.0 * margin:.0f} % of the friction unused"
+    assert pressed.verdicts[name].startswith(words)
+    assert 0.4 < margin < 0.6
+
+
+def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
+    (name,) = pressed.traces
+    trace = pressed.traces[name]
+    held = np.ones_like(trace.signals["held"])
+    held[40:] = 0.0
+    lost = replace(trace, signals={**trace.signals, "held": held})
+    metrics = {**pressed.metrics[name], "held": Held().measure(lost)}
+    assert verdict(lost, metrics).startswith("Loses the object at 0.082 s; reaches no goal")
+    assert not Held().measure(lost)["held"]  # type: ignore[index]
+    ended = replace(
+        lost,
+        status=(*trace.status[:41], *[Status.OBJECT_LOST.name] * (trace.ticks - 41)),
+        failures=tuple(
+            Failure(k, Status.OBJECT_LOST.value, "the object is lost: right slips")
+            for k in range(41, trace.ticks)
+        ),
+    )
+    said = verdict(ended, metrics)
+    assert said.startswith("Loses the object at 0.082 s: right slips; reaches no goal")
+
+
+def test_mobility_says_how_hard_the_hands_can_squeeze() -> None:
+    result = typed("mobility", "nao_presses", "--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    (squeeze,) = found["forces"]["squeeze"]
+    assert squeeze["least"]["value"] == pytest.approx(4.16, rel=5e-3)
+    assert squeeze["most"]["value"] == pytest.approx(12.1, rel=5e-3)
+    assert "motor RShoulderRoll" in squeeze["most"]["by"]
+    assert found["forces"]["all"]["commanded"] == 6
+    assert "Squeeze of right and left at rest: 4.16 to 12.1 N" in found["verdict"]
+
+
+def test_a_force_on_a_plant_without_forces_is_refused(tmp_path: Path) -> None:
+    scenario = coopqp.load("nao_presses")
+    text = scenario.source.replace("plant: mujoco", "plant: kinematic").replace(
+        "tasks:\n", "tasks:\n  - internal_wrench: {squeeze: 9}\n"
+    )
+    path = write(tmp_path, text)
+    with pytest.raises(coopqp.ScenarioError, match="asks 'internal_wrench' for a force"):
+        coopqp.load(path)
