@@ -1,0 +1,31 @@
+"""A small study of the planar pair, which tests of studies share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from coopqp.study.engine import Engine
+
+HERE = Engine(jobs=1)
+STUDY = """scenario: plate.yaml
+vary:
+  tasks.slide.goal: {box: [[0.30, -0.05, 0.0], [0.40, 0.10, 0.0]]}
+  object.mass: {log: [0.1, 2.0]}
+  controllers: {choice: [qp, pseudoinverse]}
+samples: {sobol: 8, seed: 1}
+metrics: [loop_error_max]
+"""
+SHORT = (("duration: 3.0", "duration: 0.1"), ("duration: 2.0", "duration: 0.1"))
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "study.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def table_of(folder: Path) -> list[dict[str, object]]:
+    import pyarrow.parquet as pq
+
+    rows: list[dict[str, object]] = pq.read_table(folder / "results.parquet").to_pylist()
+    return rows

@@ -1,0 +1,150 @@
+"""Studies that are killed, cut or shared lose nothing."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import typed
+from plate_study import HERE, STUDY, table_of, written
+
+from coopqp.errors import CoopqpError
+from coopqp.scenario.catalog import Catalog
+from coopqp.study.engine import Engine, Share
+from coopqp.study.sweep import Progress, Study, kept_study, read_study, sweep
+
+pytest.importorskip("pyarrow.parquet")
+
+
+@pytest.fixture
+def whole(plate: Path) -> Study:
+    """The study of 24 variants, and its results when nothing happens to it."""
+    study = read_study(written(plate, STUDY.replace("sobol: 8", "random: 24")))
+    sweep(study, plate / "whole", engine=HERE)
+    return study
+
+
+def forked(work: Callable[[], object]) -> int:
+    """The number of a process that does some work, which has all that this one has imported."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+        child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return child
+
+
+def test_wherever_a_journal_ends_the_results_are_the_same(whole: Study, plate: Path) -> None:
+    """Whole lines up to somewhere, a part of the next one, and what a loss of power may leave."""
+    rng = random.Random(17)
+    content = (plate / "whole" / "journal.jsonl").read_bytes()
+    for k in range(10):
+        folder = plate / f"cut{k}"
+        folder.mkdir()
+        end = rng.randrange(len(content))
+        (folder / "journal.jsonl").write_bytes(content[:end] + b"\0" * (100 * (k % 2)))
+        sweep(whole, folder, engine=HERE)
+        assert table_of(folder) == table_of(plate / "whole")
+
+
+def test_a_client_is_killed_ten_times(whole: Study, plate: Path) -> None:
+    rng, out, killed = random.Random(4), plate / "out", 0
+    while killed < 10:
+        child = forked(lambda: sweep(whole, out, engine=HERE))
+        time.sleep(rng.uniform(0.03, 0.2))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        killed += 1
+    sweep(whole, out, engine=HERE)
+    assert table_of(out) == table_of(plate / "whole")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
+def test_a_worker_is_killed(whole: Study, plate: Path) -> None:
+    """Ten times: python -m benchmarks.studies --kills 10."""
+    rng, out, left = random.Random(4), plate / "out", [5]
+
+    def kill(state: Progress) -> None:
+        if left and state.done >= left[0]:
+            left.pop(0)
+            os.kill(rng.choice(workers()), signal.SIGKILL)
+
+    sweep(whole, out, engine=Engine(jobs=2), progress=kill)
+    assert not left
+    assert table_of(out) == table_of(plate / "whole")
+
+
+def workers() -> list[int]:
+    """Loky's processes that work for this one."""
+    found = []
+    for child in Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split():
+        command = Path(f"/proc/{child}/cmdline")
+        if command.exists() and b"LokyProcess" in command.read_bytes():
+            found.append(int(child))
+    return found
+
+
+def test_a_full_disk_stops_with_what_is_there(whole: Study, plate: Path) -> None:
+    """Files may have 8 kB; then the command goes on where it was."""
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))
+        result = typed("sweep", plate / "study.yaml", "--out", plate / "out", "--jobs", "1")
+        (plate / "said").write_text(f"{result.exit_code} {result.stderr}", encoding="utf-8")
+
+    os.waitpid(forked(limited), 0)
+    said = (plate / "said").read_text(encoding="utf-8")
+    assert said.startswith("2 error: cannot write")
+    assert said.endswith("; what was done is kept, and the same command goes on from there\n")
+    kept = (plate / "out" / "journal.jsonl").read_bytes()
+    assert kept.endswith(b"\n")
+    assert kept.count(b"\n") > 1
+    sweep(whole, plate / "out", engine=HERE)
+    assert (plate / "out" / "journal.jsonl").read_bytes().startswith(kept)
+    assert table_of(plate / "out") == table_of(plate / "whole")
+
+
+def test_two_commands_do_not_write_to_one_journal(whole: Study, plate: Path) -> None:
+    from coopqp.study.sweep.journal import Journal, path_of
+
+    with (
+        Journal.opened(path_of(plate / "whole", Share()), {}),
+        pytest.raises(CoopqpError, match="another process is at work on it"),
+    ):
+        sweep(whole, plate / "whole", engine=HERE)
+
+
+def test_plugins_of_a_users_own_are_part_of_a_study(plate: Path) -> None:
+    plugins = plate / "plugins" / "metrics"
+    plugins.mkdir(parents=True)
+    source = '''"""How many ticks."""
+from coopqp import Metric, Trace, spec
+
+
+@spec
+class Twice(Metric):
+    """Ticks, twice."""
+
+    def measure(self, trace: Trace) -> int:
+        return 2 * trace.ticks
+'''
+    (plugins / "twice.py").write_text(source, encoding="utf-8")
+    catalog = Catalog((), (plate / "plugins",))
+    study = read_study(written(plate, STUDY.replace("[loop_error_max]", "[twice]")), catalog)
+    sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
+    assert {row["twice"] for row in table_of(plate / "out")} == {20}
+    assert kept_study(plate / "out").metrics[-1] == "twice"
+    (plugins / "_helper.py").write_text("x = 1\n", encoding="utf-8")
+    with pytest.raises(CoopqpError, match="the plug-ins differs"):
+        sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
