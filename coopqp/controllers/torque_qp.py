@@ -55,6 +55,7 @@ class TorqueQpLaw(Law):
     """The QPs of one problem; memory: that of ReferenceModel.
 
     Attributes:
+        settings: as given.
         programs: one a level of priority.
         hands: what the hands do.
         wrenches: what tasks ask of them.
@@ -62,7 +63,7 @@ class TorqueQpLaw(Law):
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
         super().__init__(problem, torques=True)
-        self._settings = settings
+        self.settings = settings
         self._level = level = TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
         start = State(chain)
@@ -107,7 +108,7 @@ class TorqueQpLaw(Law):
             self._model.update(state.memory, self._level.tasks.e)
             self._model.advance(state.memory, self._level.e_dot, integrate=integrate)
         else:
-            command.tau[:] = self._level.holding(state, self._settings.damping_time)
+            command.tau[:] = self._level.holding(state, self.settings.damping_time)
         return command
 
     def assemble(self, state: State) -> None:
@@ -158,7 +159,7 @@ class TorqueQpLaw(Law):
     def _wanted(self, state: State) -> Array:
         """J a that the rows of all tasks ask for."""
         level, gains = self._level, self._gains
-        held = level.tasks.e + self._settings.integral * gains * state.memory["integral"]
+        held = level.tasks.e + self.settings.integral * gains * state.memory["integral"]
         return np.asarray(-level.drift - gains * (2.0 * level.e_dot + gains * held), float)
 
     def _loops(self, state: State) -> Array:
@@ -171,7 +172,7 @@ class TorqueQpLaw(Law):
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """What the limits say of v + a dt, as bounds and rows on a."""
         bounds, v = self._bounds, state.v
-        dt, most = self.problem.dt, self._settings.acceleration
+        dt, most = self.problem.dt, self.settings.acceleration
         upper = np.clip((bounds.ub - v) / dt, -most, most)
         lower = np.clip((bounds.lb - v) / dt, -most, most)
         # No row asks for more than the joints' acceleration can give.
@@ -183,7 +184,7 @@ class TorqueQpLaw(Law):
         """Hold the weight and brake."""
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
-        self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
+        self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
 
 
 @spec

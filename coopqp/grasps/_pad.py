@@ -30,6 +30,8 @@ INNER = 1.0 / np.sqrt(2.0)
 CORNER_EDGES = 16
 #: To what share the friction that is needed is told.
 NEAR = 0.005
+#: A pad tips over its edge where the normal force is beyond it by more than this share.
+ROUNDING = 1e-5
 #: Forces sum up to a wrench where no more than this share of the normal force is left.
 SUMS_UP = 1e-6
 
@@ -51,10 +53,13 @@ class Pad(Contact):
 
     def needed(self, wrench: ArrayLike) -> float:
         """By cones at the corners, between what the squares in and around them say."""
-        w = np.asarray(wrench, float)
+        w = np.array(wrench, float)
         X, Y = self.half_lengths
-        if not w[2] > NO_CONTACT or abs(w[3]) > Y * w[2] or abs(w[4]) > X * w[2]:
+        edge = (1.0 + ROUNDING) * float(w[2])
+        if not w[2] > NO_CONTACT or abs(w[3]) > Y * edge or abs(w[4]) > X * edge:
             return math.inf
+        # On one corner alone the rows compare nothing with nothing: keep off it by rounding.
+        w[3:5] *= 1.0 - 2.0 * ROUNDING
         # The square around needs the least, and the one inside sqrt(2) of that at most.
         low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
         low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
