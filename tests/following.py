@@ -90,6 +90,7 @@ NAMES = [
     for name in Catalog().entries("tasks")
     if name
     not in (
+        "internal_wrench",  # rows of forces: tests/tasks/test_internal_wrench.py
         "joint_centering",
         "joint_limit_barrier",
         "manipulability",
