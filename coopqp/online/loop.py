@@ -23,32 +23,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.acceleration import SPEED_UP, with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
-from coopqp.online.leg import Leg
 from coopqp.online.legs import Legs
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
-from coopqp.online.played_again import text_of_begun
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
+from coopqp.online.seen import Seen
 from coopqp.online.stops import Stops
 from coopqp.online.watch import Watch
-from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.wording import raised
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""
 
 
-class OnlineLoop:
+class OnlineLoop(Seen):
     """One controller of a scenario, tick by tick, on whatever gives it measured joints.
 
     Args:
@@ -137,41 +134,6 @@ class OnlineLoop:
         self._refuse(Status.OPTIMAL, "")
 
     @property
-    def scenario(self) -> Scenario:
-        """As begun: its start is where the robot was."""
-        return self._legs.scenario
-
-    @property
-    def source(self) -> str:
-        """Its text, with what the loop has changed; empty where it was made in Python."""
-        return text_of_begun(self.scenario, self._given, self.controller)
-
-    @property
-    def legs(self) -> tuple[Leg, ...]:
-        """The phases so far, the last one that which runs; none before the beginning."""
-        return self._legs.done
-
-    @property
-    def state(self) -> State:
-        """What the last tick decided from: commanded joints, kinematics, inputs."""
-        return self._legs.now.state
-
-    @property
-    def law(self) -> Law:
-        """The controller, built for this phase."""
-        return self._legs.now.law
-
-    @property
-    def problem(self) -> ControlProblem:
-        """What it was built for."""
-        return self._legs.now.problem
-
-    @property
-    def phase(self) -> Phase:
-        """The phase that runs."""
-        return self._legs.now.phase
-
-    @property
     def now(self) -> float:
         """By the loop's clock [s]."""
         return self._clock() if self._clock else self.ticks * self._given.dt
@@ -184,25 +146,24 @@ class OnlineLoop:
     @property
     def stopped(self) -> str:
         """Why it does not go on until :meth:`resume`; empty while it goes on."""
-        return self._stops.why
+        return self._stops.told
 
     @property
     def running(self) -> bool:
         """False once :meth:`end` was called and the robot is at rest."""
         return not (self._stops.ends and self.at_rest)
 
-    def stop(self, why: str = "it was told to stop") -> None:
-        """Come to rest, and stay there; references wait."""
+    def stop(self, why: object = "") -> None:
+        """Come to rest, and stay there; references wait. Any thread may say so."""
         self._stops.stop(why)
 
-    def end(self, why: str = "it was told to end") -> None:
-        """Come to rest for good; then :attr:`running` is False."""
+    def end(self, why: object = "") -> None:
+        """Come to rest for good; then :attr:`running` is False. Any thread may say so."""
         self._stops.end(why)
 
     def resume(self) -> None:
-        """Go on: from where the robot is then, if it has come to rest."""
+        """Go on: from where the robot is then, if it has come to rest. Any thread may say so."""
         self._stops.resume()
-        self._readings.forget()
 
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
@@ -286,7 +247,7 @@ class OnlineLoop:
             raise CoopqpError(self._keeper.fault)
 
     def __enter__(self) -> OnlineLoop:
-        """Ctrl-C ends the loop at rest from now on; the second one at once."""
+        """Ctrl-C and SIGTERM end the loop at rest from now on; the second one at once."""
         self._interrupts.take()
         return self
 
@@ -306,6 +267,8 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
+        if self._stops.look():
+            self._readings.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
         self._stops.heard(self._wrong, now, self.watch.elapsed)
@@ -329,7 +292,7 @@ class OnlineLoop:
                 self._begin()
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
-                self.stop(str(error))
+                self._stops.halt(str(error))
                 self._readings.forget()
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
 
@@ -359,7 +322,7 @@ class OnlineLoop:
         if self._built and not self._legs.fault:
             self._keeper.go_on()
         elif self._legs.fault:
-            self.stop(self._legs.fault)
+            self._stops.halt(self._legs.fault)
 
     def _decide(self, inputs: Any, now: float) -> Command:
         leg = self._legs.now
