@@ -69,6 +69,7 @@ class Status(enum.Enum):
     STOPPED = "comes to rest, and stays there until it is told to go on", True, True
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
+    EARLY = "the tick came before its period was over; the last command holds until then", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 

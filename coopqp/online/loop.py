@@ -4,7 +4,7 @@
         while loop.running:
             command = loop.tick(robot.read(), inputs={"target": target})
             robot.write(loop.setpoint, command.v)
-            wait_for_the_next_period()
+            ...  # wait for the next period
 
 A tick raises nothing and prints nothing: what is wrong is said by the command's status and note,
 and the robot comes to rest where it must not go on. :func:`coopqp.online.real_time.real_time` does
@@ -36,6 +36,7 @@ from coopqp.online.readings import Readings
 from coopqp.online.record import Record
 from coopqp.online.seen import Seen
 from coopqp.online.stops import Stops
+from coopqp.online.waiting import Waiting
 from coopqp.online.watch import Watch
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -61,7 +62,7 @@ class OnlineLoop(Seen):
         speed_up: time in which a joint may get from rest to its velocity limit [s], which is an
             acceleration limit where the scenario has none; None for none.
         clock: of ticks and of what is sent to inputs; None counts ticks, as in simulation, where
-            none is late.
+            none is late or early.
         silent_after: how long the last word of a robot counts that speaks less often [s].
         patience: time without measurement or tick after which it stops until :meth:`resume` [s].
         keep: how much of the past is kept in memory [s].
@@ -73,8 +74,8 @@ class OnlineLoop(Seen):
         command, status, note: of the last tick; the gravest, and what else is to be said of it.
         setpoint: where the joints shall be at the end of the period, shape (n,) [rad, m].
         history: the last ticks.
-        watch: late ticks counted, the longest named.
-        ticks, begun: how many there have been; whether the object is held.
+        watch: late and early ticks counted, the longest named.
+        ticks, begun: how many there have been, early ones not counted; whether the object is held.
         patience, simulated: as given; simulated without a clock. measured: what was last believed.
 
     Raises:
@@ -116,7 +117,8 @@ class OnlineLoop(Seen):
         self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._nothing = chain.q_start.copy(), np.full(chain.n, np.nan)
-        self._refusal = Command(chain.n)
+        self._refusal, self._holding = Command(chain.n), Command(chain.n)
+        self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
         self._interrupts = Interrupts(self.end)
         self.reset()
@@ -126,12 +128,13 @@ class OnlineLoop(Seen):
         self._keeper.close()
         self._legs = Legs(self._given, self._chosen, observed=self._observed, by_time=self._by_time)
         self._readings.forget()
+        self._waiting.forget()
         self._stops.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
         self._moved = False
         self.setpoint[:] = self._legs.now.problem.chain.q_start
-        self._refuse(Status.OPTIMAL, "")
+        self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
     def now(self) -> float:
@@ -192,6 +195,9 @@ class OnlineLoop(Seen):
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
         """One period.
 
+        Called again before its period is over, it holds the last command and says ``EARLY``; what
+        has come counts for the next tick.
+
         Args:
             q: where the joints are, shape (n,) [rad, m], or those of the robot alone without the
                 grasps' passive joints; None where the robot says nothing.
@@ -203,11 +209,15 @@ class OnlineLoop(Seen):
             leads.
         """
         before, now = time.perf_counter_ns(), self.now
+        if left := self.watch.left(now):
+            self._waiting.keep(q, inputs)
+            return self._hold(left)
         try:
-            command = self._tick(q, inputs, now)
+            command = self._tick(*self._waiting.take(q, inputs), now)
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
             command = self._refuse(Status.RAISED, raised(error))
-        self.command, self.status, self.note = command, command.status, command.note
+        self._say(command)
+        self._led = command
         state = self._legs.now.state
         np.multiply(command.v, self._legs.now.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
@@ -300,7 +310,7 @@ class OnlineLoop(Seen):
         """Make of the last command what it has led to; while it only brakes, time stands still."""
         if self.begun:
             state, t = self.state, self.state.t
-            state.advance(self.command.v, self.problem.dt)
+            state.advance(self._led.v, self.problem.dt)
             if not self._moved:
                 state.t = t
 
@@ -309,7 +319,7 @@ class OnlineLoop(Seen):
         heard = None if self._wrong else self._readings.q
         if self._stops.goes_on_again and heard is not None and not self._stops.why:
             self._stops.goes_on_again = False
-            if self.at_rest:
+            if not self._led.v.any():
                 self._legs.now.take_up(heard.copy(), observed=self._observed)
                 self._keeper.go_on()
         if self._observed:
@@ -351,11 +361,26 @@ class OnlineLoop(Seen):
     def _refuse(self, why: Status, note: str) -> Command:
         """Stand still at once, where nothing is known."""
         command, self._moved = self._refusal, False
-        self.command, self._wrong = command, why
+        self._led, self._wrong = command, why
         command.v[:] = 0.0
         command.say(why)
         command.note = note
-        self.status, self.note = why, note
+        return command
+
+    def _hold(self, left: float) -> Command:
+        """Go on as the last command says: who ticks too often must not move faster.
+
+        Args:
+            left: of the period [s].
+        """
+        held = self._holding
+        held.v[:] = 0.0 if self.watch.stands else self._led.v  # else it might never end
+        held.say(Status.EARLY)
+        held.note = f"{1e3 * left:.3g} ms of the period are left; wait for its end"
+        return self._say(held)
+
+    def _say(self, command: Command) -> Command:
+        self.command, self.status, self.note = command, command.status, command.note
         return command
 
 

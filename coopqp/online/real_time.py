@@ -6,7 +6,7 @@ collected, what is left is frozen (never looked at again) and the collector swit
 ticks leave is little, and is collected in the time that a period leaves over.
 
 Sleeping is not exact, so the last part of a period is waited for awake. After a late tick the next
-period begins at once, and none is made up for: ticks in quick succession would ask for as much
+comes a whole period later, and none is made up for: ticks in quick succession would ask for as much
 motion in less time.
 """
 
@@ -31,6 +31,9 @@ AWAKE = 1.5e-4
 #: Time between collections of garbage and between writings of the session [s], and what must be
 #: left of a period for one of them, as a share of it.
 EVERY, LEFT = 0.25, 0.4
+
+#: From a tick so late, as a share of a period, the next is a whole period away.
+BEHIND = 0.4
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
 """What has arrived since it was last asked, as :meth:`OnlineLoop.tick` takes it; never waits."""
@@ -148,7 +151,8 @@ class _Run:
                 loop.end(loop.stopped)
             elif loop.now >= until:
                 loop.end("the time is up")
-            due = max(due + self._dt, loop.now)
+            began = loop.watch.began
+            due = max((began if began - due > BEHIND * self._dt else due) + self._dt, loop.now)
             self._use_what_is_left(due)
             self._wait(due)
 
