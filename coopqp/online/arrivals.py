@@ -64,6 +64,7 @@ class Arrivals:
                 self._say_unknown(str(name))
                 continue
             if not _is_stamped(value):
+                self._stamped[name] = now  # it is sent when it arrives
                 yield name, in_columns(channel.kind, value), self._shared(name, t)
                 continue
             value, stamp = value

@@ -69,7 +69,8 @@ class Watch:
         self._since = max(self._since, behind) + (1.0 - FASTER) * self._dt
         if self.elapsed > self.longest:
             self.longest, self.longest_tick = self.elapsed, k
-        is_late = self.elapsed > (1.0 + SHARE) * self._dt and not self._held
-        self._held = False  # the tick before came too early, and this is the one after it
+        # After an early one, which is none, the next is due a period later.
+        is_late = self.elapsed > (1.0 + SHARE + self._held) * self._dt
+        self._held = False
         self.late += is_late
         return is_late

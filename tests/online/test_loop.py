@@ -212,6 +212,18 @@ def test_the_age_of_a_value_counts_and_not_the_loops_own_time() -> None:
     assert Status.INPUT_REFUSED in loop.command.causes
 
 
+def test_a_value_without_a_stamp_is_sent_when_it_arrives() -> None:
+    loop, robot = simulated(follows())
+    go(loop, robot, 30, {"target": NEAR})
+    for stamp in (-5.0, loop.now - 0.02):
+        go(loop, robot, 1, {"target": ([0.151, 0.0, 0.06], stamp)})
+        assert Status.INPUT_REFUSED in loop.command.causes
+        assert "is older than the last" in loop.note
+    np.testing.assert_array_equal(loop.state.inputs["target"].target, NEAR)
+    go(loop, robot, 1, {"target": ([0.151, 0.0, 0.06], loop.now)})
+    assert loop.status is Status.OPTIMAL
+
+
 def test_a_loop_that_is_late_does_not_take_old_values_for_new() -> None:
     clock = Told()
     loop, robot = simulated(follows(), clock=clock)
@@ -372,7 +384,7 @@ def test_what_cannot_be_asked_for_is_refused_at_once() -> None:
     assert str(refused.value).splitlines() == [
         "reference: unknown choice 'mesured'; did you mean 'measured'?",
         "patience: found 0.0 s; needs a finite time, more than 0",
-        "keep: found inf s; needs a finite time, more than 0",
+        "keep: found inf s; needs a finite time, more than 0 and at most 3600 s",
     ]
 
 
