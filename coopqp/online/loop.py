@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,7 +65,7 @@ class OnlineLoop(Seen):
             none is late or early.
         silent_after: how long the last word of a robot counts that speaks less often [s].
         patience: time without measurement or tick after which it stops until :meth:`resume` [s].
-        keep: how much of the past is kept in memory [s].
+        keep: how much of the past is kept in memory, an hour at most [s].
         phases: "by_time": as the scenario says; "asked": when :meth:`next_phase` says.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
         record: makes a recording when the loop has begun.
@@ -98,10 +98,7 @@ class OnlineLoop(Seen):
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
     ) -> None:
-        check_options(
-            {"reference": reference, "grasp": grasp, "phases": phases},
-            {"speed_up": speed_up, "patience": patience, "keep": keep},
-        )
+        check_options(locals())
         self._chosen = controller_of(scenario, controller)
         if self._chosen.commands_torques:
             words = "commands torques; the loop for robots commands velocities and positions"
@@ -150,6 +147,11 @@ class OnlineLoop(Seen):
     def stopped(self) -> str:
         """Why it does not go on until :meth:`resume`; empty while it goes on."""
         return self._stops.told
+
+    @property
+    def stopped_by_itself(self) -> bool:
+        """Whether nobody has told it to stop: it has waited in vain, or could not go on."""
+        return self._stops.by_itself and bool(self.stopped)
 
     @property
     def running(self) -> bool:
@@ -255,6 +257,10 @@ class OnlineLoop(Seen):
         self._keeper.close()
         if self._keeper.fault:
             raise CoopqpError(self._keeper.fault)
+
+    def __reduce__(self) -> NoReturn:
+        """Neither copied nor sent: two loops of one robot would both move it."""
+        raise CoopqpError("a loop cannot be copied; make another from its scenario")
 
     def __enter__(self) -> OnlineLoop:
         """Ctrl-C and SIGTERM end the loop at rest from now on; the second one at once."""
