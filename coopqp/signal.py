@@ -64,6 +64,16 @@ class Kind:
         return self.numbers + 3 * self.turns
 
     @property
+    def value_columns(self) -> tuple[str, ...]:
+        """Names of a value's numbers as it is kept, in traces."""
+        return (*self.columns[: self.numbers], *(TURN_COLUMNS if self.turns else ()))
+
+    @property
+    def rate_columns(self) -> tuple[str, ...]:
+        """Names of a rate's numbers."""
+        return (*self.columns[: self.numbers], *(TURN_RATES if self.turns else ()))
+
+    @property
     def zero(self) -> Array:
         """A value that stands for none: zeros, not turned, shape (values,)."""
         return np.array([0.0] * self.numbers + [0.0, 0.0, 0.0, 1.0] * self.turns)

@@ -73,6 +73,11 @@ class Status(enum.Enum):
     RECOVERING = "a joint outside its limits is on its way back", True, True
 
 
+HALTS = frozenset({Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED})
+"""What the loop for robots says of a tick in which it brakes and asks its law for nothing; it does
+so for ``NOT_MEASURED``, too, with which others go on."""
+
+
 def written(causes: Sequence[Status]) -> str:
     """All causes of a tick in one word, the gravest first, such as "TASKS_GIVEN_UP+RECOVERING"."""
     return "+".join(cause.name for cause in causes)
