@@ -24,7 +24,7 @@ import pinocchio as pin
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import core_schema
 
-from coopqp.checked import Array, Direction, Pose, Vector3, spec, unit
+from coopqp.checked import Array, Direction, Pose, Vector3, real, spec, unit
 from coopqp.errors import CoopqpError, InvalidValueError
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
@@ -106,7 +106,7 @@ class Kind:
 
     def _array(self, given: Any) -> Array:
         try:
-            found = np.array(given, float)
+            found = real(given)
         except (TypeError, ValueError):
             raise InvalidValueError(f"found {given!r:.60}, needs {self._needs()}") from None
         if not np.isfinite(found).all():

@@ -11,8 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from numbers import Real
 from typing import Any
 
-import numpy as np
-
+from coopqp.checked import real
 from coopqp.errors import unknown_name
 from coopqp.input import AHEAD, Arrival, Inputs
 from coopqp.signal import Kind, matrix
@@ -115,7 +114,7 @@ def in_columns(kind: Kind, value: Any) -> Any:
         value: as :meth:`coopqp.signal.Kind.read` takes it.
     """
     try:
-        found = np.array(value, float)
+        found = real(value)
         if found.shape == (len(kind.columns),):
             return found
     except (TypeError, ValueError):

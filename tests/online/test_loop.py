@@ -58,7 +58,13 @@ BAD = {
     "nothing": (None, Status.ROBOT_SILENT, ""),
     "a NaN": (np.full(10, np.nan), Status.NOT_MEASURED, "no finite number for RShoulderPitch"),
     "too few": (np.zeros(3), Status.NOT_MEASURED, "found shape (3,), needs (10,)"),
-    "words": ("hello", Status.NOT_MEASURED, "a str is no configuration"),
+    "words": ("hello", Status.NOT_MEASURED, "found a text, needs numbers"),
+    "an object": (object(), Status.NOT_MEASURED, "found object, needs numbers"),
+    "ragged": ([[1.0], [1.0, 2.0]], Status.NOT_MEASURED, "lists of different lengths"),
+    "complex": (np.full(10, 0.5 + 1j), Status.NOT_MEASURED, "found complex numbers"),
+    "true or false": (np.full(10, True), Status.NOT_MEASURED, "found true or false"),
+    "masked": (np.ma.masked_greater(np.arange(10.0), 5.0), Status.NOT_MEASURED, "masked values"),
+    "Nones": ([None] * 10, Status.NOT_MEASURED, "found list, needs numbers"),
     "far away": (np.full(10, 2.0), Status.MEASURED_JUMPED, " rad in 0."),
 }
 
@@ -135,6 +141,10 @@ INPUTS: dict[str, tuple[Any, str]] = {
     "wrong shape": ([1.0, 2.0], "target: found shape (2,), needs 3 numbers"),
     "NaN": ([np.nan, 0.0, 0.0], "target: has NaN or infinite values"),
     "words": ("there", "target: found 'there', needs 3 numbers"),
+    "nothing": (None, "target: found None, needs 3 numbers"),
+    "complex": ([0.15, 0.0, 0.05 + 1j], "target: found [0.15, 0.0, (0.05+1j)], needs 3 numbers"),
+    "true or false": ([True, False, True], "target: found [True, False, True], needs 3 numbers"),
+    "masked": (np.ma.masked_less([0.15, -1.0, 0.05], 0.0), "target: found masked_array"),
     "nowhere": ([1e9, 0.0, 0.0], "target: found 1e+09, which is nowhere"),
     "from the future": ((NEAR, 1e6), "is from the future"),
     "from the past": ((NEAR, -1.0), "is older than the last"),
@@ -409,7 +419,6 @@ RUBBISH: list[Any] = [
 ]  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
 def test_nothing_is_raised_or_printed(capfd: Any, rng: Any) -> None:
     loop, robot = simulated(follows())
     go(loop, robot, 3)
