@@ -11,6 +11,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
@@ -126,6 +127,34 @@ def array(name: str, values: ArrayLike) -> Array:
         return np.array(values, float)
     except (TypeError, ValueError):
         raise InvalidValueError(f"{name}: found {values!r}, needs numbers") from None
+
+
+def real(values: Any) -> Array:
+    """What arrives while a loop runs, as an array of its own of whatever shape.
+
+    numpy makes numbers of much that is none: of complex ones it drops a part, of masked values the
+    mask; True is 1, and None is NaN.
+
+    Raises:
+        ValueError: they are no real numbers; says why.
+    """
+    if np.ma.is_masked(values):
+        raise ValueError("has masked values")
+    try:
+        found = np.array(values)
+    except (TypeError, ValueError):
+        raise ValueError("found lists of different lengths, needs numbers") from None
+    kind = found.dtype.kind
+    if kind == "O" and not any(x is None for x in found.flat):
+        with suppress(TypeError, ValueError):
+            return found.astype(float)
+    if kind not in "iuf":
+        words = _NO_NUMBERS.get(kind, f"found {type(values).__name__}")
+        raise ValueError(f"{words}, needs numbers")
+    return found.astype(float)
+
+
+_NO_NUMBERS = {"c": "found complex numbers", "b": "found true or false", "U": "found a text"}
 
 
 def vector(name: str, values: ArrayLike, n: int) -> Array:

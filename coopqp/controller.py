@@ -20,7 +20,7 @@ from coopqp.loop_observer import LoopObserver
 from coopqp.memory import Memory
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import State
-from coopqp.task import Task
+from coopqp.task import Task, not_finite
 from coopqp.wording import Location, culprit, dotted
 
 TELL_APART = "add 'name:' to tell them apart"
@@ -249,6 +249,9 @@ class Law(ABC):
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
         command = self._decided(state)
+        if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
+            tasks = (*self.problem.tasks, *self.problem.secondary)
+            command.note = not_finite(tasks, self.problem.chain, state)
         if wrong:
             command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)

@@ -24,7 +24,7 @@ import pinocchio as pin
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import core_schema
 
-from coopqp.checked import Array, Direction, Pose, Vector3, spec, unit
+from coopqp.checked import Array, Direction, Pose, Vector3, real, spec, unit
 from coopqp.errors import CoopqpError, InvalidValueError
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
@@ -64,6 +64,16 @@ class Kind:
         return self.numbers + 3 * self.turns
 
     @property
+    def value_columns(self) -> tuple[str, ...]:
+        """Names of a value's numbers as it is kept, in traces."""
+        return (*self.columns[: self.numbers], *(TURN_COLUMNS if self.turns else ()))
+
+    @property
+    def rate_columns(self) -> tuple[str, ...]:
+        """Names of a rate's numbers."""
+        return (*self.columns[: self.numbers], *(TURN_RATES if self.turns else ()))
+
+    @property
     def zero(self) -> Array:
         """A value that stands for none: zeros, not turned, shape (values,)."""
         return np.array([0.0] * self.numbers + [0.0, 0.0, 0.0, 1.0] * self.turns)
@@ -96,7 +106,7 @@ class Kind:
 
     def _array(self, given: Any) -> Array:
         try:
-            found = np.array(given, float)
+            found = real(given)
         except (TypeError, ValueError):
             raise InvalidValueError(f"found {given!r:.60}, needs {self._needs()}") from None
         if not np.isfinite(found).all():

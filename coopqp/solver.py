@@ -69,7 +69,13 @@ class Status(enum.Enum):
     STOPPED = "comes to rest, and stays there until it is told to go on", True, True
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
+    EARLY = "the tick came before its period was over; the last command holds until then", True
     RECOVERING = "a joint outside its limits is on its way back", True, True
+
+
+HALTS = frozenset({Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED})
+"""What the loop for robots says of a tick in which it brakes and asks its law for nothing; it does
+so for ``NOT_MEASURED``, too, with which others go on."""
 
 
 def written(causes: Sequence[Status]) -> str:

@@ -237,6 +237,32 @@ class TaskStack:
         return float(self.weights.dot(self.bends(v)))
 
 
+def not_finite(tasks: Sequence[Task], chain: ClosedChain, state: State) -> str:
+    """Which tasks give NaN or infinite values at a state; empty if none does.
+
+    For a tick that has failed: each task is bound once more.
+
+    Args:
+        tasks: any.
+        chain: theirs.
+        state: up to date.
+    """
+    found = []
+    for task in tasks:
+        start = State(chain)
+        start.inputs = state.inputs.now()
+        try:
+            stack = TaskStack([task], start)
+            stack.update(state)
+        except Exception:  # noqa: BLE001 - code of plug-ins may raise anything; not asked here
+            continue
+        numbers = {"e": stack.e, "J": stack.J, "rate": stack.rate}
+        bad = [name for name, values in numbers.items() if not np.isfinite(values).all()]
+        if bad:
+            found.append(f"task '{task.name}' gives NaN or infinite values in {', '.join(bad)}")
+    return "; ".join(found)
+
+
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
     """What each row of a task asks for, a velocity in the unit of its part."""
     units = [part.unit for part in task.parts(chain) for _ in range(part.rows)]

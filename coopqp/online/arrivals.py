@@ -11,8 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from numbers import Real
 from typing import Any
 
-import numpy as np
-
+from coopqp.checked import real
 from coopqp.errors import unknown_name
 from coopqp.input import AHEAD, Arrival, Inputs
 from coopqp.signal import Kind, matrix
@@ -64,6 +63,7 @@ class Arrivals:
                 self._say_unknown(str(name))
                 continue
             if not _is_stamped(value):
+                self._stamped[name] = now  # it is sent when it arrives
                 yield name, in_columns(channel.kind, value), self._shared(name, t)
                 continue
             value, stamp = value
@@ -114,7 +114,7 @@ def in_columns(kind: Kind, value: Any) -> Any:
         value: as :meth:`coopqp.signal.Kind.read` takes it.
     """
     try:
-        found = np.array(value, float)
+        found = real(value)
         if found.shape == (len(kind.columns),):
             return found
     except (TypeError, ValueError):

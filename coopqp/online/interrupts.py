@@ -1,4 +1,4 @@
-"""Ctrl-C, told to the loop: the first one ends it at rest, the second one ends it at once."""
+"""Ctrl-C and SIGTERM, told to the loop: the first ends it at rest, the second at once."""
 
 from __future__ import annotations
 
@@ -8,31 +8,38 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
+#: What ends a loop, and what it is called.
+NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
+
 
 class Interrupts:
-    """SIGINT while a loop runs, in the main thread; in others it stays as it is.
+    """The signals that end a loop while it runs, in the main thread; in others they stay as is.
 
     Args:
         end: told why.
     """
 
     def __init__(self, end: Callable[[str], None]) -> None:
-        self._end, self._depth = end, 0
-        self._before: Any = None
+        self._end, self._depth, self._caught = end, 0, False
+        self._before: dict[signal.Signals, Any] = {}
 
     def take(self) -> None:
-        """Take SIGINT over."""
+        """Take them over."""
         self._depth += 1
         if self._depth == 1 and threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._caught)
+            self._caught = False
+            self._before = {number: signal.signal(number, self._catch) for number in NAMES}
 
     def give_back(self) -> None:
-        """Let SIGINT be what it was."""
+        """Let them be what they were."""
         self._depth -= 1
-        if self._depth == 0 and self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-            self._before = None
+        if self._depth == 0:
+            for number, before in self._before.items():
+                signal.signal(number, signal.SIG_DFL if before is None else before)
+            self._before = {}
 
-    def _caught(self, number: int, frame: FrameType | None) -> None:
-        self._end("Ctrl-C")
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    def _catch(self, number: int, frame: FrameType | None) -> None:
+        if self._caught:  # comes out of the tick, so that who runs the loop can stop the robot
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+        self._caught = True
+        self._end(NAMES[signal.Signals(number)])

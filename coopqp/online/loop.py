@@ -4,7 +4,7 @@
         while loop.running:
             command = loop.tick(robot.read(), inputs={"target": target})
             robot.write(loop.setpoint, command.v)
-            wait_for_the_next_period()
+            ...  # wait for the next period
 
 A tick raises nothing and prints nothing: what is wrong is said by the command's status and note,
 and the robot comes to rest where it must not go on. :func:`coopqp.online.real_time.real_time` does
@@ -18,37 +18,35 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.acceleration import SPEED_UP, with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
-from coopqp.online.leg import Leg
 from coopqp.online.legs import Legs
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
-from coopqp.online.played_again import text_of_begun
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
+from coopqp.online.seen import Seen
 from coopqp.online.stops import Stops
+from coopqp.online.waiting import Waiting
 from coopqp.online.watch import Watch
-from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.wording import raised
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""
 
 
-class OnlineLoop:
+class OnlineLoop(Seen):
     """One controller of a scenario, tick by tick, on whatever gives it measured joints.
 
     Args:
@@ -64,10 +62,10 @@ class OnlineLoop:
         speed_up: time in which a joint may get from rest to its velocity limit [s], which is an
             acceleration limit where the scenario has none; None for none.
         clock: of ticks and of what is sent to inputs; None counts ticks, as in simulation, where
-            none is late.
+            none is late or early.
         silent_after: how long the last word of a robot counts that speaks less often [s].
         patience: time without measurement or tick after which it stops until :meth:`resume` [s].
-        keep: how much of the past is kept in memory [s].
+        keep: how much of the past is kept in memory, an hour at most [s].
         phases: "by_time": as the scenario says; "asked": when :meth:`next_phase` says.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
         record: makes a recording when the loop has begun.
@@ -76,8 +74,8 @@ class OnlineLoop:
         command, status, note: of the last tick; the gravest, and what else is to be said of it.
         setpoint: where the joints shall be at the end of the period, shape (n,) [rad, m].
         history: the last ticks.
-        watch: late ticks counted, the longest named.
-        ticks, begun: how many there have been; whether the object is held.
+        watch: late and early ticks counted, the longest named.
+        ticks, begun: how many there have been, early ones not counted; whether the object is held.
         patience, simulated: as given; simulated without a clock. measured: what was last believed.
 
     Raises:
@@ -100,10 +98,7 @@ class OnlineLoop:
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
     ) -> None:
-        check_options(
-            {"reference": reference, "grasp": grasp, "phases": phases},
-            {"speed_up": speed_up, "patience": patience, "keep": keep},
-        )
+        check_options(locals())
         self._chosen = controller_of(scenario, controller)
         if self._chosen.commands_torques:
             words = "commands torques; the loop for robots commands velocities and positions"
@@ -119,7 +114,8 @@ class OnlineLoop:
         self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._nothing = chain.q_start.copy(), np.full(chain.n, np.nan)
-        self._refusal = Command(chain.n)
+        self._refusal, self._holding = Command(chain.n), Command(chain.n)
+        self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
         self._interrupts = Interrupts(self.end)
         self.reset()
@@ -129,47 +125,13 @@ class OnlineLoop:
         self._keeper.close()
         self._legs = Legs(self._given, self._chosen, observed=self._observed, by_time=self._by_time)
         self._readings.forget()
+        self._waiting.forget()
         self._stops.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
         self._moved = False
         self.setpoint[:] = self._legs.now.problem.chain.q_start
-        self._refuse(Status.OPTIMAL, "")
-
-    @property
-    def scenario(self) -> Scenario:
-        """As begun: its start is where the robot was."""
-        return self._legs.scenario
-
-    @property
-    def source(self) -> str:
-        """Its text, with what the loop has changed; empty where it was made in Python."""
-        return text_of_begun(self.scenario, self._given, self.controller)
-
-    @property
-    def legs(self) -> tuple[Leg, ...]:
-        """The phases so far, the last one that which runs; none before the beginning."""
-        return self._legs.done
-
-    @property
-    def state(self) -> State:
-        """What the last tick decided from: commanded joints, kinematics, inputs."""
-        return self._legs.now.state
-
-    @property
-    def law(self) -> Law:
-        """The controller, built for this phase."""
-        return self._legs.now.law
-
-    @property
-    def problem(self) -> ControlProblem:
-        """What it was built for."""
-        return self._legs.now.problem
-
-    @property
-    def phase(self) -> Phase:
-        """The phase that runs."""
-        return self._legs.now.phase
+        self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
     def now(self) -> float:
@@ -184,25 +146,29 @@ class OnlineLoop:
     @property
     def stopped(self) -> str:
         """Why it does not go on until :meth:`resume`; empty while it goes on."""
-        return self._stops.why
+        return self._stops.told
+
+    @property
+    def stopped_by_itself(self) -> bool:
+        """Whether nobody has told it to stop: it has waited in vain, or could not go on."""
+        return self._stops.by_itself and bool(self.stopped)
 
     @property
     def running(self) -> bool:
         """False once :meth:`end` was called and the robot is at rest."""
         return not (self._stops.ends and self.at_rest)
 
-    def stop(self, why: str = "it was told to stop") -> None:
-        """Come to rest, and stay there; references wait."""
+    def stop(self, why: object = "") -> None:
+        """Come to rest, and stay there; references wait. Any thread may say so."""
         self._stops.stop(why)
 
-    def end(self, why: str = "it was told to end") -> None:
-        """Come to rest for good; then :attr:`running` is False."""
+    def end(self, why: object = "") -> None:
+        """Come to rest for good; then :attr:`running` is False. Any thread may say so."""
         self._stops.end(why)
 
     def resume(self) -> None:
-        """Go on: from where the robot is then, if it has come to rest."""
+        """Go on: from where the robot is then, if it has come to rest. Any thread may say so."""
         self._stops.resume()
-        self._readings.forget()
 
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
@@ -231,6 +197,9 @@ class OnlineLoop:
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
         """One period.
 
+        Called again before its period is over, it holds the last command and says ``EARLY``; what
+        has come counts for the next tick.
+
         Args:
             q: where the joints are, shape (n,) [rad, m], or those of the robot alone without the
                 grasps' passive joints; None where the robot says nothing.
@@ -242,11 +211,15 @@ class OnlineLoop:
             leads.
         """
         before, now = time.perf_counter_ns(), self.now
+        if left := self.watch.left(now):
+            self._waiting.keep(q, inputs)
+            return self._hold(left)
         try:
-            command = self._tick(q, inputs, now)
+            command = self._tick(*self._waiting.take(q, inputs), now)
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
             command = self._refuse(Status.RAISED, raised(error))
-        self.command, self.status, self.note = command, command.status, command.note
+        self._say(command)
+        self._led = command
         state = self._legs.now.state
         np.multiply(command.v, self._legs.now.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
@@ -285,8 +258,12 @@ class OnlineLoop:
         if self._keeper.fault:
             raise CoopqpError(self._keeper.fault)
 
+    def __reduce__(self) -> NoReturn:
+        """Neither copied nor sent: two loops of one robot would both move it."""
+        raise CoopqpError("a loop cannot be copied; make another from its scenario")
+
     def __enter__(self) -> OnlineLoop:
-        """Ctrl-C ends the loop at rest from now on; the second one at once."""
+        """Ctrl-C and SIGTERM end the loop at rest from now on; the second one at once."""
         self._interrupts.take()
         return self
 
@@ -306,6 +283,8 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
+        if self._stops.look():
+            self._readings.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
         self._stops.heard(self._wrong, now, self.watch.elapsed)
@@ -329,7 +308,7 @@ class OnlineLoop:
                 self._begin()
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
-                self.stop(str(error))
+                self._stops.halt(str(error))
                 self._readings.forget()
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
 
@@ -337,7 +316,7 @@ class OnlineLoop:
         """Make of the last command what it has led to; while it only brakes, time stands still."""
         if self.begun:
             state, t = self.state, self.state.t
-            state.advance(self.command.v, self.problem.dt)
+            state.advance(self._led.v, self.problem.dt)
             if not self._moved:
                 state.t = t
 
@@ -346,7 +325,7 @@ class OnlineLoop:
         heard = None if self._wrong else self._readings.q
         if self._stops.goes_on_again and heard is not None and not self._stops.why:
             self._stops.goes_on_again = False
-            if self.at_rest:
+            if not self._led.v.any():
                 self._legs.now.take_up(heard.copy(), observed=self._observed)
                 self._keeper.go_on()
         if self._observed:
@@ -359,7 +338,7 @@ class OnlineLoop:
         if self._built and not self._legs.fault:
             self._keeper.go_on()
         elif self._legs.fault:
-            self.stop(self._legs.fault)
+            self._stops.halt(self._legs.fault)
 
     def _decide(self, inputs: Any, now: float) -> Command:
         leg = self._legs.now
@@ -388,11 +367,26 @@ class OnlineLoop:
     def _refuse(self, why: Status, note: str) -> Command:
         """Stand still at once, where nothing is known."""
         command, self._moved = self._refusal, False
-        self.command, self._wrong = command, why
+        self._led, self._wrong = command, why
         command.v[:] = 0.0
         command.say(why)
         command.note = note
-        self.status, self.note = why, note
+        return command
+
+    def _hold(self, left: float) -> Command:
+        """Go on as the last command says: who ticks too often must not move faster.
+
+        Args:
+            left: of the period [s].
+        """
+        held = self._holding
+        held.v[:] = 0.0 if self.watch.stands else self._led.v  # else it might never end
+        held.say(Status.EARLY)
+        held.note = f"{1e3 * left:.3g} ms of the period are left; wait for its end"
+        return self._say(held)
+
+    def _say(self, command: Command) -> Command:
+        self.command, self.status, self.note = command, command.status, command.note
         return command
 
 

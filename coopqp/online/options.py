@@ -3,36 +3,105 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+import os
+from collections.abc import Iterator, Mapping
+from numbers import Real
+from typing import Any, Literal, get_args
 
 from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.scenario.scenario import Scenario
+from coopqp.wording import raised
 
 Reference = Literal["commanded", "measured"]
 HowHeld = Literal["as_held", "as_written"]
 PhasesEnd = Literal["by_time", "asked"]
 
 CHOICES = {"reference": Reference, "grasp": HowHeld, "phases": PhasesEnd}
+#: So much of the past can be kept in memory [s].
+MOST_KEPT = 3600.0
 
 
-def check_options(choices: dict[str, str], times: dict[str, float | None]) -> None:
+def check_options(options: Mapping[str, Any]) -> None:
     """Refuse what a loop cannot be asked for.
 
     Args:
-        choices: by the argument's name.
-        times: the same, more than zero [s]; None is not asked for.
+        options: what it was given, by the argument's name.
 
     Raises:
         InvalidValueError: with everything that is wrong.
     """
-    found = [
-        f"{name}: {unknown_name('choice', str(given), get_args(CHOICES[name]))}"
-        for name, given in choices.items()
-        if given not in get_args(CHOICES[name])
-    ]
-    found += [
-        f"{name}: found {given} s; needs a finite time, more than 0"
-        for name, given in times.items()
-        if given is not None and not 0.0 < given < math.inf
-    ]
+    found = [f"{name}: {words}" for name, words in _faults(options)]
     if found:
         raise InvalidValueError("\n".join(found))
+
+
+def time_fault(found: Any, *, none: bool = False, zero: bool = False, most: float = 0.0) -> str:
+    """What is wrong with a time [s]; empty if nothing is.
+
+    Args:
+        found: as given.
+        none: whether None may be.
+        zero: whether zero may be.
+        most: that it can be [s]; zero for no bound.
+    """
+    if found is None and none:
+        return ""
+    needs = "a finite time, " + ("at least 0" if zero else "more than 0")
+    if most:
+        needs += f" and at most {most:g} s"
+    if isinstance(found, bool) or not isinstance(found, Real):
+        return f"found {found!r}; needs {needs}{', or None' if none else ''}"
+    time = float(found)
+    if (time >= 0.0 if zero else time > 0.0) and time < math.inf and time <= (most or math.inf):
+        return ""
+    return f"found {found} s; needs {needs}"
+
+
+def _faults(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    scenario, controller = options["scenario"], options["controller"]
+    if not isinstance(scenario, Scenario):
+        words = "use coopqp.load" if isinstance(scenario, str) else "needs a Scenario"
+        yield "scenario", f"found {scenario!r}; {words}"
+    if not isinstance(controller, str):
+        yield "controller", f"found {controller!r}; needs a name"
+    for name, kind in CHOICES.items():
+        if options[name] not in get_args(kind):
+            yield name, unknown_name("choice", str(options[name]), get_args(kind))
+    times = {
+        "speed_up": time_fault(options["speed_up"], none=True),
+        "patience": time_fault(options["patience"]),
+        "keep": time_fault(options["keep"], most=MOST_KEPT),
+        "silent_after": time_fault(options["silent_after"], zero=True),
+    }
+    yield from ((name, fault) for name, fault in times.items() if fault)
+    if fault := _clock_fault(options["clock"]):
+        yield "clock", fault
+    if fault := _folder_fault(options["out"]):
+        yield "out", fault
+    if not (options["record"] is None or callable(options["record"])):
+        yield "record", f"found {options['record']!r}; needs a function that makes a recording"
+
+
+def _clock_fault(clock: Any) -> str:
+    if clock is None:
+        return ""
+    if not callable(clock):
+        return f"found {clock!r}; needs a function that says the time, or None to count ticks"
+    try:
+        now = clock()
+    except Exception as error:  # noqa: BLE001 - it is a user's
+        return raised(error)
+    if isinstance(now, bool) or not isinstance(now, Real) or not math.isfinite(now):
+        return f"says {now!r}; needs seconds"
+    return ""
+
+
+def _folder_fault(out: Any) -> str:
+    if out is None:
+        return ""
+    if not isinstance(out, str | os.PathLike):
+        return f"found {out!r}; needs a folder"
+    name = os.fspath(out)
+    if not isinstance(name, str) or not name or "\0" in name:
+        return f"found {name!r}; needs a folder's name"
+    return ""

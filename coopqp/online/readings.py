@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.checked import Array, real
 from coopqp.closed_chain import ClosedChain
 from coopqp.solver import Status
+from coopqp.wording import said
 
 #: Joints measured farther from the last than this many times what their velocity limit allows,
 #: and this much beside it for noise [rad, m], have jumped.
@@ -81,9 +82,9 @@ class Readings:
     def _read(self, q: Any, commanded: Array) -> bool:
         found = self._found
         try:
-            given = np.asarray(q, float)
-        except Exception:  # noqa: BLE001 - anything can come from a driver
-            self.note = f"a {type(q).__name__} is no configuration"
+            given = real(q)
+        except Exception as error:  # noqa: BLE001 - anything can come from a driver
+            self.note = said(error) or f"found {type(q).__name__}, needs numbers"
             return False
         if given.shape == found.shape:
             found[:] = given

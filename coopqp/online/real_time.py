@@ -6,7 +6,7 @@ collected, what is left is frozen (never looked at again) and the collector swit
 ticks leave is little, and is collected in the time that a period leaves over.
 
 Sleeping is not exact, so the last part of a period is waited for awake. After a late tick the next
-period begins at once, and none is made up for: ticks in quick succession would ask for as much
+comes a whole period later, and none is made up for: ticks in quick succession would ask for as much
 motion in less time.
 """
 
@@ -23,6 +23,7 @@ import numpy as np
 
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.loop import OnlineLoop
+from coopqp.online.options import time_fault
 from coopqp.online.robot import Robot
 from coopqp.wording import raised
 
@@ -31,6 +32,9 @@ AWAKE = 1.5e-4
 #: Time between collections of garbage and between writings of the session [s], and what must be
 #: left of a period for one of them, as a share of it.
 EVERY, LEFT = 0.25, 0.4
+
+#: From a tick so late, as a share of a period, the next is a whole period away.
+BEHIND = 0.4
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
 """What has arrived since it was last asked, as :meth:`OnlineLoop.tick` takes it; never waits."""
@@ -71,8 +75,9 @@ def real_time(
 ) -> Ended:
     """Run a loop on a robot until something ends it; the robot is then told to stand still.
 
-    It ends, at rest, at Ctrl-C, after the duration, when :meth:`OnlineLoop.end` is called, and when
-    the loop has stopped by itself, as after a silence of the robot.
+    It ends, at rest, at Ctrl-C and SIGTERM, after the duration, when :meth:`OnlineLoop.end` is
+    called, and when the loop has stopped by itself, as after a silence of the robot. Where somebody
+    has told it to stop, it waits at rest until it is told to go on.
 
     Args:
         loop: not begun yet, or at rest; with a clock.
@@ -84,12 +89,12 @@ def real_time(
         How it ended.
 
     Raises:
+        InvalidValueError: an argument is none; the loop counts ticks, or has ended.
         CoopqpError: the loop cannot begin where the robot is, or the record could not be written.
         Exception: what the robot, or ``inputs``, has raised, after the robot came to rest; at once
             where it was ``write``.
     """
-    if loop.simulated:
-        raise InvalidValueError("the loop counts ticks; give it a clock to run in real time")
+    _check(loop, robot, inputs, duration)
     run = _Run(loop, robot, inputs, np.inf if duration is None else duration)
     with loop:
         try:
@@ -103,6 +108,28 @@ def real_time(
         raise run.fault
     watch = loop.watch
     return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
+
+
+def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
+    """Refuse what cannot be run.
+
+    Raises:
+        InvalidValueError: with what is wrong.
+    """
+    if not isinstance(loop, OnlineLoop):
+        raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
+    for name in ("read", "write"):
+        if not callable(getattr(robot, name, None)):
+            raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
+    if not (inputs is None or callable(inputs)):
+        words = "needs a function that says what has arrived"
+        raise InvalidValueError(f"inputs: found a {type(inputs).__name__}, {words}")
+    if fault := time_fault(duration, none=True):
+        raise InvalidValueError(f"duration: {fault}")
+    if loop.simulated:
+        raise InvalidValueError("the loop counts ticks; give it a clock to run in real time")
+    if loop.ticks and not loop.running:
+        raise InvalidValueError(f"the loop has ended ({loop.stopped}); reset it first")
 
 
 class _Run:
@@ -144,11 +171,12 @@ class _Run:
             q, given = self._ask(self._robot.read), self._ask(self._inputs)
             command = loop.tick(q, given)
             self._robot.write(loop.setpoint, command.v)
-            if loop.stopped and loop.at_rest:
+            if loop.stopped_by_itself and loop.at_rest:
                 loop.end(loop.stopped)
             elif loop.now >= until:
                 loop.end("the time is up")
-            due = max(due + self._dt, loop.now)
+            began = loop.watch.began
+            due = max((began if began - due > BEHIND * self._dt else due) + self._dt, loop.now)
             self._use_what_is_left(due)
             self._wait(due)
 

@@ -13,7 +13,7 @@ ring fills, and ticks that find no room are left out and counted.
 
 The columns are those of ``trace.csv`` from which a tick is done again. Nobody knows the truth of a
 real robot: ``q`` is what the tick decided from, and the object is where q has it; ``measured`` is
-what the sensors said.
+what the sensors said. What was made of the inputs is in it, too.
 """
 
 from __future__ import annotations
@@ -83,15 +83,16 @@ class LiveRecording:
         memory: int = 0,
         every: float = EVERY,
     ) -> None:
-        self.path, self.fault, self._also = Path(path), "", tuple(also)
-        self._ring = TickRing(law, start, also, max(16, int(ROOM / law.problem.dt)), memory)
+        self.path, self.fault, held = Path(path), "", scenario.held_by(controller)
+        room, inputs = max(16, int(ROOM / law.problem.dt)), held.followed()
+        self._ring = TickRing(law, start, also, room, memory, inputs)
+        self._gaps = (*self._ring.gaps, *also)
         columns = ("controller", "tick", *self._ring.names, "status")
         text = source or scenario.portable
         _check(self.path, text, columns, also)
         with needs("a recording of a live loop"):
             import pyarrow as pa
         self._pa: Any = pa
-        held = scenario.held_by(controller)
         self._schema = arrow_schema(held, controller, text, columns)
         names = pa.array([controller] * self._ring.capacity)
         self._batch = pa.record_batch(  # over the ring's own memory, but for names and statuses
@@ -194,7 +195,7 @@ class LiveRecording:
         batch = self._batch.slice(piece.start, piece.stop - piece.start)
         last = batch.num_columns - 1
         batch = batch.set_column(last, self._schema.field(last), words)
-        for name in self._also:
+        for name in self._gaps:
             numbers = self._ring.numbers[self._ring.names.index(name), piece]
             known = self._pa.array(numbers, from_pandas=True)  # NaN is nothing
             i = self._schema.get_field_index(name)

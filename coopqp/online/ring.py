@@ -5,13 +5,14 @@ A row is copied in one step when it is whole, and counted after that, so the two
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import AXES
 from coopqp.controller import Command, Law
+from coopqp.signal import Kind
 from coopqp.solver import Status
 from coopqp.state import State
 
@@ -28,9 +29,11 @@ class TickRing:
         also: names of further columns.
         capacity: how many ticks it holds.
         memory: room for what is remembered, where a law to come remembers more than this one.
+        inputs: what is followed in any phase, by name.
 
     Attributes:
         names: of the columns that are numbers, C of them.
+        gaps: of those in which NaN is nothing.
         numbers: shape (C, capacity).
         numbered: which tick a row is of, shape (capacity,).
         causes: what became of it, by row.
@@ -40,9 +43,16 @@ class TickRing:
     """
 
     def __init__(
-        self, law: Law, start: State, also: Sequence[str], capacity: int, memory: int = 0
+        self,
+        law: Law,
+        start: State,
+        also: Sequence[str],
+        capacity: int,
+        memory: int = 0,
+        inputs: Mapping[str, Kind] | None = None,
     ) -> None:
-        parts = _parts(law, start, also, max(memory, len(start.memory.numbers)))
+        followed = inputs or {}
+        parts = _parts(law, start, also, max(memory, len(start.memory.numbers)), followed)
         self.names = tuple(name for names in parts.values() for name in names)
         self.capacity = capacity
         self.numbers = np.zeros((len(self.names), capacity))
@@ -60,6 +70,10 @@ class TickRing:
         )
         self._p, self._R = views["pose"][:3], views["pose"][3:].reshape(3, 3)
         self._last, self._also = views["last"], views["also"]
+        self._followed = [
+            (name, views[f"followed[{name}]"], views[f"followed_rate[{name}]"]) for name in followed
+        ]
+        self.gaps = tuple(x for key in views if key.startswith("followed") for x in parts[key])
         self.begin(start)
 
     def begin(self, state: State, since: float = 0.0) -> None:
@@ -107,6 +121,10 @@ class TickRing:
         last = self._last
         last[0], last[1] = state.loop_position_error, state.loop_orientation_error
         last[2], last[3] = command.scale, us
+        for name, value, rate in self._followed:
+            followed = state.inputs.get(name)
+            value[:] = np.nan if followed is None else followed.value
+            rate[:] = np.nan if followed is None else followed.rate
 
     def waiting(self) -> list[slice]:
         """Rows that have gone in and not out, in their order: one piece, or two around the end."""
@@ -116,7 +134,9 @@ class TickRing:
         return [piece for piece in pieces if piece.stop > piece.start]
 
 
-def _parts(law: Law, start: State, also: Sequence[str], memory: int) -> dict[str, tuple[str, ...]]:
+def _parts(
+    law: Law, start: State, also: Sequence[str], memory: int, inputs: Mapping[str, Kind]
+) -> dict[str, tuple[str, ...]]:
     """The columns, part by part."""
     joints, loops = law.problem.chain.joint_names, range(len(start.gap) // 6)
     sensed, torques = start.q_measured is not None, law.command.tau is not None
@@ -130,5 +150,13 @@ def _parts(law: Law, start: State, also: Sequence[str], memory: int) -> dict[str
         "tau": tuple(f"tau[{joint}]" for joint in joints if torques),
         "pose": POSE,
         "last": LAST,
+        **{
+            f"followed[{name}]": tuple(f"followed[{name}].{x}" for x in kind.value_columns)
+            for name, kind in inputs.items()
+        },
+        **{
+            f"followed_rate[{name}]": tuple(f"followed_rate[{name}].{x}" for x in kind.rate_columns)
+            for name, kind in inputs.items()
+        },
         "also": tuple(also),
     }

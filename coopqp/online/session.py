@@ -10,7 +10,9 @@ silence.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from coopqp.checked import Array
@@ -38,8 +40,14 @@ class _File(Sent):
         """Write all rows before a time, after which no other can have their times [s]."""
         if not (lines := self.take(now)):
             return
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(lines if self.written else self.header + lines)
+        whole = self.path.stat().st_size if self.written else 0
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(lines if self.written else self.header + lines)
+        except OSError:
+            with suppress(OSError):  # a row that is torn would make all of them unreadable
+                os.truncate(self.path, whole)
+            raise
         self.written = True
 
 

@@ -1,6 +1,13 @@
-"""Whether the loop goes on: who has stopped it, and what it has waited for in vain."""
+"""Whether the loop goes on: who has stopped it, and what it has waited for in vain.
+
+Signal handlers and other threads may tell it to stop, to end and to go on, in the midst of a tick.
+Each of them writes one reference, which Python does in one step, and needs no lock; a tick looks
+once, at its beginning.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 from coopqp.solver import Status
 
@@ -12,9 +19,9 @@ class Stops:
         patience: time without a usable measurement, or without a tick, after which it stops [s].
 
     Attributes:
-        why: it stands still until :meth:`resume`; empty while it goes on.
-        ends: whether it stands still for good.
+        why: for this tick, why it stands still until :meth:`resume`; empty while it goes on.
         goes_on_again: whether it was stopped and has not gone on yet.
+        by_itself: whether nobody has told it to stop.
     """
 
     def __init__(self, patience: float) -> None:
@@ -23,26 +30,52 @@ class Stops:
 
     def forget(self) -> None:
         """Begin anew."""
-        self.why, self.ends, self.goes_on_again = "", False, False
+        self.why, self.goes_on_again, self.by_itself = "", False, False
+        self._stopped = self._ended = ""
+        self._resumed = False
         self._wrong_since: float | None = None
 
     @property
+    def ends(self) -> bool:
+        """Whether it stands still for good."""
+        return bool(self._ended)
+
+    @property
+    def told(self) -> str:
+        """Why it shall stand still, as last told; empty where it shall go on."""
+        return self._ended or self._stopped
+
+    @property
     def cause(self) -> Status | None:
-        """Why it does not go on, as a status."""
+        """Why it does not go on in this tick, as a status."""
         return Status.STOPPED if self.why else None
 
-    def stop(self, why: str) -> None:
+    def stop(self, why: Any) -> None:
         """Stop; the first reason counts."""
-        self.why = self.why or why
+        self._stopped = self._stopped or reason(why, "it was told to stop")
 
-    def end(self, why: str) -> None:
-        """Stop for good."""
-        self.why, self.ends = (self.why if self.ends else why), True
+    def end(self, why: Any) -> None:
+        """Stop for good; the first reason counts."""
+        self._ended = self._ended or reason(why, "it was told to end")
 
     def resume(self) -> None:
         """Go on, unless it has ended."""
-        if self.why and not self.ends:
-            self.why, self.goes_on_again, self._wrong_since = "", True, None
+        if self.told and not self.ends:
+            self._resumed, self._stopped = True, ""
+
+    def look(self) -> bool:
+        """A tick begins; whether it was told to go on since the last."""
+        self.why, resumed = self.told, self._resumed
+        if resumed:
+            self._resumed, self._wrong_since = False, None
+            self.goes_on_again, self.by_itself = True, False
+        return resumed
+
+    def halt(self, why: str) -> None:
+        """Stop in this tick, by itself; the first reason counts."""
+        self.by_itself = self.by_itself or not self.told
+        self.stop(why)
+        self.why = self.told
 
     def heard(self, wrong: Status | None, now: float, elapsed: float) -> None:
         """Lose patience where that is due.
@@ -53,13 +86,13 @@ class Stops:
             elapsed: since the tick before [s]; NaN for a first one.
         """
         if elapsed > self._patience:
-            self.stop(f"no tick came for {elapsed:.3g} s")
+            self.halt(f"no tick came for {elapsed:.3g} s")
         if wrong is None:
             self._wrong_since = None
         elif self._wrong_since is None:
             self._wrong_since = now
         elif now - self._wrong_since >= self._patience:
-            self.stop(f"for {now - self._wrong_since:.3g} s {_WORDS[wrong]}")
+            self.halt(f"for {now - self._wrong_since:.3g} s {_WORDS[wrong]}")
 
 
 _WORDS = {
@@ -67,3 +100,16 @@ _WORDS = {
     Status.NOT_MEASURED: "the measured joints were no numbers",
     Status.MEASURED_JUMPED: "the measured joints were elsewhere",
 }
+
+
+def reason(why: Any, otherwise: str) -> str:
+    """A reason in words, whatever was given: a robot must stop for any, and for none.
+
+    Args:
+        why: as given.
+        otherwise: where nothing was.
+    """
+    try:
+        return ("" if why is None else str(why).strip()) or otherwise
+    except Exception:  # noqa: BLE001 - an object of a user's may not say what it is
+        return otherwise

@@ -1,34 +1,60 @@
-"""A watch on the time between ticks: which come late, and by how much."""
+"""A watch on the time between ticks: which come late, and by how much; which before their time."""
 
 from __future__ import annotations
 
 import math
 
-#: A tick is late when it comes more than this share of a period after its time.
+#: A tick is late when it comes more than this share of a period after its time, and early when it
+#: comes more than this before it.
 SHARE = 0.5
+#: Who ticks may have a clock that is so much faster.
+FASTER = 0.02
 
 
 class Watch:
-    """Counts late ticks.
+    """Counts late and early ticks.
+
+    Early ones are none: each command is for a whole period, so two in one ask for twice the speed.
+    The time before which no tick can be goes on by a period with each of them, so that ticks which
+    come a little early again and again do not sum up.
 
     Args:
         dt: control period [s].
 
     Attributes:
         late: how many ticks were late.
+        early: how many came before their time.
         longest: the longest time between two ticks [s].
         longest_tick: the number of the tick before which it was; -1 before the second tick.
         elapsed: from the tick before to the last one [s]; NaN for a first one.
+        began: when the last tick did that was not early [s].
+        stands: whether the clock has not gone on since it was last looked at.
     """
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
-        self.late, self.longest, self.longest_tick = 0, 0.0, -1
+        self.late, self.early, self.longest, self.longest_tick = 0, 0, 0.0, -1
         self.elapsed, self._last = math.nan, math.nan
+        self.began = self._since = self._seen = -math.inf
+        self.stands = self._held = False
+
+    def __repr__(self) -> str:
+        """What was counted."""
+        slow = f"longest={self.longest:.6f}, longest_tick={self.longest_tick}"
+        return f"Watch(late={self.late}, early={self.early}, {slow})"
 
     def forget(self) -> None:
         """Let the next tick be a first one, as after a pause."""
         self._last = math.nan
+
+    def left(self, now: float) -> float:
+        """How long the period still is [s]; zero if a tick may come."""
+        self.stands, self._seen = now <= self._seen, now
+        if not now < self._since:
+            return 0.0
+        self.early += 1
+        self._held = True
+        return self.began + self._dt - now
 
     def tick(self, k: int, now: float) -> bool:
         """A tick begins; whether it is late.
@@ -37,9 +63,14 @@ class Watch:
             k: its number.
             now: by a clock that never goes back [s].
         """
-        self.elapsed, self._last = now - self._last, now
+        self.elapsed, self._last, self.began = now - self._last, now, now
+        # The earliest time of the next one.
+        behind = now - (SHARE - FASTER) * self._dt
+        self._since = max(self._since, behind) + (1.0 - FASTER) * self._dt
         if self.elapsed > self.longest:
             self.longest, self.longest_tick = self.elapsed, k
-        is_late = self.elapsed > (1.0 + SHARE) * self._dt
+        # After an early one, which is none, the next is due a period later.
+        is_late = self.elapsed > (1.0 + SHARE + self._held) * self._dt
+        self._held = False
         self.late += is_late
         return is_late

@@ -19,7 +19,6 @@ from coopqp.report import strict_json
 from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
 from coopqp.report.trace_columns import Beside
-from coopqp.signal import TURN_COLUMNS, TURN_RATES
 from coopqp.trace import InputTrace, Trace
 from coopqp.wording import by_user, raised
 
@@ -137,9 +136,7 @@ def _header(joints: list[str], memory: int, trace: Trace, beside: Beside) -> lis
 
 def _input_columns(name: str, kept: InputTrace) -> Iterator[str]:
     """What arrived and when it was sent, what was followed and how that moved."""
-    kind = kept.kind
-    values = [*kind.columns[: kind.numbers], *(TURN_COLUMNS if kind.turns else ())]
-    rates = [*kind.columns[: kind.numbers], *(TURN_RATES if kind.turns else ())]
+    values, rates = kept.kind.value_columns, kept.kind.rate_columns
     yield from (f"input[{name}].{column}" for column in values)
     yield f"input[{name}].sent"
     yield from (f"followed[{name}].{column}" for column in values)

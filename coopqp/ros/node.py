@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import signal
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -57,7 +56,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         topics.hear(JOINT_STATE, settings.joint_states, bridge.take_joint_state)
         for name, kind in kinds.items():
             topics.hear(message_of(kind), f"~/inputs/{name}", _to(bridge, name))
-        with _received(node), _terminated(loop):
+        with _received(node):
             return _run(loop, bridge, topics)
 
 
@@ -65,7 +64,7 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
     """Wait for the robot and run the loop; at the end say why it has ended."""
     why = "the node was cut off"
     try:
-        with loop:  # so that Ctrl-C ends the waiting, too
+        with loop:  # so that Ctrl-C and SIGTERM end the waiting, too
             ended = _when_it_speaks(loop, bridge)
         why = str(ended)
         return ended
@@ -135,16 +134,6 @@ def _received(node: Any) -> Iterator[None]:
     finally:
         executor.shutdown()
         thread.join(FAREWELL)
-
-
-@contextmanager
-def _terminated(loop: OnlineLoop) -> Iterator[None]:
-    """Come to rest and end at SIGTERM, as launch sends it."""
-    before = signal.signal(signal.SIGTERM, lambda number, frame: loop.end("SIGTERM"))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _parameters(node: Any) -> tuple[RosSettings, Mapping[str, list[str]]]:

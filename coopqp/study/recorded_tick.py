@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -14,13 +15,15 @@ from coopqp.reading import absolute
 from coopqp.recordings.known import controllers_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord, record_tick
-from coopqp.study.trace_file import blocked_tick, recorded_velocity, state_from_trace
+from coopqp.study.trace_file import blocked_tick, halted, recorded_velocity, state_from_trace
 
 
 def recorded_tick(
     path: Path, scenario: Scenario, controller: str | None = None, tick: int | None = None
 ) -> TickRecord:
     """Do a tick of a trace again and keep it.
+
+    Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
 
     Args:
         path: of ``trace.csv``, or of a run in another format.
@@ -48,7 +51,9 @@ def recorded_tick(
         law = plugin.plain(list(islice(problems, phase + 1))[-1])
     state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = absolute(path.parent).name
-    return record_tick(law, state, scenario=name, controller=chosen, tick=k)
+    record = record_tick(law, state, scenario=name, controller=chosen, tick=k)
+    rested = halted(path, chosen, k)
+    return replace(record, status=rested) if rested else record
 
 
 def off_the_record(path: Path, record: TickRecord) -> float:
@@ -63,6 +68,8 @@ def off_the_record(path: Path, record: TickRecord) -> float:
     Raises:
         CoopqpError: as :func:`recorded_tick`.
     """
+    if halted(path, record.controller, record.tick):
+        return 0.0  # the law did not make it
     v = recorded_velocity(path, record.controller, record.tick)
     known = [(v[row.joint], x) for row, x in zip(record.variables, record.answer, strict=True)
              if row.joint in v]  # fmt: skip

@@ -20,7 +20,7 @@ from coopqp.recordings.column import split
 from coopqp.recordings.known import controllers_of, format_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Course, Followed
-from coopqp.solver import Status
+from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
 from coopqp.study.trace_checks import parts_of_phases, strange_tick
@@ -28,6 +28,10 @@ from coopqp.trace import InputTrace, no_input
 
 #: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
 FARTHEST = 1e12
+#: Times of two phases that are the same may differ by this [s].
+ROUNDING = 1e-9
+#: After what a live loop's time stands still.
+_STANDS = {status.name for status in (*HALTS, Status.NOT_MEASURED, Status.NOT_BEGUN, Status.RAISED)}
 OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
 
 
@@ -244,6 +248,33 @@ def _read_inputs(row: _Row, law: Law, state: State) -> None:
     state.inputs = followed
 
 
+def halted(path: Path, controller: str, tick: int) -> str:
+    """What became of a tick in which a live loop came to rest, and its law did nothing.
+
+    Its time stands still then, so that is how it shows.
+
+    Args:
+        path: of a live loop's recording, or of a run.
+        controller: whose.
+        tick: which.
+
+    Returns:
+        Its causes, as written; empty where the law was asked.
+
+    Raises:
+        CoopqpError: no such file, or a damaged row.
+    """
+    found: _Row | None = None
+    for row in _rows(path, controller):
+        if found is not None:
+            return found.causes if row.number("t") <= found.number("t") else ""
+        if row.cells["tick_us"] and row.tick == tick:
+            if HALTS.intersection(causes_of(row.causes)):
+                return row.causes
+            found = row
+    return ""
+
+
 def recorded_velocity(path: Path, controller: str, tick: int) -> dict[str, float]:
     """What was commanded in a tick, by joint [rad/s, m/s].
 
@@ -318,7 +349,7 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
         CoopqpError: no such file, not a trace, a row with too few or too many cells, or ticks that
             do not follow each other.
     """
-    last = dict[str, float]()
+    last = dict[str, tuple[float, str]]()
     for found in format_of(path).rows(path):
         row = _Row(found.place, found.header or found.place, found.texts)
         _check_time(row, last)
@@ -326,16 +357,16 @@ def _rows(path: Path, controller: str | None = None) -> Iterator[_Row]:
             yield row
 
 
-def _check_time(row: _Row, last: dict[str, float]) -> None:
-    """Refuse time that stands still.
+def _check_time(row: _Row, last: dict[str, tuple[float, str]]) -> None:
+    """Refuse time that goes back, or stands still without a reason.
 
     Args:
         row: the next one.
-        last: by controller, its last time; written.
+        last: by controller, its last time and what became of that tick; written.
     """
     name, t = row.cells["controller"], row.number("t")
-    then = last.get(name, -math.inf)
-    if t <= then:
+    then, causes = last.get(name, (-math.inf, ""))
+    if t <= then and not (t >= then - ROUNDING and _STANDS.intersection(causes.split("+"))):
         words = f"t: found {t:g} after {then:g}; the trace is damaged"
         raise InvalidValueError(f"{row.place}: {words}")
-    last[name] = t
+    last[name] = t, row.cells["status"]

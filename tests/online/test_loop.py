@@ -58,7 +58,13 @@ BAD = {
     "nothing": (None, Status.ROBOT_SILENT, ""),
     "a NaN": (np.full(10, np.nan), Status.NOT_MEASURED, "no finite number for RShoulderPitch"),
     "too few": (np.zeros(3), Status.NOT_MEASURED, "found shape (3,), needs (10,)"),
-    "words": ("hello", Status.NOT_MEASURED, "a str is no configuration"),
+    "words": ("hello", Status.NOT_MEASURED, "found a text, needs numbers"),
+    "an object": (object(), Status.NOT_MEASURED, "found object, needs numbers"),
+    "ragged": ([[1.0], [1.0, 2.0]], Status.NOT_MEASURED, "lists of different lengths"),
+    "complex": (np.full(10, 0.5 + 1j), Status.NOT_MEASURED, "found complex numbers"),
+    "true or false": (np.full(10, True), Status.NOT_MEASURED, "found true or false"),
+    "masked": (np.ma.masked_greater(np.arange(10.0), 5.0), Status.NOT_MEASURED, "masked values"),
+    "Nones": ([None] * 10, Status.NOT_MEASURED, "found list, needs numbers"),
     "far away": (np.full(10, 2.0), Status.MEASURED_JUMPED, " rad in 0."),
 }
 
@@ -135,6 +141,10 @@ INPUTS: dict[str, tuple[Any, str]] = {
     "wrong shape": ([1.0, 2.0], "target: found shape (2,), needs 3 numbers"),
     "NaN": ([np.nan, 0.0, 0.0], "target: has NaN or infinite values"),
     "words": ("there", "target: found 'there', needs 3 numbers"),
+    "nothing": (None, "target: found None, needs 3 numbers"),
+    "complex": ([0.15, 0.0, 0.05 + 1j], "target: found [0.15, 0.0, (0.05+1j)], needs 3 numbers"),
+    "true or false": ([True, False, True], "target: found [True, False, True], needs 3 numbers"),
+    "masked": (np.ma.masked_less([0.15, -1.0, 0.05], 0.0), "target: found masked_array"),
     "nowhere": ([1e9, 0.0, 0.0], "target: found 1e+09, which is nowhere"),
     "from the future": ((NEAR, 1e6), "is from the future"),
     "from the past": ((NEAR, -1.0), "is older than the last"),
@@ -210,6 +220,18 @@ def test_the_age_of_a_value_counts_and_not_the_loops_own_time() -> None:
         clock.t += 0.02
     go(loop, robot, 1, {"target": (NEAR, clock.t - 0.3)})
     assert Status.INPUT_REFUSED in loop.command.causes
+
+
+def test_a_value_without_a_stamp_is_sent_when_it_arrives() -> None:
+    loop, robot = simulated(follows())
+    go(loop, robot, 30, {"target": NEAR})
+    for stamp in (-5.0, loop.now - 0.02):
+        go(loop, robot, 1, {"target": ([0.151, 0.0, 0.06], stamp)})
+        assert Status.INPUT_REFUSED in loop.command.causes
+        assert "is older than the last" in loop.note
+    np.testing.assert_array_equal(loop.state.inputs["target"].target, NEAR)
+    go(loop, robot, 1, {"target": ([0.151, 0.0, 0.06], loop.now)})
+    assert loop.status is Status.OPTIMAL
 
 
 def test_a_loop_that_is_late_does_not_take_old_values_for_new() -> None:
@@ -372,7 +394,7 @@ def test_what_cannot_be_asked_for_is_refused_at_once() -> None:
     assert str(refused.value).splitlines() == [
         "reference: unknown choice 'mesured'; did you mean 'measured'?",
         "patience: found 0.0 s; needs a finite time, more than 0",
-        "keep: found inf s; needs a finite time, more than 0",
+        "keep: found inf s; needs a finite time, more than 0 and at most 3600 s",
     ]
 
 
@@ -397,7 +419,6 @@ RUBBISH: list[Any] = [
 ]  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
 def test_nothing_is_raised_or_printed(capfd: Any, rng: Any) -> None:
     loop, robot = simulated(follows())
     go(loop, robot, 3)

@@ -152,3 +152,25 @@ def test_counting_ticks_is_no_clock(scenario: Scenario) -> None:
     with pytest.raises(InvalidValueError, match="give it a clock"):
         real_time(loop, robot)
     go(loop, robot, 1)
+
+
+def test_what_was_told_to_stop_waits_and_goes_on(scenario: Scenario) -> None:
+    loop, rests = OnlineLoop(scenario), list[bool]()
+
+    def inputs() -> Any:
+        if loop.ticks == 30:
+            loop.stop("lunch")
+        if loop.ticks == 80:
+            rests.append(loop.at_rest)
+            loop.resume()
+        return TARGET
+
+    robot = Scripted(scenario.chain.q_start)
+    ended = real_time(loop, robot, inputs=inputs, duration=1.2)
+    assert ended.why == "the time is up"
+    assert rests == [True]
+    assert np.abs(robot.written[100:]).max() > 0.01
+    with pytest.raises(InvalidValueError, match=r"has ended \(the time is up\); reset it first"):
+        real_time(loop, robot)
+    loop.reset()
+    assert real_time(loop, robot, duration=0.05).why == "the time is up"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import resource
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +129,25 @@ def test_a_disk_that_fails_does_not_stop_the_robot(tmp_path: Path) -> None:
     assert v.any()
     with pytest.raises(CoopqpError, match="the record is not whole"):
         loop.close()
+
+
+def test_a_full_disk_leaves_whole_rows(tmp_path: Path) -> None:
+    loop, robot = simulated(follows(), out=tmp_path / "out")
+    go(loop, robot, 20, {"target": [0.17, 0.0, 0.05]})
+    loop.flush()
+    file = tmp_path / "out" / "inputs" / "target.csv"
+    whole = file.read_text()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    go(loop, robot, 60, {"target": [0.17, 0.0, 0.05]})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 100, limits[1]))
+    try:
+        loop.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with pytest.raises(CoopqpError, match="the record is not whole"):
+        loop.close()
+    assert file.read_text() == whole
+    compare(coopqp.load(tmp_path / "out" / "scenario.yaml"), controllers=["qp"])
 
 
 def test_without_a_source_there_is_the_replay_in_python(tmp_path: Path) -> None:

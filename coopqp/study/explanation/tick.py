@@ -27,7 +27,7 @@ from coopqp.checked import Array
 from coopqp.qp import QP
 from coopqp.rank import null_space
 from coopqp.row import Row, names_of
-from coopqp.solver import Status, causes_of
+from coopqp.solver import HALTS, Status, causes_of
 from coopqp.study.explanation.contradiction import irreducible
 from coopqp.study.explanation.shares import Share, forces, shares, thing_of
 from coopqp.study.explanation.words import listed, with_note
@@ -92,7 +92,10 @@ class Explanation:
 
 def explain(record: TickRecord) -> Explanation:
     """Why, as far as one tick can tell."""
-    status = causes_of(record.status)[0]
+    causes = causes_of(record.status)
+    if halts := [cause for cause in causes if cause in HALTS]:
+        return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")
+    status = causes[0]
     if not status.usable and status not in CONFLICTS:
         return Explanation((), (), (), f"the tick stands still: {status.value}")
     qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))

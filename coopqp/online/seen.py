@@ -1,0 +1,58 @@
+"""What a loop shows of itself: its scenario, its phases, and what runs now."""
+
+from __future__ import annotations
+
+from coopqp.controller import ControlProblem, Law
+from coopqp.online.leg import Leg
+from coopqp.online.legs import Legs
+from coopqp.online.played_again import text_of_begun
+from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
+
+
+class Seen:
+    """A loop, to be looked at.
+
+    Attributes:
+        controller: the law's name in the scenario.
+    """
+
+    controller: str
+    _given: Scenario
+    _legs: Legs
+
+    @property
+    def scenario(self) -> Scenario:
+        """As begun: its start is where the robot was."""
+        return self._legs.scenario
+
+    @property
+    def source(self) -> str:
+        """Its text, with what the loop has changed; empty where it was made in Python."""
+        return text_of_begun(self.scenario, self._given, self.controller)
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """The phases so far, the last one that which runs; none before the beginning."""
+        return self._legs.done
+
+    @property
+    def state(self) -> State:
+        """What the last tick decided from: commanded joints, kinematics, inputs."""
+        return self._legs.now.state
+
+    @property
+    def law(self) -> Law:
+        """The controller, built for this phase."""
+        return self._legs.now.law
+
+    @property
+    def problem(self) -> ControlProblem:
+        """What it was built for."""
+        return self._legs.now.problem
+
+    @property
+    def phase(self) -> Phase:
+        """The phase that runs."""
+        return self._legs.now.phase

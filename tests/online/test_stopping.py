@@ -1,0 +1,113 @@
+"""Telling the loop to stop: whatever is said, whoever says it, it stops."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+from online_loops import follows, go, simulated
+
+from coopqp.solver import Status
+
+NEAR = {"target": [0.15, 0.01, 0.05]}
+
+
+class Mute:
+    """Cannot say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("says nothing")
+
+
+@pytest.mark.parametrize("why", ["", " ", None, 3, 0, Mute(), ValueError()])
+@pytest.mark.parametrize("way", ["stop", "end"])
+def test_it_stops_for_any_reason_and_for_none(way: str, why: Any) -> None:
+    loop, robot = simulated(follows())
+    go(loop, robot, 30, NEAR)
+    assert np.abs(loop.command.v).max() > 0.1
+    getattr(loop, way)(why)
+    assert loop.stopped
+    go(loop, robot, 30, NEAR)
+    assert loop.at_rest
+    assert loop.status is Status.STOPPED
+    assert loop.note == loop.stopped
+    assert loop.running == (way == "stop")
+
+
+def test_other_threads_may_stop_it_and_let_it_go_on() -> None:
+    loop, robot = simulated(follows())
+    go(loop, robot, 5, NEAR)
+    done = threading.Event()
+
+    def nervous() -> None:
+        while not done.is_set():
+            loop.stop("wait")
+            loop.resume()
+
+    before, seen = sys.getswitchinterval(), set[Any]()
+    sys.setswitchinterval(1e-5)
+    other = threading.Thread(target=nervous)
+    other.start()
+    try:
+        for _ in range(1000):
+            go(loop, robot, 1, NEAR)
+            seen |= set(loop.command.causes)
+            if Status.STOPPED in loop.command.causes:
+                assert loop.note == "wait"
+    finally:
+        done.set()
+        other.join()
+        sys.setswitchinterval(before)
+    assert seen <= {Status.OPTIMAL, Status.STOPPED, Status.TASKS_GIVEN_UP}
+    loop.end("enough")
+    loop.resume()
+    go(loop, robot, 30)
+    assert not loop.running
+
+
+TERMINATED = """\
+    import os, signal, sys
+    import coopqp
+
+    class Robot:
+        def __init__(self, q):
+            self.q, self.v, self.writes = q.copy(), q * 0, 0
+        def read(self):
+            return self.q.copy()
+        def write(self, q, v):
+            self.q[:], self.v, self.writes = q, v.copy(), self.writes + 1
+            if self.writes == 30:
+                print("fast", abs(v).max() > 0.02, flush=True)
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    scenario = coopqp.load("point_on_point")
+    robot = Robot(scenario.chain.q_start)
+    ended = coopqp.real_time(coopqp.OnlineLoop(scenario), robot)
+    print(ended.why, robot.v.any(), flush=True)
+"""
+
+
+def test_sigterm_leaves_the_robot_at_rest() -> None:
+    code = [sys.executable, "-c", textwrap.dedent(TERMINATED)]
+    done = subprocess.run(code, capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.splitlines() == ["fast True", "SIGTERM False"], done.stderr
+    assert done.returncode == 0
+
+
+def test_signals_are_given_back_and_the_second_one_ends_at_once() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    loop, robot = simulated(follows())
+    go(loop, robot, 3)
+    with loop:
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert loop.stopped == "SIGTERM"
+        with pytest.raises(SystemExit):
+            os.kill(os.getpid(), signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
