@@ -48,6 +48,7 @@ class InputSettings(Pace):
     """Instead: a CSV or Parquet file with what was sent, columns t and those of the value."""
 
     def __post_init__(self) -> None:
+        Pace.__post_init__(self)
         if self.feed is not None and self.feed_file is not None:
             raise ValueError("give feed or feed_file, not both")
         for low, high in zip(self.lower or (), self.upper or (), strict=False):
