@@ -217,6 +217,7 @@ def test_what_makes_no_sense_is_left_alone() -> None:
 def test_a_session_that_has_written_nothing_says_why(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     player = playing("point_on_point", "qp", folder=tmp_path / "file")
+    played(player, 3)
     assert player.save() is None
     assert "cannot write the recording" in player.note
 
@@ -245,3 +246,27 @@ def test_a_law_that_breaks_a_limit_is_said_to() -> None:
     own, other = player.frame().laws
     assert own.broken == ""
     assert "LElbowRoll is 0.163 rad past its limit" in other.broken
+
+
+def test_where_nothing_was_played_nothing_is_written(tmp_path: Path) -> None:
+    player = playing("point_on_point", "qp", folder=tmp_path / "out")
+    assert player.save() is None
+    assert "nothing has been played yet" in player.note
+    assert not (tmp_path / "out").exists()
+    played(player, 20)
+    path = player.save()
+    assert path
+    before = path.read_text()
+    player.do(Asked("reset"))
+    assert player.save() is None
+    assert path.read_text() == before, "what was saved is not lost for a reset"
+
+
+def test_a_crawling_object_is_dragged_at_the_limiters_slowest(tmp_path: Path) -> None:
+    limits = "limits: [{object_speed: {linear: 0.0001, angular: 0.0001}}]\n"
+    player = playing(written(tmp_path, PLANE + limits), "qp", folder=tmp_path / "out")
+    played(player, 5)
+    path = player.save()
+    assert path
+    made = next(iter(load(path).inputs.values()))
+    assert (made.velocity, made.angular_velocity) == (0.001, 0.004)
