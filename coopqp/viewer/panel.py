@@ -147,8 +147,9 @@ def _verdict(frame: Frame) -> str:
     active = ", ".join(map(escape, frame.active[:MOST]))
     if len(frame.active) > MOST:
         active += f" and {len(frame.active) - MOST} more"
+    active = active or ("none" if frame.explained else "unknown")
     rows = [f'<div style="font-weight:600" data-tone="{frame.tone}">{escape(frame.sentence)}</div>']
-    rows.append(f'<div style="margin-top:0.35em">Limits at their bound: {active or "none"}</div>')
+    rows.append(f'<div style="margin-top:0.35em">Limits at their bound: {active}</div>')
     if frame.detail and frame.tone in ("blocked", "broken"):
         rows.append(
             f'<div style="opacity:0.7;margin-top:0.35em">This tick: {escape(frame.detail)}</div>'

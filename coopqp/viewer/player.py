@@ -39,6 +39,7 @@ from coopqp.viewer.recording import Recording
 #: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
 RESTS, ARRIVED = 3e-4, 1e-6
 SLOWEST, FASTEST = 0.05, 4.0
+ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
 UNTOLD = Told(False, "", (), "")
 
 
@@ -58,7 +59,7 @@ class Player:
         lanes: one a law.
         refused: laws that are left out, and why.
         playing, speed: whether and how fast time goes on.
-        told: what the explainer has said last.
+        told: what the explainer has said last. explains: whether there is one.
         recording: since the last reset.
         note: what there is to say beside.
     """
@@ -74,7 +75,7 @@ class Player:
         self._hands: dict[str, list[float]] = {}
         self.playing, self.speed, self.note = False, 1.0, ""
         self._main, self._turned = 0, False
-        self.told = UNTOLD
+        self.told, self.explains = UNTOLD, True
         self.refused: dict[str, str] = {}
         self._names = self._playable(tuple(names))
         self._bodies, self.faults = picture.surfaces(self.scenario)
@@ -128,6 +129,10 @@ class Player:
             self.save()
         else:
             self._reach_for(asked)
+
+    def unexplained(self) -> None:
+        """There is no explainer any more; nothing that it has said is said again."""
+        self.explains, self.told = False, UNTOLD
 
     def save(self) -> Path | None:
         """Write what is recorded; where nothing can be written the note says so."""
@@ -187,6 +192,7 @@ class Player:
             sentence=sentence,
             active=self.told.active,
             detail=self.told.detail,
+            explained=self.explains,
             recorded=self.recording.seconds,
             note="; ".join(filter(None, (self._recording_note(), self.note))),
             tick_us=tick_us,
@@ -325,6 +331,8 @@ class Player:
             return "reached", _sentence("at the goal", drawn.words)
         if self.told.blocked:
             return "blocked", _sentence(self.told.sentence)
+        if not self.explains:
+            return "waiting", _sentence("not at the goal", drawn.words, ENDED)
         if not self.playing:
             return "waiting", _sentence("paused", drawn.words)
         return "moving", _sentence("on its way", drawn.words)

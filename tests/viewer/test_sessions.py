@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from scenario_files import HEAD, PHASES
 
 from coopqp.checked import Array
 from coopqp.controller_run import run
+from coopqp.errors import CoopqpError
 from coopqp.scenario.loader import load
 from coopqp.state import State
-from coopqp.viewer.messages import Asked
+from coopqp.viewer.messages import Asked, Told
+from coopqp.viewer.panel import _verdict
+from coopqp.viewer.play import _Clock
 from coopqp.viewer.player import Player
 
 PLANE = """\
@@ -260,6 +265,34 @@ def test_where_nothing_was_played_nothing_is_written(tmp_path: Path) -> None:
     player.do(Asked("reset"))
     assert player.save() is None
     assert path.read_text() == before, "what was saved is not lost for a reset"
+
+
+class Gone:
+    """A process beside that has been killed."""
+
+    ready, killed_by = False, "SIGKILL"
+
+    def received(self, timeout: float = 0.0) -> Iterator[Any]:
+        raise EOFError
+
+
+def test_without_the_explainer_nothing_is_said_in_its_place() -> None:
+    player = playing("point_on_point", "qp")
+    player.playing = True
+    played(player, 50)
+    player.told = Told(True, "LElbowRoll (lower) stops it", ("LElbowRoll (lower)",), "")
+    gone: Any = Gone()
+    clock = _Clock(player, gone, gone)
+    clock._think(0.0)
+    for _ in range(2):
+        frame = player.frame()
+        assert frame.tone == "waiting"
+        assert "explanations have ended" in frame.sentence
+        assert not frame.active
+        assert "Limits at their bound: unknown" in _verdict(frame)
+        player.do(Asked("reset"))
+    with pytest.raises(CoopqpError, match="ended from outside by SIGKILL"):
+        clock._hear()
 
 
 def test_a_crawling_object_is_dragged_at_the_limiters_slowest(tmp_path: Path) -> None:
