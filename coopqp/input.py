@@ -247,7 +247,11 @@ class Feed:
         for name, channel in inputs.channels.items():
             given, kind = settings[name], channel.kind
             if given.feed is not None:
-                self._signals[name] = given.feed.bind(kind, Moment(since), channel.value)
+                sends = given.feed.bind(kind, Moment(since), channel.value)
+                if sends.arrives:
+                    words = "an input cannot feed another, as nothing arrives at it but by its own"
+                    raise InvalidValueError(f"feed: input: {words}; needs another signal")
+                self._signals[name] = sends
             elif given.feed_file is not None:
                 table = read_table(given.feed_file)
                 t = table.times()

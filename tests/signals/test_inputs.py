@@ -241,6 +241,7 @@ FAULTS = [
     ({"velocity: 0.1": "velocty: 0.1"}, "unknown key 'velocty'; did you mean 'velocity' or"),
     ({"velocity: 0.1": "velocity: 1.0e-6"}, "found 1e-06, needs 0.001 to 100 m/s"),
     ({"velocity: 0.1": "jerk: 1.0e+9"}, "jerk: found 1e+09, needs 0.001 to 1e+06 m/s3"),
+    ({f"{FEED}, period: 1.5}}": "input: target"}, "feed: input: an input cannot feed another"),
     ({"velocity: 0.1": "lower: [1, 2]"}, "lower: found 2 numbers, needs 3 for a point"),
     ({"start: [0.16, -0.02, 0.05]": "start: [0.16]"}, "start has 1 numbers, end 3"),
     ({FEED: "line: {start: [0], end: [1]"}, "line.start: found shape (1,), needs 3 numbers"),
