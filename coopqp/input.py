@@ -28,6 +28,8 @@ Arrival = tuple[str, Any, float]
 FARTHEST = 1e6
 #: How far ahead of the loop's clock a value may be stamped [s].
 AHEAD = 1e-3
+#: What the loop's clock may be off by, which is summed up tick by tick [s].
+SUMMED = 1e-6
 
 
 @spec
@@ -275,7 +277,7 @@ class Feed:
             signal.update(Moment(now))
             yield name, signal.value, t
         for name, row in self._next.items():
-            while row is not None and row[0] <= now:
+            while row is not None and row[0] <= now + SUMMED:
                 yield name, row[2], row[1] - self._since
                 row = next(self._rows[name], None)
             self._next[name] = row

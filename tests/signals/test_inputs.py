@@ -321,3 +321,14 @@ def test_the_status_has_words() -> None:
     assert Status.INPUT_STALE.usable
     assert Status.INPUT_REFUSED.usable
     assert Waypoints(times=[0, 1], values=[[0], [1]]).rest == 1.0
+
+
+def test_a_value_of_a_file_arrives_in_the_tick_of_its_time(tmp_path: Path) -> None:
+    """The loop's time is summed up: ten ticks of 0.01 s are a little less than 0.1 s."""
+    path = tmp_path / "target.csv"
+    rows = [f"{k / 100:.2f},{0.16 + k * 1e-5},0,0.06" for k in range(0, 150, 10)]
+    path.write_text("\n".join(["t,x,y,z", *rows]) + "\n", encoding="utf-8")
+    trace = run(sending(None, feed_file=path), controller="qp")
+    arrived = np.flatnonzero(np.isfinite(trace.inputs["target"].sent))
+    np.testing.assert_array_equal(arrived, range(0, 150, 10))
+    assert not any("INPUT_REFUSED" in word for word in trace.status)
