@@ -67,7 +67,7 @@ def play(
     if record:
         check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
-    print_notes(loaded, controllers)
+    print_notes(loaded, controllers, steered=True)
     from coopqp.viewer.player import Player
 
     player = Player(loaded, controllers, record)
