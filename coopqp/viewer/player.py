@@ -17,6 +17,7 @@ from coopqp.errors import CoopqpError
 from coopqp.report.scene.marks import Place
 from coopqp.report.style import OTHER_COLORS, QP_COLORS
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Kind
 from coopqp.viewer import picture
 from coopqp.viewer.dials import dials_of, turned
 from coopqp.viewer.gizmos import Handle, handles
@@ -80,8 +81,8 @@ class Player:
         self._names = self._playable(tuple(names))
         self._bodies, self.faults = picture.surfaces(self.scenario)
         self._place = Place(self.scenario)
-        self._knobs = tuple(self._own_knobs())
         self.reset()
+        self._knobs = tuple(self._own_knobs())
 
     def reset(self) -> None:
         """Begin anew; dials stay as they are turned."""
@@ -255,11 +256,26 @@ class Player:
         held = {live.name for live in self._lives}
         lane, found = Lane(self.scenario, self._names[0], {}), []
         for name, channel in lane.feed.inputs.channels.items():
-            most = self.scenario.inputs[name].velocity if channel.kind.velocity else np.pi
             for i, column in enumerate(channel.kind.columns if name not in held else ()):
                 key, now = f"{name}/{i}", float(channel.value[i])
-                found.append(Dial(key, name, column, -most, most, most / 100.0, now))
+                low, high = self._travel(name, channel.kind, i)
+                low, high = min(low, now), max(high, now)
+                found.append(Dial(key, name, column, low, high, (high - low) / 200.0, now))
         return found
+
+    def _travel(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
+        """Between what a slider of an input goes: its bounds, within those of joints."""
+        settings, chain = self.scenario.inputs[name], self.lanes[0].begun.problem.chain
+        low, high = (-settings.velocity, settings.velocity) if kind.velocity else (-np.pi, np.pi)
+        if kind.each:
+            joint = chain.joint_names.index(kind.columns[i])
+            if np.isfinite(chain.upper[joint] - chain.lower[joint]):
+                low, high = float(chain.lower[joint]), float(chain.upper[joint])
+        if i < kind.numbers and settings.lower:
+            low = max(low, settings.lower[i])
+        if i < kind.numbers and settings.upper:
+            high = min(high, settings.upper[i])
+        return low, high
 
     def _reach_for(self, asked: Asked) -> None:
         """A gizmo, the object, a dial or a knob."""
@@ -324,9 +340,9 @@ class Player:
         if drawn.broken:
             return "broken", _sentence(drawn.broken, drawn.words)
         if stale:
-            return "waiting", _sentence(
-                f"nothing arrives at {', '.join(stale)}; drag it or turn it"
-            )
+            dragged = {live.name for live in self._lives}
+            how = "drag it or turn it" if dragged & set(stale) else "move its sliders"
+            return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}; {how}")
         if drawn.reached and _arrived(lane):
             return "reached", _sentence("at the goal", drawn.words)
         if self.told.blocked:

@@ -125,6 +125,7 @@ def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
+    back.until(lambda: "coopqp play has ended" in back.words)
     assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", out)
     assert err == ""
     trace = run(load(tmp_path / "out" / "scenario.yaml"), controller="qp")

@@ -16,7 +16,7 @@ from coopqp.errors import CoopqpError
 from coopqp.scenario.loader import load
 from coopqp.state import State
 from coopqp.viewer.messages import Asked, Told
-from coopqp.viewer.panel import _verdict
+from coopqp.viewer.panel import _head, _verdict
 from coopqp.viewer.play import _Clock
 from coopqp.viewer.player import Player
 
@@ -162,7 +162,8 @@ def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -
     assert player.show().gizmos == ()
     frame = player.frame()
     assert frame.tone == "waiting"
-    assert "Nothing arrives at stick" in frame.sentence
+    assert "Nothing arrives at stick; move its sliders" in frame.sentence
+    assert "move the sliders below Inputs" in _head(player.show())
     before = player.lanes[0].state.p_WO.copy()
     player.do(Asked("knob", "stick/2", (-0.02,)))
     played(player, 100)
@@ -303,3 +304,24 @@ def test_a_crawling_object_is_dragged_at_the_limiters_slowest(tmp_path: Path) ->
     assert path
     made = next(iter(load(path).inputs.values()))
     assert (made.velocity, made.angular_velocity) == (0.001, 0.004)
+
+
+LEADER = """\
+dt: 0.01
+duration: 2.0
+controllers: [qp]
+inputs: {leader: {LOWER}}
+tasks:
+  - posture: {goal: {input: leader}}
+"""
+
+
+def test_sliders_of_joints_go_as_far_as_joints_do(tmp_path: Path) -> None:
+    player = playing(written(tmp_path, LEADER.replace("{LOWER}", "{}")), "qp")
+    chain = player.lanes[0].begun.problem.chain
+    seen = {knob.label: (knob.low, knob.high) for knob in player.show().knobs}
+    limits = zip(chain.lower.tolist(), chain.upper.tolist(), strict=True)
+    assert seen == dict(zip(chain.joint_names, limits, strict=True))
+    lower = [float(x) for x in chain.q_start - 0.1]
+    bounded = playing(written(tmp_path, LEADER.replace("{LOWER}", f"{{lower: {lower}}}")), "qp")
+    assert [k.low for k in bounded.show().knobs] == np.maximum(lower, chain.lower).tolist()
