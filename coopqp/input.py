@@ -28,6 +28,8 @@ Arrival = tuple[str, Any, float]
 FARTHEST = 1e6
 #: How far ahead of the loop's clock a value may be stamped [s].
 AHEAD = 1e-3
+#: What the loop's clock may be off by, which is summed up tick by tick [s].
+SUMMED = 1e-6
 
 
 @spec
@@ -48,6 +50,7 @@ class InputSettings(Pace):
     """Instead: a CSV or Parquet file with what was sent, columns t and those of the value."""
 
     def __post_init__(self) -> None:
+        Pace.__post_init__(self)
         if self.feed is not None and self.feed_file is not None:
             raise ValueError("give feed or feed_file, not both")
         for low, high in zip(self.lower or (), self.upper or (), strict=False):
@@ -246,7 +249,11 @@ class Feed:
         for name, channel in inputs.channels.items():
             given, kind = settings[name], channel.kind
             if given.feed is not None:
-                self._signals[name] = given.feed.bind(kind, Moment(since), channel.value)
+                sends = given.feed.bind(kind, Moment(since), channel.value)
+                if sends.arrives:
+                    words = "an input cannot feed another, as nothing arrives at it but by its own"
+                    raise InvalidValueError(f"feed: input: {words}; needs another signal")
+                self._signals[name] = sends
             elif given.feed_file is not None:
                 table = read_table(given.feed_file)
                 t = table.times()
@@ -270,7 +277,7 @@ class Feed:
             signal.update(Moment(now))
             yield name, signal.value, t
         for name, row in self._next.items():
-            while row is not None and row[0] <= now:
+            while row is not None and row[0] <= now + SUMMED:
                 yield name, row[2], row[1] - self._since
                 row = next(self._rows[name], None)
             self._next[name] = row

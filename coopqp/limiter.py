@@ -21,6 +21,14 @@ from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, Ru
 from coopqp.checked import Array, Positive, spec
 from coopqp.signal import Course, Instant, Kind, matrix, quaternion_of
 
+#: Within these there is always a way; they are those of arms, and wider [SI].
+VELOCITIES, ACCELERATIONS, JERKS = (1e-3, 100.0), (1e-3, 1e4), (1e-3, 1e6)
+#: Time to full speed, and to full acceleration: less is no bound, more is never there [s].
+RAMPS = (1e-3, 1e3)
+#: Share of the jerk with which a plan is found where rounding has spoiled the first one.
+GENTLER = 0.999
+ROUNDING = 1e-9
+
 
 @spec
 class Pace:
@@ -38,6 +46,28 @@ class Pace:
     """[rad/s2]"""
     angular_jerk: Positive = 40.0
     """[rad/s3]"""
+
+    def __post_init__(self) -> None:
+        for key, unit in (("", "m"), ("angular_", "rad")):
+            of = [getattr(self, f"{key}{name}") for name in ("velocity", "acceleration", "jerk")]
+            names = [f"{key}velocity", f"{key}acceleration", f"{key}jerk"]
+            units = [f"{unit}/s", f"{unit}/s2", f"{unit}/s3"]
+            for name, x, bounds, one in zip(
+                names, of, (VELOCITIES, ACCELERATIONS, JERKS), units, strict=True
+            ):
+                _within(name, x, bounds, one)
+            for k in (1, 2):
+                low, high = RAMPS
+                least, most = of[k - 1] / high, of[k - 1] / low
+                beside = f", beside {names[k - 1]} {of[k - 1]:g} {units[k - 1]}"
+                _within(names[k], of[k], (least, most), units[k], beside)
+
+
+def _within(name: str, x: float, bounds: tuple[float, float], unit: str, beside: str = "") -> None:
+    """Refuse a bound with which there may be no way; a little beyond is rounding."""
+    low, high = bounds
+    if not low * (1.0 - ROUNDING) <= x <= high * (1.0 + ROUNDING):
+        raise ValueError(f"{name}: found {x:g}, needs {low:g} to {high:g} {unit}{beside}")
 
 
 @dataclass(frozen=True)
@@ -88,7 +118,7 @@ class Limiter(Course):
         count = kind.rates
         self.acceleration = np.zeros(count)
         bounds = _bounds(kind, pace)
-        self._fastest = bounds.velocity
+        self._fastest, self._jerk = bounds.velocity, bounds.jerk
         self._planner, self._out = Ruckig(count, dt), OutputParameter(count)
         self._plan, self._brake = _plan(kind, bounds), _plan(kind, bounds, brakes=True)
 
@@ -118,13 +148,22 @@ class Limiter(Course):
             plan.current_velocity = self.rate
             if target is not None:
                 plan.target_position = np.concatenate([target[:k], self._turn_to(target[k:])])
-        try:
-            self._planner.update(plan, self._out)
-        except (RuckigError, ValueError):  # of bounds that are out of all proportion
+        if not self._planned(plan):
             self.rate[:] = self.acceleration[:] = 0.0
             return False
         self._go()
         return True
+
+    def _planned(self, plan: InputParameter) -> bool:
+        """Whether there is a plan; rounding can spoil one, and hardly ever the next beside it."""
+        for share in (1.0, GENTLER):
+            plan.max_jerk = share * self._jerk
+            try:
+                self._planner.update(plan, self._out)
+            except (RuckigError, ValueError):  # of values that are out of all proportion
+                continue
+            return True
+        return False
 
     def _slow(self, velocity: Array) -> Array:
         """A velocity within its bounds."""

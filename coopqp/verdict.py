@@ -45,7 +45,7 @@ def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()
         unseen: what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
-        *_broken(trace), _hold(trace, metrics), _arrival(trace), _limits(trace, unseen),
+        *_broken(trace), _hold(trace, metrics), _arrival(trace, metrics), _limits(trace, unseen),
         _speed(trace), _loop(trace, metrics),
         _gap(metrics), _motors(trace), _ticks(trace, metrics),
     ]  # fmt: skip
@@ -59,9 +59,11 @@ def fell(trace: Trace) -> bool:
     return held is not None and not held[:, 0].all()
 
 
-def _arrival(trace: Trace) -> str:
+def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
     if trace.broke_down or fell(trace):
         return "reaches no goal"
+    if unheard := _unheard(metrics):
+        return f"reaches no goal: {unheard}"
     missed = [
         k
         for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
@@ -77,6 +79,16 @@ def _arrival(trace: Trace) -> str:
         return f"loses '{task.name}': its error is no number"
     far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
     return f"ends {far} off the goal of '{task.name}'{_where(trace, k)}"
+
+
+def _unheard(metrics: Mapping[str, Any]) -> str:
+    """Why goals that are inputs are not what was sent; empty if they are."""
+    found = metrics.get("input_ticks")
+    if found and found["nothing_at"]:
+        return f"nothing that can be used arrives at the input {_listed(found['nothing_at'])}"
+    if found and found["refused_at_end"]:
+        return "what arrives at an input is refused to the end"
+    return ""
 
 
 def _where(trace: Trace, k: int) -> str:
@@ -229,12 +241,24 @@ def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:
     said = []
     if failed:
         said.append(f"holds still in {failed} of {metrics['ticks']} ticks: {_cause(trace)}")
+    said += _input_ticks(metrics)
     said += [
         f"{words} in {given_up[cause]} of {metrics['ticks']} ticks"
         for cause, words in GIVEN_UP.items()
         if cause in given_up
     ]
     return "; ".join(said)
+
+
+def _input_ticks(metrics: Mapping[str, Any]) -> list[str]:
+    """In how many ticks inputs were refused, and stale."""
+    found = metrics.get("input_ticks") or {}
+    words = {"refused": "has an input refused", "stale": "has an input stale"}
+    return [
+        f"{said} in {found[key]} of {metrics['ticks']} ticks"
+        for key, said in words.items()
+        if found.get(key)
+    ]
 
 
 def _lost(trace: Trace) -> bool:
@@ -248,7 +272,7 @@ def _cause(trace: Trace) -> str:
     return cause.removeprefix("stands still: ")
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _listed(names: Sequence[str]) -> str:
     return " and ".join(names)
 
 

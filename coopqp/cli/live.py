@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,16 @@ from coopqp.cli.options import (
 )
 
 
+class _Speed(click.FloatRange):
+    """A share of real time; NaN is in no range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        found = super().convert(value, param, ctx)
+        if math.isnan(found):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return found
+
+
 @click.command()
 @SCENARIO
 @click.option(
@@ -26,9 +37,7 @@ from coopqp.cli.options import (
 )  # fmt: skip
 @click.option("--port", type=int, default=8080, help="Of the page; any that is free if 0.")
 @click.option("--host", default="127.0.0.1", help="Address to listen on; this machine's alone.")
-@click.option(
-    "--speed", type=click.FloatRange(0.05, 4.0), default=1.0, help="Times real time, at first."
-)
+@click.option("--speed", type=_Speed(0.05, 4.0), default=1.0, help="Times real time, at first.")
 @click.option(
     "--record", type=WRITTEN,
     help="Folder for a recording, which coopqp compare replays; written at the end too.",
@@ -51,11 +60,14 @@ def play(
     """
     from coopqp.errors import CoopqpError
     from coopqp.viewer import play as viewer
+    from coopqp.viewer.recording import check_folder
 
     viewer.check_viewer()
     viewer.check_address(host, port)
+    if record:
+        check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
-    print_notes(loaded, controllers)
+    print_notes(loaded, controllers, steered=True)
     from coopqp.viewer.player import Player
 
     player = Player(loaded, controllers, record)

@@ -129,11 +129,12 @@ def say(line: str, *, aside: bool = True) -> None:
     click.echo(one_line(line), err=aside)
 
 
-def print_notes(scenario: Any, controllers: Sequence[str] = ()) -> None:
+def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool = False) -> None:
     """Say which parts of a scenario have no effect on which of the controllers that are to run."""
     from coopqp.controller_run import controller_of
     from coopqp.scenario.notes import notes
 
     chosen = controllers or list(scenario.controllers)
-    for line in notes(scenario, {name: controller_of(scenario, name) for name in chosen}):
+    heeding = {name: controller_of(scenario, name) for name in chosen}
+    for line in notes(scenario, heeding, steered=steered):
         say(f"note: {line}")

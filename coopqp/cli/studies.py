@@ -76,9 +76,12 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     from coopqp.errors import CoopqpError
     from coopqp.recordings.known import EXPORTS, controllers_of
     from coopqp.recordings.known import export as write
+    from coopqp.study.trace_file import check_trace
 
     path, scenario = read_trace(run, catalog)
     names = [controller] if controller else controllers_of(path)
+    for name in names:
+        check_trace(path, scenario, name)
     if out and len(names) > 1:
         listed = ", ".join(names)
         raise CoopqpError(f"--out is one file, but '{path}' has {listed}; add --controller NAME")

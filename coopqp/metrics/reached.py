@@ -1,9 +1,13 @@
-"""Whether every task's error ended within its tolerance, the object in all hands."""
+"""Whether every task's error ended within its tolerance, the object in all hands.
+
+A goal that is an input, and was never followed, is not reached, however small the error.
+"""
 
 from __future__ import annotations
 
 from coopqp.checked import spec
 from coopqp.metric import Metric
+from coopqp.metrics.input_ticks import followed
 from coopqp.trace import Trace
 
 
@@ -13,7 +17,7 @@ class Reached(Metric):
 
     def measure(self, trace: Trace) -> bool:
         """At the last instant for which each counts."""
-        if trace.broke_down:
+        if trace.broke_down or not followed(trace):
             return False
         ends = zip(trace.final_error, trace.tasks, trace.torn, strict=True)
         return all(bool(error <= task.tolerance) and not torn for error, task, torn in ends)

@@ -13,13 +13,18 @@ from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.unit_hints import far_goals
+from coopqp.scenario.unit_hints import far_goals, far_inputs
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
 
 
-def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = None) -> list[str]:
+def notes(
+    scenario: Scenario,
+    controllers: Mapping[str, Controller] | None = None,
+    *,
+    steered: bool = False,
+) -> list[str]:
     """One sentence for each part of the scenario that not every controller reads.
 
     After it come that the kernel is not built, what limits cannot bound, pads that reach beyond
@@ -28,6 +33,7 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
     Args:
         scenario: what is to be run.
         controllers: that are to run, which say what they heed; the scenario's own when omitted.
+        steered: whether people send to inputs that nothing feeds.
     """
     chosen = scenario.controllers if controllers is None else controllers
     deaf_to = [
@@ -43,7 +49,8 @@ def notes(scenario: Scenario, controllers: Mapping[str, Controller] | None = Non
         *contact_notes(scenario.chain),
         *_coarse_steps(scenario),
         *far_goals(scenario),
-        *_of_inputs(scenario),
+        *far_inputs(scenario),
+        *_of_inputs(scenario, steered=steered),
     ]
 
 
@@ -53,13 +60,13 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
     return [native.MISSING] if asked and native.module() is None else []
 
 
-def _of_inputs(scenario: Scenario) -> Iterator[str]:
+def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
     """Inputs to which nobody sends, or which nobody follows."""
     followed = scenario.followed()
     for name, settings in scenario.inputs.items():
         if name not in followed:
             yield f"no task follows the input '{name}'"
-        elif settings.feed is None and settings.feed_file is None:
+        elif settings.feed is None and settings.feed_file is None and not steered:
             yield (
                 f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
                 "give it feed or feed_file"

@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.input import InputSettings
 from coopqp.mark import (
     CircleMark,
     LineMark,
@@ -22,10 +23,13 @@ from coopqp.mark import (
 )
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Moment
+from coopqp.signal import POINT, POSE, Kind, Moment
+from coopqp.table import read_table
 
 #: A goal this many times the arms' reach from where the object starts cannot be meant [-].
 FAR = 3.0
+#: How many instants of a signal are looked at.
+LOOKS = 9
 #: An object whose longest edge is this many times the arms' reach cannot either [-].
 LARGE = 20.0
 
@@ -67,6 +71,32 @@ def far_goals(scenario: Scenario) -> Iterator[str]:
                     f"the goal of '{task.name}' is {far:.3g} m from where the object starts, but "
                     f"the arms reach {chain.reach:.2g} m; lengths are metres"
                 )
+
+
+def far_inputs(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each input that is sent a place which is nowhere near."""
+    chain = scenario.chain
+    for name, kind in scenario.followed().items():
+        if kind not in (POINT, POSE):
+            continue
+        places = _sent(scenario.inputs[name], kind, scenario.duration)
+        far = max((float(np.linalg.norm(p - chain.start_position)) for p in places), default=0.0)
+        if far > FAR * chain.reach:
+            yield (
+                f"the input '{name}' is sent a place {far:.3g} m from where the object starts, but "
+                f"the arms reach {chain.reach:.2g} m; lengths are metres"
+            )
+
+
+def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Array]:
+    """Places that are sent in a comparison, some of a signal's and all of a file's."""
+    if settings.feed_file is not None:
+        yield from read_table(settings.feed_file).take(POINT.columns)
+    elif settings.feed is not None:
+        course = settings.feed.bind(kind, Moment(), None)
+        for t in np.linspace(0.0, duration, LOOKS).tolist():
+            course.update(Moment(t))
+            yield course.value[:3].copy()
 
 
 def _distance(mark: Mark, p: Array) -> float:

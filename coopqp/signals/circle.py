@@ -16,6 +16,7 @@ import numpy as np
 from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.errors import InvalidValueError
 from coopqp.signal import Course, Instant, Kind, Signal, axes_along
+from coopqp.signals._bounds import check_places, check_speed
 
 
 @spec
@@ -45,6 +46,8 @@ class Circle(Signal):
             raise InvalidValueError(
                 f"circle: is 3 numbers, but a {kind.name} is needed here; use waypoints or input"
             )
+        check_places("circle", np.append(self.center, self.radius))
+        check_speed("circle.period", 2.0 * math.pi * self.radius / self.period)
         return _Round(kind, self)
 
     @property

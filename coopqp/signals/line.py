@@ -11,6 +11,7 @@ from pydantic import Field
 from coopqp.checked import Array, Positive, spec
 from coopqp.errors import InvalidValueError
 from coopqp.signal import Course, Instant, Kind, Signal
+from coopqp.signals._bounds import check_places, check_speed
 
 
 @spec
@@ -33,6 +34,9 @@ class Line(Signal):
         if kind.turns:
             words = f"line: does not turn, but a {kind.name} is needed here; use waypoints or input"
             raise InvalidValueError(words)
+        check_places("line", np.array([*self.start, *self.end]))
+        fastest = max(abs(b - a) for a, b in zip(self.start, self.end, strict=True))
+        check_speed("line.period", math.pi * fastest / self.period)
         try:
             return _ThereAndBack(kind, kind.read(self.start), kind.read(self.end), self.period)
         except InvalidValueError as error:

@@ -18,6 +18,7 @@ from coopqp.grasp import pose_matrix
 from coopqp.robot_files.keys import FilePath
 from coopqp.signal import Course, Instant, Kind, Signal, axes_along, matrix, quaternion_of
 from coopqp.signals._between import Between, Turns, pieces, same_side
+from coopqp.signals._bounds import check_places, check_speed
 from coopqp.table import read_table
 
 #: How far apart first and last value may be where they have to be the same [unit].
@@ -91,6 +92,10 @@ class Waypoints(Signal):
             except InvalidValueError as error:
                 raise InvalidValueError(f"{places(i)}: {error}") from None
         found = np.array(values)
+        for i, row in enumerate(found):
+            check_places(places(i), row[: kind.numbers])
+        ways = np.abs(np.diff(found, axis=0)).max(axis=1, initial=0.0) / np.diff(t)
+        check_speed(places(int(ways.argmax()) + 1), float(ways.max()))
         if kind.axis:
             _carry_over(found, round_trip=self.repeat == "round")
         return t, found

@@ -17,6 +17,7 @@ from coopqp.controller import Law
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
 from coopqp.input import wanted
 from coopqp.recordings.column import split
+from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import controllers_of, format_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Course, Followed
@@ -158,6 +159,25 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
         inputs=_inputs(rows[:-1], held),
         place=rows[0].header,
     )
+
+
+def check_trace(path: Path, scenario: Scenario, controller: str) -> None:
+    """Refuse a controller's run that is damaged, or of another scenario.
+
+    A live loop's run, which is in no CSV file, is as long as it was, with gaps where nobody ticked.
+
+    Args:
+        path: of ``trace.csv``, or of a run in another format.
+        scenario: that it was written for.
+        controller: whose.
+
+    Raises:
+        CoopqpError: no such file or controller, or a damaged file.
+    """
+    if isinstance(format_of(path), CsvFile):
+        recording_from_trace(path, scenario, controller)
+    for row in _rows(path, controller):
+        row.number("t")
 
 
 def _inputs(rows: Sequence[_Row], scenario: Scenario) -> dict[str, InputTrace]:

@@ -12,6 +12,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -61,6 +62,7 @@ class Beside:
 
     def __init__(self, work: Callable[..., None], *arguments: Any) -> None:
         context = multiprocessing.get_context("spawn")  # no threads are copied half alive
+        resource_tracker.ensure_running()  # which would take the mask below away as it starts
         self._connection, theirs = context.Pipe()
         # Ctrl-C is for the control loop, which then ends the others.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -105,6 +107,13 @@ class Beside:
         except OSError as error:
             raise EOFError from error
 
+    @property
+    def killed_by(self) -> str:
+        """The signal that has ended it from outside, such as SIGKILL; empty where none has."""
+        self._process.join(PATIENCE)
+        code = self._process.exitcode or 0
+        return signal.Signals(-code).name if code < 0 else ""
+
     def end(self) -> None:
         """End it."""
         self._connection.close()
@@ -115,6 +124,7 @@ class Beside:
 
 
 def _run(work: Callable[..., None], connection: Connection, *arguments: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # some libraries take the mask away
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - servers print; the terminal is the loop's
     work(Line(connection), *arguments)
     sys.stderr.flush()

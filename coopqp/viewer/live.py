@@ -19,6 +19,7 @@ from coopqp.errors import CoopqpError
 from coopqp.geometry import pose_course
 from coopqp.grasp import pose_matrix
 from coopqp.input import InputSettings
+from coopqp.limiter import RAMPS, VELOCITIES, Pace
 from coopqp.limits import ObjectSpeed
 from coopqp.mark import RelativeMark
 from coopqp.profile import Profile
@@ -109,12 +110,17 @@ def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[Live, ...]]:
 
 
 def pace_of(scenario: Scenario) -> dict[str, Any]:
-    """How fast inputs that are made may go, as far as the scenario's limits say."""
+    """How fast inputs that are made may go, as far as the scenario's limits and the limiter say."""
     found: dict[str, Any] = {}
+    usual = Pace()
     for limit in scenario.limits:
         if isinstance(limit, ObjectSpeed):
-            found |= {"velocity": limit.linear} if limit.linear else {}
-            found |= {"angular_velocity": limit.angular} if limit.angular else {}
+            slow = limit.linear, limit.angular
+            keys = {"velocity": usual.acceleration, "angular_velocity": usual.angular_acceleration}
+            for (key, acceleration), speed in zip(keys.items(), slow, strict=True):
+                if speed:
+                    least, most = max(VELOCITIES[0], RAMPS[0] * acceleration), VELOCITIES[1]
+                    found[key] = min(max(speed, least), most)
     return found
 
 

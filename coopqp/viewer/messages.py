@@ -154,7 +154,7 @@ class Frame:
         outlines: of what tasks ask for, shape (s, 2, 3) [m].
         tone, sentence: the verdict.
         active: limits at their bound, by name.
-        detail: of the last tick that was explained.
+        detail: of the last tick that was explained. explained: whether ticks still are.
         recorded: time since the beginning that a recording has [s]. note: what to say of it.
         tick_us: longest tick of the last second [us].
     """
@@ -172,6 +172,7 @@ class Frame:
     sentence: str
     active: tuple[str, ...]
     detail: str
+    explained: bool
     recorded: float
     note: str
     tick_us: float

@@ -6,12 +6,16 @@ viser is imported here alone, so that the control loop's process has none of it.
 from __future__ import annotations
 
 import threading
+import time
 from typing import Any
 
 from coopqp.viewer.beside import Line
 from coopqp.viewer.messages import Asked, Frame, Opened, Show
 from coopqp.viewer.panel import Panel
 from coopqp.viewer.scene import Scene
+
+#: Time for the last words to go out [s].
+FAREWELL = 0.2
 
 
 def serve(line: Line, show: Show, host: str, port: int) -> None:
@@ -35,6 +39,7 @@ def serve(line: Line, show: Show, host: str, port: int) -> None:
     for thing in line.things():
         if isinstance(thing, Frame):
             page.draw(thing)
+    page.end()
 
 
 class _Page:
@@ -65,6 +70,12 @@ class _Page:
         with self._server.atomic():
             self._scene.draw(frame)
             self._panel.draw(frame)
+
+    def end(self) -> None:
+        """Tell browsers that this is the end."""
+        self._panel.end()
+        self._server.flush()
+        time.sleep(FAREWELL)
 
     def _ask(self, asked: Asked) -> None:
         with self._lock:

@@ -17,6 +17,7 @@ OVERLAID, APART = "all, one over the other", "all, side by side"
 BUTTONS = ("Play", "Pause", "One tick", "Reset")
 DRAG = "Drag the box, or the arrows and rings at a goal; the arms follow as far as they can."
 STILL = "Nothing can be dragged here: what the tasks ask for moves by itself, or has no place."
+STEERED = "Nothing can be dragged here; move the sliders below Inputs, and the arms follow."
 #: Limits that are listed by name.
 MOST = 4
 
@@ -50,6 +51,11 @@ class Panel:
         self._set(self._status, _status(frame, self._show))
         self._set(self._table, _table(frame, self._show))
         self._set(self._recorded, _recorded(frame, self._show))
+
+    def end(self) -> None:
+        """Say that nobody plays any more."""
+        self._set(self._verdict, _box('<div data-tone="ended">coopqp play has ended.</div>'))
+        self._set(self._status, _box("ended"))
 
     def _set(self, handle: Any, text: str) -> None:
         """Send a text that has changed."""
@@ -138,7 +144,7 @@ def _box(content: str, *, style: str = "") -> str:
 def _head(show: Show) -> str:
     title = f'<div style="font-weight:600;font-size:1.15em">{escape(show.title)}</div>'
     words = escape(show.description)
-    hint = DRAG if show.gizmos else STILL
+    hint = DRAG if show.gizmos else STEERED if show.knobs else STILL
     return _box(f'{title}<div>{words}</div><div style="opacity:0.7;margin-top:0.35em">{hint}</div>')
 
 
@@ -147,8 +153,9 @@ def _verdict(frame: Frame) -> str:
     active = ", ".join(map(escape, frame.active[:MOST]))
     if len(frame.active) > MOST:
         active += f" and {len(frame.active) - MOST} more"
+    active = active or ("none" if frame.explained else "unknown")
     rows = [f'<div style="font-weight:600" data-tone="{frame.tone}">{escape(frame.sentence)}</div>']
-    rows.append(f'<div style="margin-top:0.35em">Limits at their bound: {active or "none"}</div>')
+    rows.append(f'<div style="margin-top:0.35em">Limits at their bound: {active}</div>')
     if frame.detail and frame.tone in ("blocked", "broken"):
         rows.append(
             f'<div style="opacity:0.7;margin-top:0.35em">This tick: {escape(frame.detail)}</div>'

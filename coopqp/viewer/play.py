@@ -136,6 +136,8 @@ class _Clock:
                 if isinstance(thing, Asked):
                     self._player.do(thing)
         except EOFError:
+            if name := self._page.killed_by:
+                raise CoopqpError(f"the page's process was ended from outside by {name}") from None
             raise InternalError("the page has broken down; see what is printed above") from None
 
     def _think(self, now: float) -> None:
@@ -148,7 +150,7 @@ class _Clock:
                     self._player.told = thing
         except EOFError:
             self._thinks = False
-            self._player.note = "the explainer has broken down; explanations end here"
+            self._player.unexplained()
             return
         if not self._thinker.ready or now < self._next_thought:
             return

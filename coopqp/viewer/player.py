@@ -17,6 +17,7 @@ from coopqp.errors import CoopqpError
 from coopqp.report.scene.marks import Place
 from coopqp.report.style import OTHER_COLORS, QP_COLORS
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Kind
 from coopqp.viewer import picture
 from coopqp.viewer.dials import dials_of, turned
 from coopqp.viewer.gizmos import Handle, handles
@@ -39,6 +40,7 @@ from coopqp.viewer.recording import Recording
 #: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
 RESTS, ARRIVED = 3e-4, 1e-6
 SLOWEST, FASTEST = 0.05, 4.0
+ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
 UNTOLD = Told(False, "", (), "")
 
 
@@ -58,7 +60,7 @@ class Player:
         lanes: one a law.
         refused: laws that are left out, and why.
         playing, speed: whether and how fast time goes on.
-        told: what the explainer has said last.
+        told: what the explainer has said last. explains: whether there is one.
         recording: since the last reset.
         note: what there is to say beside.
     """
@@ -74,13 +76,13 @@ class Player:
         self._hands: dict[str, list[float]] = {}
         self.playing, self.speed, self.note = False, 1.0, ""
         self._main, self._turned = 0, False
-        self.told = UNTOLD
+        self.told, self.explains = UNTOLD, True
         self.refused: dict[str, str] = {}
         self._names = self._playable(tuple(names))
         self._bodies, self.faults = picture.surfaces(self.scenario)
         self._place = Place(self.scenario)
-        self._knobs = tuple(self._own_knobs())
         self.reset()
+        self._knobs = tuple(self._own_knobs())
 
     def reset(self) -> None:
         """Begin anew; dials stay as they are turned."""
@@ -128,6 +130,10 @@ class Player:
             self.save()
         else:
             self._reach_for(asked)
+
+    def unexplained(self) -> None:
+        """There is no explainer any more; nothing that it has said is said again."""
+        self.explains, self.told = False, UNTOLD
 
     def save(self) -> Path | None:
         """Write what is recorded; where nothing can be written the note says so."""
@@ -187,6 +193,7 @@ class Player:
             sentence=sentence,
             active=self.told.active,
             detail=self.told.detail,
+            explained=self.explains,
             recorded=self.recording.seconds,
             note="; ".join(filter(None, (self._recording_note(), self.note))),
             tick_us=tick_us,
@@ -249,11 +256,26 @@ class Player:
         held = {live.name for live in self._lives}
         lane, found = Lane(self.scenario, self._names[0], {}), []
         for name, channel in lane.feed.inputs.channels.items():
-            most = self.scenario.inputs[name].velocity if channel.kind.velocity else np.pi
             for i, column in enumerate(channel.kind.columns if name not in held else ()):
                 key, now = f"{name}/{i}", float(channel.value[i])
-                found.append(Dial(key, name, column, -most, most, most / 100.0, now))
+                low, high = self._travel(name, channel.kind, i)
+                low, high = min(low, now), max(high, now)
+                found.append(Dial(key, name, column, low, high, (high - low) / 200.0, now))
         return found
+
+    def _travel(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
+        """Between what a slider of an input goes: its bounds, within those of joints."""
+        settings, chain = self.scenario.inputs[name], self.lanes[0].begun.problem.chain
+        low, high = (-settings.velocity, settings.velocity) if kind.velocity else (-np.pi, np.pi)
+        if kind.each:
+            joint = chain.joint_names.index(kind.columns[i])
+            if np.isfinite(chain.upper[joint] - chain.lower[joint]):
+                low, high = float(chain.lower[joint]), float(chain.upper[joint])
+        if i < kind.numbers and settings.lower:
+            low = max(low, settings.lower[i])
+        if i < kind.numbers and settings.upper:
+            high = min(high, settings.upper[i])
+        return low, high
 
     def _reach_for(self, asked: Asked) -> None:
         """A gizmo, the object, a dial or a knob."""
@@ -318,13 +340,15 @@ class Player:
         if drawn.broken:
             return "broken", _sentence(drawn.broken, drawn.words)
         if stale:
-            return "waiting", _sentence(
-                f"nothing arrives at {', '.join(stale)}; drag it or turn it"
-            )
+            dragged = {live.name for live in self._lives}
+            how = "drag it or turn it" if dragged & set(stale) else "move its sliders"
+            return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}; {how}")
         if drawn.reached and _arrived(lane):
             return "reached", _sentence("at the goal", drawn.words)
         if self.told.blocked:
             return "blocked", _sentence(self.told.sentence)
+        if not self.explains:
+            return "waiting", _sentence("not at the goal", drawn.words, ENDED)
         if not self.playing:
             return "waiting", _sentence("paused", drawn.words)
         return "moving", _sentence("on its way", drawn.words)

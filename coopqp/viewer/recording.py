@@ -8,7 +8,9 @@ is that since the scenario began.
 from __future__ import annotations
 
 import io
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,35 @@ from coopqp.viewer.dials import KAPPA, task_and_field
 from coopqp.viewer.live import Live, pace_of
 
 FILE = "scenario.yaml"
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder to which no recording can be written; nothing stays of the trial.
+
+    Args:
+        folder: for a recording; need not exist.
+
+    Raises:
+        CoopqpError: it holds a session already, or it cannot be written to.
+    """
+    made: list[Path] = []
+    try:
+        if (folder / FILE).exists() or (folder / FOLDER).exists():
+            raise CoopqpError(f"--record: '{folder}' holds a session already; name another folder")
+        for path in (*reversed(folder.parents), folder):
+            if not path.exists():
+                path.mkdir()
+                made.append(path)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        words = f"--record: cannot write to '{folder}': {reason}; name another folder"
+        raise CoopqpError(words) from error
+    finally:
+        for path in reversed(made):
+            with suppress(OSError):
+                path.rmdir()
 
 
 class Recording:
@@ -101,7 +132,7 @@ class Recording:
         Raises:
             CoopqpError: it cannot be written, or there is nothing yet.
         """
-        if not sum(self.ticks):
+        if sum(self.ticks) <= 1:  # the first is decided before anybody looks
             raise InvalidValueError("nothing has been played yet, so nothing is recorded")
         try:
             (folder / FOLDER).mkdir(parents=True, exist_ok=True)

@@ -8,9 +8,13 @@ from typing import Any
 
 import pytest
 from command_line import typed
+from scenario_files import HEAD
 
+from coopqp.comparison import compare
 from coopqp.recordings.known import NAMES, format_of
+from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import load
 from coopqp.study.recorded_tick import recorded_tick
 
 PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow"}
@@ -113,3 +117,49 @@ def test_what_cannot_be_exported_is_refused_in_one_line(
     assert words in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert not list(folder.glob(".*mcap*"))
+
+
+SHORT = """\
+dt: 0.01
+duration: 0.2
+controllers: [qp]
+tasks: [{point_on_point: {goal: [0.16, 0, 0.05], profile: {duration: 0.1}}}]
+"""
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a run whose joints do exactly as told."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "given.yaml").write_text(HEAD + SHORT, encoding="utf-8")
+    files.write(compare(load(folder / "given.yaml")), folder)
+    return folder
+
+
+def cell_changed(text: str) -> str:
+    header, *rows = text.splitlines()
+    column = header.split(",").index("q[LElbowRoll]")
+    cells = rows[9].split(",")
+    cells[column] = repr(float(cells[column]) + 0.01)
+    return "\n".join([header, *rows[:9], ",".join(cells), *rows[10:]]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "words"),
+    [
+        ("scenario.yaml", lambda text: text.replace("dt: 0.01", "dt: 0.02"), "'qp' has 20 ticks"),
+        ("trace.csv", lambda text: "".join(text.splitlines(True)[:9]), "'qp' has 7 ticks"),
+        ("trace.csv", cell_changed, "trace.csv:11: q[LElbowRoll]: found"),
+    ],
+)
+def test_a_run_that_is_none_of_its_scenario_is_not_exported(
+    name: str, damage: Any, words: str, short: Path, tmp_path: Path
+) -> None:
+    for one in ("trace.csv", "scenario.yaml"):
+        text = (short / one).read_text(encoding="utf-8")
+        (tmp_path / one).write_text(damage(text) if one == name else text, encoding="utf-8")
+    result = typed("export", tmp_path, "--to", "parquet")
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.glob("*parquet*"))

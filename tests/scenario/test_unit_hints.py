@@ -148,3 +148,16 @@ def test_an_empty_path_to_write_to_is_refused(option: str) -> None:
     result = typed(command, "point_on_point", option, "")
     assert result.exit_code == 2
     assert "is empty; needs a name" in result.stderr
+
+
+@pytest.mark.parametrize("by", ["feed", "feed_file"])
+def test_an_input_that_is_sent_millimetres_is_noted(by: str, tmp_path: Path) -> None:
+    (tmp_path / "far.csv").write_text("t,x,y,z\n0,0.15,0,0.06\n0.5,150,0,60\n", encoding="utf-8")
+    ways = "{times: [0, 0.5], values: [[0.15, 0, 0.06], [150, 0, 60]]}"
+    fed = {"feed": f"feed: {{waypoints: {ways}}}", "feed_file": "feed_file: far.csv"}[by]
+    text = TEXT.replace("[0.17, 0.01, 0.06]", "{input: hand}")
+    found = notes(
+        load(write(tmp_path, text.replace("tasks:", f"inputs: {{hand: {{{fed}}}}}\ntasks:")))
+    )
+    (line,) = [line for line in found if "metres" in line]
+    assert line.startswith("the input 'hand' is sent a place 161 m from where the object starts")

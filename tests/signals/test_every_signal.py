@@ -237,3 +237,26 @@ def test_values_that_are_none_are_refused(kind: Kind, given: object, words: str)
     with pytest.raises(InvalidValueError) as caught:
         kind.read(given)
     assert words in str(caught.value)
+
+
+NEAR = [0.15, 0.0, 0.06]
+
+
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        (Waypoints(times=[0, 1], values=[NEAR, [1e9, 0, 0]]), "waypoints.values[1]: found 1e+09, "),
+        (Waypoints(times=[0, 1e-12], values=[NEAR, [0, 0, 0]]), "values[1]: goes at 1.5e+11 m/s"),
+        (
+            Circle(center=[0, 0, 0], radius=1e6, period=9.0),
+            "circle: found 1e+06, needs at most 100",
+        ),
+        (Circle(center=NEAR, radius=0.1, period=1e-9), "circle.period: goes at 6.28e+08 m/s"),
+        (Line(start=NEAR, end=[0, 0, 1e9], period=1.0), "line: found 1e+09, needs at most 10000"),
+        (Line(start=NEAR, end=[0, 0, 0], period=1e-9), "line.period: goes at 4.71e+08 m/s"),
+    ],
+)
+def test_signals_that_nothing_can_follow_are_refused(signal: Signal, said: str) -> None:
+    with pytest.raises(InvalidValueError) as refused:
+        signal.bind(POINT, Moment(), None)
+    assert said in str(refused.value)

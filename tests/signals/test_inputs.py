@@ -133,6 +133,41 @@ def test_a_run_says_when_an_input_is_stale_or_refused() -> None:
     assert silent.usable.all()
 
 
+def test_a_goal_that_was_never_heard_of_is_not_reached(tmp_path: Path) -> None:
+    """Values from the future are refused, and nothing comes: the arms are where they began."""
+    path = tmp_path / "ahead.csv"
+    path.write_text("t,sent,x,y,z\n0,9,0.16,0,0.06\n1,9,0.16,0,0.06\n", encoding="utf-8")
+    fed = compare(sending(None, feed_file=path), controllers=["qp"])
+    silent = compare(sending(None), controllers=["qp"])
+    for found, refused_in in ((fed, 2), (silent, 0)):
+        metrics, verdict = found.metrics["qp"], found.verdicts["qp"]
+        assert not metrics["reached"]
+        assert verdict.startswith("Reaches no goal: nothing that can be used arrives at the input")
+        assert metrics["input_ticks"]["refused"] == refused_in
+        assert metrics["input_ticks"]["stale"] == metrics["ticks"] == 200
+        assert "has an input stale in 200 of 200 ticks" in verdict
+    assert "has an input refused in 2 of 200 ticks" in fed.verdicts["qp"]
+
+
+def test_a_goal_that_is_refused_to_the_end_is_not_reached() -> None:
+    """What the limiter finds no way to; its bounds are put past what reading a scenario takes."""
+    scenario = sending(WAY)
+    object.__setattr__(scenario.inputs["target"], "velocity", 1e19)
+    object.__setattr__(scenario.inputs["target"], "acceleration", 1e19)
+    object.__setattr__(scenario.inputs["target"], "jerk", 1e19)
+    found = compare(scenario, controllers=["qp"])
+    assert found.metrics["qp"]["input_ticks"]["refused"] == 199
+    assert not found.metrics["qp"]["reached"]
+    assert "Reaches no goal: what arrives at an input is refused to the end" in found.verdicts["qp"]
+
+
+def test_inputs_that_are_followed_are_none_of_a_verdicts_business() -> None:
+    found = compare(sending(WAY), controllers=["qp"])
+    metrics = found.metrics["qp"]["input_ticks"]
+    assert (metrics["refused"], metrics["stale"], metrics["nothing_at"]) == (0, 0, [])
+    assert "input" not in found.verdicts["qp"]
+
+
 def test_tasks_follow_the_limited_value() -> None:
     trace = run(sending(WAY), controller="qp")
     kept = trace.inputs["target"]
@@ -204,6 +239,9 @@ FAULTS = [
     ({"input: target": "input: trget"}, f"{TASK}: unknown input 'trget'; did you mean 'target'?"),
     ({"input: target": "inptu: target"}, "unknown signal 'inptu'; did you mean 'input'?"),
     ({"velocity: 0.1": "velocty: 0.1"}, "unknown key 'velocty'; did you mean 'velocity' or"),
+    ({"velocity: 0.1": "velocity: 1.0e-6"}, "found 1e-06, needs 0.001 to 100 m/s"),
+    ({"velocity: 0.1": "jerk: 1.0e+9"}, "jerk: found 1e+09, needs 0.001 to 1e+06 m/s3"),
+    ({f"{FEED}, period: 1.5}}": "input: target"}, "feed: input: an input cannot feed another"),
     ({"velocity: 0.1": "lower: [1, 2]"}, "lower: found 2 numbers, needs 3 for a point"),
     ({"start: [0.16, -0.02, 0.05]": "start: [0.16]"}, "start has 1 numbers, end 3"),
     ({FEED: "line: {start: [0], end: [1]"}, "line.start: found shape (1,), needs 3 numbers"),
@@ -285,3 +323,14 @@ def test_the_status_has_words() -> None:
     assert Status.INPUT_STALE.usable
     assert Status.INPUT_REFUSED.usable
     assert Waypoints(times=[0, 1], values=[[0], [1]]).rest == 1.0
+
+
+def test_a_value_of_a_file_arrives_in_the_tick_of_its_time(tmp_path: Path) -> None:
+    """The loop's time is summed up: ten ticks of 0.01 s are a little less than 0.1 s."""
+    path = tmp_path / "target.csv"
+    rows = [f"{k / 100:.2f},{0.16 + k * 1e-5},0,0.06" for k in range(0, 150, 10)]
+    path.write_text("\n".join(["t,x,y,z", *rows]) + "\n", encoding="utf-8")
+    trace = run(sending(None, feed_file=path), controller="qp")
+    arrived = np.flatnonzero(np.isfinite(trace.inputs["target"].sent))
+    np.testing.assert_array_equal(arrived, range(0, 150, 10))
+    assert not any("INPUT_REFUSED" in word for word in trace.status)

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp.checked import Array
+from coopqp.errors import InvalidValueError
 from coopqp.limiter import Limiter, Pace
 from coopqp.signal import DIRECTION, POINT, POSE, ROTATION, Kind, matrix, of_joints, of_twist
 
@@ -121,10 +122,52 @@ def test_velocities_change_within_their_bounds() -> None:
 
 @pytest.mark.parametrize("kind", [POINT, POSE, ROTATION, DIRECTION, of_joints(("a",))])
 def test_it_does_not_raise_whatever_it_is_told(kind: Kind, rng: np.random.Generator) -> None:
-    limiter: Any = Limiter(kind, Pace(velocity=1e-9, jerk=1e9), DT, kind.zero)
+    limiter: Any = Limiter(kind, Pace(velocity=1e-3, acceleration=1.0, jerk=1e3), DT, kind.zero)
     for size in (0.0, 1e-300, 1e-3, 1e6):
         target = kind.zero
         target[: kind.numbers] += size
         limiter.step(target)
         assert np.isfinite(limiter.value).all()
         assert math.isfinite(float(np.linalg.norm(limiter.rate)))
+
+
+@pytest.mark.parametrize(
+    ("bounds", "said"),
+    [
+        ({"velocity": 1e19}, "velocity: found 1e+19, needs 0.001 to 100 m/s"),
+        ({"velocity": 1e-6}, "velocity: found 1e-06, needs 0.001 to 100 m/s"),
+        ({"acceleration": 1e-9}, "acceleration: found 1e-09, needs 0.001 to 10000 m/s2"),
+        ({"acceleration": 1e3, "jerk": 1e12}, "jerk: found 1e+12, needs 0.001 to 1e+06 m/s3"),
+        ({"acceleration": 1e3}, "acceleration: found 1000, needs 0.00025 to 250 m/s2, beside velo"),
+        ({"angular_jerk": 1e5}, "angular_jerk: found 100000, needs 0.004 to 4000 rad/s3, beside"),
+    ],
+)
+def test_bounds_with_which_there_may_be_no_way_are_refused(
+    bounds: dict[str, float], said: str
+) -> None:
+    with pytest.raises(InvalidValueError) as refused:
+        Pace(**bounds)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_with_all_other_bounds_there_is_a_way(rng: np.random.Generator) -> None:
+    """Bounds at random, and those at the very edges, with targets that jump."""
+    edges = [(1e-3, 1.0, 1e3), (100.0, 1e4, 1e6), (100.0, 0.1, 1e-3), (1e-3, 1e-3, 1e-3)]
+    drawn = 10.0 ** rng.uniform((-3, -3, -3), (2, 4, 6), (150, 3))
+    tried = 0
+    for k, (v, a, j) in enumerate([*edges, *drawn.tolist()]):
+        if not (1e-3 <= v / a <= 1e3 and 1e-3 <= a / j <= 1e3):
+            continue
+        tried += 1
+        pace = Pace(
+            velocity=v, acceleration=a, jerk=j,
+            angular_velocity=v, angular_acceleration=a, angular_jerk=j,
+        )  # fmt: skip
+        limiter = Limiter(POSE if k % 2 else POINT, pace, DT, (POSE if k % 2 else POINT).zero)
+        for at in range(60):
+            if at % 9 == 0:
+                turn = rng.normal(size=4)
+                place = np.concatenate([rng.uniform(-1.0, 1.0, 3), turn / np.linalg.norm(turn)])
+            assert limiter.step(None if at % 31 == 30 else place[: limiter.kind.values]), pace
+    assert tried > 40

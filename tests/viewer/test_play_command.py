@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -100,7 +101,7 @@ def started(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     words = ["point_on_point", "--controller", "qp", "--port", "0", "--record", "out"]
     process = subprocess.Popen(
         [*COMMAND, *words], cwd=tmp_path, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
     assert process.stdout
     yield process, process.stdout.readline().split()[0]
@@ -121,9 +122,10 @@ def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
     back = Browser(url)
     back.until(lambda: "LElbowRoll (lower" in back.words and "rad more" in back.words)
     assert back.gizmo == pytest.approx((0.13, 0.05, 0.13))
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
+    back.until(lambda: "coopqp play has ended" in back.words)
     assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", out)
     assert err == ""
     trace = run(load(tmp_path / "out" / "scenario.yaml"), controller="qp")
@@ -149,6 +151,8 @@ def test_a_port_that_is_taken_is_one_line() -> None:
     [
         (["--port", "99999"], "--port: found 99999, needs 0 to 65535"),
         (["--host", "no such host"], "cannot listen on no such host:8080"),
+        (["--port", "0", "--record", "/proc/x"], "--record: cannot write to '/proc/x': No such"),
+        (["--port", "0", "--record", __file__], "--record: cannot write to"),
         (["--port", "0", "--controller", "qpp"], "unknown controller 'qpp'; did you mean 'qp'"),
         (["--port", "0", "--controller", "torque_qp"], "torques, which this plant does not take"),
     ],
@@ -159,6 +163,34 @@ def test_what_cannot_be_played_is_one_line(words: list[str], said: str) -> None:
     assert result.exit_code == 2
     assert said in result.stderr
     assert len([x for x in result.stderr.splitlines() if not x.startswith("note:")]) == 1
+
+
+def test_a_speed_that_is_no_number_is_refused() -> None:
+    result = typed("play", "point_on_point", "--port", "0", "--speed", "nan")
+    assert result.exit_code == 2
+    assert "'--speed': nan is not in the range 0.05<=x<=4.0" in result.stderr
+
+
+@pytest.mark.parametrize("there", ["scenario.yaml", "inputs/target.csv"])
+def test_a_session_that_is_there_is_left_alone(there: str, tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="needs coopqp[viewer]")
+    (tmp_path / there).parent.mkdir(exist_ok=True)
+    (tmp_path / there).write_text("mine")
+    result = typed("play", "point_on_point", "--port", "0", "--record", str(tmp_path))
+    assert result.exit_code == 2
+    words = "holds a session already; name another folder"
+    assert result.stderr == f"error: --record: '{tmp_path}' {words}\n"
+    assert (tmp_path / there).read_text() == "mine"
+
+
+def test_looking_whether_a_recording_can_be_written_leaves_nothing(tmp_path: Path) -> None:
+    from coopqp.viewer.recording import check_folder
+
+    check_folder(tmp_path / "new" / "inside")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "empty").mkdir()
+    check_folder(tmp_path / "empty")
+    assert [path.name for path in tmp_path.rglob("*")] == ["empty"]
 
 
 def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from scenario_files import HEAD, PHASES
 
 from coopqp.checked import Array
 from coopqp.controller_run import run
+from coopqp.errors import CoopqpError
 from coopqp.scenario.loader import load
 from coopqp.state import State
-from coopqp.viewer.messages import Asked
+from coopqp.viewer.messages import Asked, Told
+from coopqp.viewer.panel import _head, _verdict
+from coopqp.viewer.play import _Clock
 from coopqp.viewer.player import Player
 
 PLANE = """\
@@ -157,7 +162,8 @@ def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -
     assert player.show().gizmos == ()
     frame = player.frame()
     assert frame.tone == "waiting"
-    assert "Nothing arrives at stick" in frame.sentence
+    assert "Nothing arrives at stick; move its sliders" in frame.sentence
+    assert "move the sliders below Inputs" in _head(player.show())
     before = player.lanes[0].state.p_WO.copy()
     player.do(Asked("knob", "stick/2", (-0.02,)))
     played(player, 100)
@@ -217,6 +223,7 @@ def test_what_makes_no_sense_is_left_alone() -> None:
 def test_a_session_that_has_written_nothing_says_why(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     player = playing("point_on_point", "qp", folder=tmp_path / "file")
+    played(player, 3)
     assert player.save() is None
     assert "cannot write the recording" in player.note
 
@@ -245,3 +252,76 @@ def test_a_law_that_breaks_a_limit_is_said_to() -> None:
     own, other = player.frame().laws
     assert own.broken == ""
     assert "LElbowRoll is 0.163 rad past its limit" in other.broken
+
+
+def test_where_nothing_was_played_nothing_is_written(tmp_path: Path) -> None:
+    player = playing("point_on_point", "qp", folder=tmp_path / "out")
+    assert player.save() is None
+    assert "nothing has been played yet" in player.note
+    assert not (tmp_path / "out").exists()
+    played(player, 20)
+    path = player.save()
+    assert path
+    before = path.read_text()
+    player.do(Asked("reset"))
+    assert player.save() is None
+    assert path.read_text() == before, "what was saved is not lost for a reset"
+
+
+class Gone:
+    """A process beside that has been killed."""
+
+    ready, killed_by = False, "SIGKILL"
+
+    def received(self, timeout: float = 0.0) -> Iterator[Any]:
+        raise EOFError
+
+
+def test_without_the_explainer_nothing_is_said_in_its_place() -> None:
+    player = playing("point_on_point", "qp")
+    player.playing = True
+    played(player, 50)
+    player.told = Told(True, "LElbowRoll (lower) stops it", ("LElbowRoll (lower)",), "")
+    gone: Any = Gone()
+    clock = _Clock(player, gone, gone)
+    clock._think(0.0)
+    for _ in range(2):
+        frame = player.frame()
+        assert frame.tone == "waiting"
+        assert "explanations have ended" in frame.sentence
+        assert not frame.active
+        assert "Limits at their bound: unknown" in _verdict(frame)
+        player.do(Asked("reset"))
+    with pytest.raises(CoopqpError, match="ended from outside by SIGKILL"):
+        clock._hear()
+
+
+def test_a_crawling_object_is_dragged_at_the_limiters_slowest(tmp_path: Path) -> None:
+    limits = "limits: [{object_speed: {linear: 0.0001, angular: 0.0001}}]\n"
+    player = playing(written(tmp_path, PLANE + limits), "qp", folder=tmp_path / "out")
+    played(player, 5)
+    path = player.save()
+    assert path
+    made = next(iter(load(path).inputs.values()))
+    assert (made.velocity, made.angular_velocity) == (0.001, 0.004)
+
+
+LEADER = """\
+dt: 0.01
+duration: 2.0
+controllers: [qp]
+inputs: {leader: {LOWER}}
+tasks:
+  - posture: {goal: {input: leader}}
+"""
+
+
+def test_sliders_of_joints_go_as_far_as_joints_do(tmp_path: Path) -> None:
+    player = playing(written(tmp_path, LEADER.replace("{LOWER}", "{}")), "qp")
+    chain = player.lanes[0].begun.problem.chain
+    seen = {knob.label: (knob.low, knob.high) for knob in player.show().knobs}
+    limits = zip(chain.lower.tolist(), chain.upper.tolist(), strict=True)
+    assert seen == dict(zip(chain.joint_names, limits, strict=True))
+    lower = [float(x) for x in chain.q_start - 0.1]
+    bounded = playing(written(tmp_path, LEADER.replace("{LOWER}", f"{{lower: {lower}}}")), "qp")
+    assert [k.low for k in bounded.show().knobs] == np.maximum(lower, chain.lower).tolist()

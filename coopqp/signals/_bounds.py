@@ -1,0 +1,42 @@
+"""What no signal can ask for: where, and as fast as, nothing is that arms hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import FARTHEST, Array
+from coopqp.errors import InvalidValueError
+
+#: Nothing that arms hold, and none of their joints, is faster [m/s, rad/s].
+FASTEST = 1e3
+
+
+def check_places(key: str, numbers: Array) -> None:
+    """Refuse a value that is nowhere.
+
+    Args:
+        key: of the value, for the message.
+        numbers: of it, without quaternions.
+
+    Raises:
+        InvalidValueError: one is beyond what any place or joint can be.
+    """
+    most = float(np.abs(numbers).max(initial=0.0))
+    if most > FARTHEST:
+        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians)"
+        raise InvalidValueError(f"{key}: {words}")
+
+
+def check_speed(key: str, speed: float) -> None:
+    """Refuse a motion that nothing can follow.
+
+    Args:
+        key: of what makes it fast, for the message.
+        speed: the largest [m/s, rad/s].
+
+    Raises:
+        InvalidValueError: it is beyond that of any arm.
+    """
+    if speed > FASTEST:
+        words = f"goes at {speed:.3g} m/s (rad/s), needs at most {FASTEST:g}; times are seconds"
+        raise InvalidValueError(f"{key}: {words}")
