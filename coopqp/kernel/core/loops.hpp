@@ -105,8 +105,8 @@ class StagedLoops final : public Loops {
                 double* null = nulls_ + k * WIDTH;
                 clear(null, B);
                 null[s.rows() + k] = 1.0;
-                s.decide.to_old(null);
             }
+            s.decide.to_old(nulls_, left);
             if (s.compresses) compress(s, left);
             for (int k = 0; k < left; k++) {
                 const bool carried = k < s.next;
@@ -235,11 +235,12 @@ class StagedLoops final : public Loops {
                 touch_[(6 + int(k)) * WIDTH + i] = moved[shared_[k]];
         }
         s.compress.factor(touch_, touches, UNTOUCHED, false);
-        alignas(64) double mix[WIDTH];
+        alignas(64) double mixes[WIDTH * WIDTH];
+        clear(mixes, left * B);
+        for (int k = 0; k < left; k++) mixes[k * WIDTH + k] = 1.0;
+        s.compress.to_old(mixes, left);
         for (int k = 0; k < left; k++) {
-            clear(mix, B);
-            mix[k] = 1.0;
-            s.compress.to_old(mix);
+            const double* mix = mixes + k * WIDTH;
             double* to = turned + k * WIDTH;
             clear(to, B);
             for (int i = 0; i < left; i++) add(to, nulls_ + i * WIDTH, mix[i], B);
