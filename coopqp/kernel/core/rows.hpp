@@ -45,7 +45,23 @@ class Rows {
         return x;
     }
 
-    // The object's twist, mean over the arms.
+    // The same of all arms that hold the object or have a share in where it is, shape (arms, 6).
+    void twists(const double* v, double* of_arms) const {
+        for (std::size_t i = 0; i < m_.arms.size(); i++)
+            if (int(i) < m_.holding || m_.arms[i].alpha != 0.0) twist(int(i), v, of_arms + 6 * i);
+    }
+
+    // The object's twist, mean over the arms, of which each has its own.
+    void mean(const double* of_arms, double* V) const {
+        for (int r = 0; r < 6; r++) V[r] = 0.0;
+        for (std::size_t i = 0; i < m_.arms.size(); i++) {
+            const double alpha = m_.arms[i].alpha;
+            if (alpha == 0.0) continue;
+            for (int r = 0; r < 6; r++) V[r] += alpha * of_arms[6 * i + std::size_t(r)];
+        }
+    }
+
+    // The object's twist at v.
     void object_twist(const double* v, double* V) const {
         double of_arm[6];
         for (int r = 0; r < 6; r++) V[r] = 0.0;
