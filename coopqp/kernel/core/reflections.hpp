@@ -109,12 +109,7 @@ class Reflections {
         return true;
     }
 
-    // Q' x, coordinates in the new basis, of which the first `rank` are those that the rows see.
-    void to_new(double* x) const {
-        for (int s = 0; s < rank_; s++) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
-    }
-
-    // Q x of `count` vectors, one after the other.
+    // Q x of `count` vectors, one after the other in memory.
     void to_old(double* x, int count) const {
         constexpr int P = B > 8 ? 1 : B > 4 ? 2 : B > 2 ? 3 : 4;
         Beside<B, P> several;
@@ -125,12 +120,22 @@ class Reflections {
                 several.reflect(h_ + s * WIDTH, beta_[std::size_t(s)]);
             several.store(x + k * WIDTH);
         }
-        for (; k < count; k++) to_old(x + k * WIDTH);
+        for (; k < count; k++)
+            for (int s = rank_; s-- > 0;)
+                reflect(x + k * WIDTH, h_ + s * WIDTH, beta_[std::size_t(s)], B);
     }
 
-    // Q x.
-    void to_old(double* x) const {
-        for (int s = rank_; s-- > 0;) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+    // X Q, in place; X has a column for each coordinate, one after the other in memory.
+    void mix(double* X) const {
+        for (int s = 0; s < rank_; s++) {
+            const double* h = h_ + s * WIDTH;
+            v4 all[B] = {};
+            for (int i = s; i < width_; i++)
+                for (int b = 0; b < B; b++) all[b] += lanes(X)[i * B + b] * h[i];
+            for (int b = 0; b < B; b++) all[b] *= beta_[std::size_t(s)];
+            for (int i = s; i < width_; i++)
+                for (int b = 0; b < B; b++) lanes(X)[i * B + b] -= all[b] * h[i];
+        }
     }
 
   private:
