@@ -93,7 +93,8 @@ class Compiled:
 
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
-        remembered = (memory["later pulls"], memory["pull"], memory["missing"])
+        names = "later pulls", "pull", "missing", "stopped", "soft"
+        remembered = (memory[name] for name in names)
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:

@@ -182,15 +182,18 @@ class KernelLaw(Law):
 
     def step(self, state: State) -> Command:
         """A tick and its step in one; state.advance without Python where nothing needs it."""
-        if self._runs and self._alone(state) and not (self._stopped[0] or self._soft[0]):
+        if self._runs and self._alone(state):
             status = self._engine_step(state.t)
             if status in ALL_WELL:
                 state.t += self._dt
                 state.mark_stale()
                 state.corrected = 1.0
-                self._say(ALL_WELL[status])
-                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
-                return self.command
+                command, self.compiled = self.command, True
+                command.drift = command.scale = 1.0
+                command.causes, command.note = ALL_WELL[status], ""
+                if self._scales:
+                    command.scale = 1.0 - self._missing.max()
+                return command
         return super().step(state)
 
     def run(self, state: State, ticks: int) -> Ticks:
@@ -203,7 +206,7 @@ class KernelLaw(Law):
         found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
-            if self._runs and self._alone(state) and not (self._stopped[0] or self._soft[0]):
+            if self._runs and self._alone(state):
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
                 made = self._run(state, found, done, rest)
                 done += made
