@@ -184,13 +184,14 @@ class KernelLaw(Law):
         """A tick and its step in one; state.advance without Python where nothing needs it."""
         if self._runs and self._alone(state):
             status = self._engine_step(state.t)
-            if status in ALL_WELL:
+            causes = ALL_WELL.get(status)
+            if causes:
                 state.t += self._dt
-                state.mark_stale()
+                self._mark_stale()
                 state.corrected = 1.0
                 command, self.compiled = self.command, True
                 command.drift = command.scale = 1.0
-                command.causes, command.note = ALL_WELL[status], ""
+                command.causes, command.note = causes, ""
                 if self._scales:
                     command.scale = 1.0 - self._missing.max()
                 return command
@@ -286,7 +287,7 @@ class KernelLaw(Law):
         for compiled in (self.whole, self.softened):
             if compiled is not None and not compiled.bind(state, memory):
                 return False
-        heard = self.whole.heard(state)
+        heard, self._mark_stale = self.whole.heard(state), state.mark_stale
         self._shown = (state, state.q, state.v, state.gap, memory, heard)
         self._stopped, self._soft = memory["stopped"], memory["soft"]
         self._pull, self._missing = memory["pull"], memory["missing"]

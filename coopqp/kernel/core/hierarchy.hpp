@@ -117,9 +117,9 @@ class Hierarchy {
         const double xx = dot(x, x, b), yy = dot(y, y, b), xy = dot(x, y, b);
         if (!(xy * xy > ORTHOGONAL * ORTHOGONAL * (xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
             return false;
-        const double zeta = (yy - xx) / (2 * xy);
-        const double t = (zeta >= 0 ? 1.0 : -1.0) / (std::fabs(zeta) + std::sqrt(1 + zeta * zeta));
-        const double c = 1 / std::sqrt(1 + t * t), s = c * t;
+        const double apart = std::fabs(yy - xx), far = std::sqrt(apart * apart + 4 * xy * xy);
+        const double t = (yy >= xx ? 2.0 : -2.0) * xy / (apart + far);
+        const double c = std::sqrt((apart + far) / (2 * far)), s = c * t;
         v4 *p = lanes(x), *q = lanes(y);
         for (int k = 0; k < b; k++) {
             const v4 a = p[k], d = q[k];

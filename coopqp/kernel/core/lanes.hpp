@@ -49,6 +49,17 @@ __attribute__((always_inline)) inline void add(double* a, const double* b, doubl
     for (int i = 0; i < blocks; i++) x[i] += y[i] * factor;
 }
 
+// The same of six rows, one after the other in memory.
+__attribute__((always_inline)) inline void add_six(double* a, const double* rows,
+                                                   const double* factor, int blocks) {
+    v4* x = lanes(a);
+    for (int i = 0; i < blocks; i++) {
+        v4 all = x[i];
+        for (int r = 0; r < 6; r++) all += lanes(rows)[r * blocks + i] * factor[r];
+        x[i] = all;
+    }
+}
+
 // A few blocks each: a call of the library takes longer. The empty statement keeps compilers from
 // making one of the loop.
 __attribute__((always_inline)) inline void clear(double* a, int blocks) {

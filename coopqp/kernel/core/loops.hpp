@@ -129,7 +129,7 @@ class StagedLoops final : public Loops {
             for (int k = 0; k < s.rows(); k++) {
                 double rest = b[k] - along_base(s, s.kept[std::size_t(k)], v);
                 for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * y[j];
-                y[k] = rest / s.decide.L(k, k);
+                y[k] = rest * s.decide.inverse(k);
                 add(x, s.Q + k * WIDTH, y[k], B);
             }
             add_direction(s, x, v);
@@ -167,16 +167,19 @@ class StagedLoops final : public Loops {
             for (int k = s.rows(); k-- > 0;) {
                 double rest = -rho[i][k];
                 for (int j = k + 1; j < s.rows(); j++) rest -= s.decide.L(j, k) * step[j];
-                step[k] = rest / s.decide.L(k, k);
+                step[k] = rest * s.decide.inverse(k);
             }
             const Arm& arm = m_.arms[std::size_t(s.arm)];
+            double by[6] = {}, back[6] = {};
             for (int k = 0; k < s.rows(); k++) {
                 const int r = s.kept[std::size_t(k)];
                 y[at + k] += step[k];
-                add(w, m_.J_base(s.arm, r), step[k], base);
-                add(w, m_.J_base(0, r), -step[k], base);
-                if (arm.own_blocks) add(t + arm.first, m_.J_own(s.arm, r), step[k], arm.own_blocks);
+                by[r] = step[k];
+                back[r] = -step[k];
             }
+            add_six(w, m_.J_base(s.arm, 0), by, base);
+            add_six(w, m_.J_base(0, 0), back, base);
+            if (arm.own_blocks) add_six(t + arm.first, m_.J_own(s.arm, 0), by, arm.own_blocks);
         }
         add(t, w, 1.0, base);
     }

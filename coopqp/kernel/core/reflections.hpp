@@ -80,10 +80,14 @@ class Reflections {
         h_ = arena.take(std::size_t(most) * WIDTH);
         L_.assign(std::size_t(most) * std::size_t(most), 0.0);
         beta_.assign(std::size_t(most), 0.0);
+        inverse_.assign(std::size_t(most), 0.0);
     }
 
     int rank() const { return rank_; }
     double L(int row, int pivot) const { return L_[std::size_t(row * most_ + pivot)]; }
+
+    // 1 / L(k, k), where all rows are independent.
+    double inverse(int k) const { return inverse_[std::size_t(k)]; }
 
     // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
     // `least` brings no reflection; false where that is not allowed.
@@ -103,6 +107,7 @@ class Reflections {
                 L[rank_] = onto;
             }
             beta_[std::size_t(rank_)] = beta;
+            inverse_[std::size_t(rank_)] = 1.0 / onto;
             for (int j = s + 1; j < count; j++) reflect(rows + j * WIDTH, h, beta, B);
             rank_++;
         }
@@ -140,7 +145,7 @@ class Reflections {
 
   private:
     double* h_ = nullptr;
-    std::vector<double> beta_, L_;
+    std::vector<double> beta_, inverse_, L_;
     int most_ = 0, width_ = 0, rank_ = 0;
 };
 

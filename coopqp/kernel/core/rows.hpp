@@ -23,11 +23,10 @@ class Rows {
     // t += factor J_i' tau
     void pull(int arm, const double* tau, double factor, double* t) const {
         const Arm& a = m_.arms[std::size_t(arm)];
-        for (int r = 0; r < 6; r++) {
-            const double by = factor * tau[r];
-            add(t, m_.J_base(arm, r), by, m_.base_blocks);
-            if (a.own_blocks) add(t + a.first, m_.J_own(arm, r), by, a.own_blocks);
-        }
+        double by[6];
+        for (int r = 0; r < 6; r++) by[r] = factor * tau[r];
+        add_six(t, m_.J_base(arm, 0), by, m_.base_blocks);
+        if (a.own_blocks) add_six(t + a.first, m_.J_own(arm, 0), by, a.own_blocks);
     }
 
     // J v of a level's rows from `first` to `last`; V is the object's twist at v.
