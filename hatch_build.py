@@ -25,7 +25,7 @@ KERNEL = Path("coopqp", "kernel")
 #: Contraction is off, so that every variant rounds alike and gives the same bits.
 FLAGS = [
     "-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-strict-aliasing", "-DNDEBUG",
-    "-ffp-contract=off",
+    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
 ]  # fmt: skip
 #: From 3.12 on what one Python compiles serves all later ones, but for those without the GIL.
 STABLE = sys.version_info >= (3, 12) and not sysconfig.get_config_var("Py_GIL_DISABLED")

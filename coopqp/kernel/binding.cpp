@@ -59,7 +59,7 @@ class Engine {
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
                     const Written& commanded, const Written& later_pulls, const Written& hard_pull,
-                    const Written& missing) {
+                    const Written& missing, const Written& stopped, const Written& soft) {
         auto& b = kernel_->bound;
         b.q = q_now_ = q.data();
         b.v_last = v_now_ = v_last.data();
@@ -73,8 +73,10 @@ class Engine {
         b.later_pulls = later_pulls.data();
         b.hard_pull = hard_pull.data();
         b.missing = missing.data();
+        stopped_ = stopped.data();
+        soft_ = soft.data();
         state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, hard_pull, missing);
+                                later_pulls, hard_pull, missing, stopped, soft);
     }
 
     void bind_command(const Written& v) {
@@ -141,10 +143,11 @@ class Engine {
         return int(kernel_->solve(kappa));
     }
 
-    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer.
+    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
+    // where the law stands still or has given up hard tasks a moment ago.
     int step(double t) {
         const Use use(*this);
-        if (!use.alone || !q_now_) return BUSY;
+        if (!use.alone || waits()) return BUSY;
         nb::gil_scoped_release released;
         const int status = evaluate(t);
         if (status) return status;
@@ -158,7 +161,7 @@ class Engine {
     // done; signals of the process wait as long.
     int run(double t, const Written& q, const Written& v) {
         const Use use(*this);
-        if (!use.alone || !q_now_) return BUSY;
+        if (!use.alone || waits()) return BUSY;
         const std::size_t n = kernel_->model().joints.size(), ticks = v.size() / n;
         if (q.size() < n * (ticks + 1)) return BUSY;
         nb::gil_scoped_release released;
@@ -195,6 +198,8 @@ class Engine {
         twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), kernel_->G, kernel_->h);
         return 0;
     }
+
+    bool waits() const { return !q_now_ || *stopped_ != 0.0 || *soft_ != 0.0; }
 
     // As coopqp.state.State.advance.
     void advance() {
@@ -270,6 +275,7 @@ class Engine {
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
+    const double *stopped_ = nullptr, *soft_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE

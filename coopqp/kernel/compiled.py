@@ -15,6 +15,7 @@ from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
 from coopqp.qp_law.bounds import Bounds
+from coopqp.signal import Course
 from coopqp.state import State
 
 
@@ -92,7 +93,8 @@ class Compiled:
 
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
-        remembered = (memory["later pulls"], memory["pull"], memory["missing"])
+        names = "later pulls", "pull", "missing", "stopped", "soft"
+        remembered = (memory[name] for name in names)
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:
@@ -109,13 +111,12 @@ class Compiled:
             self._heard.append((at.arrives, value, rate))
         return True
 
-    def hears(self, state: State) -> bool:
-        """Whether inputs still write to the arrays that it was shown."""
-        for name, value, rate in self._heard:
-            now = _heard(state, name)
-            if now[0] is not value or now[1] is not rate:
-                return False
-        return True
+    def heard(
+        self, state: State
+    ) -> tuple[tuple[str, Course | None, Array | None, Array | None], ...]:
+        """Inputs and the arrays of theirs that it was shown."""
+        inputs = state.inputs
+        return tuple((name, inputs.get(name), *arrays) for name, *arrays in self._heard)
 
     def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
         """Decide, and return what became of it: INFEASIBLE only where that is proved.

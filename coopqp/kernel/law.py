@@ -42,6 +42,7 @@ STANDS = (Status.INFEASIBLE,)
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 AT_ONCE = 1000  # ticks of a run without Python
+NOTHING = (None,) * 5 + ((),)
 
 
 class KernelLaw(Law):
@@ -72,20 +73,21 @@ class KernelLaw(Law):
         settings = limits, damping, error_damping, self.command.v
         whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, whole, *settings)
+        self._engine_step = self.whole.engine.step
         self.softened: Compiled | None = None
         if hard or scaled:
             self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
         self._runs = self._alone_at_all and not self.whole.follows
-        self._soft_ticks, self._scales = soft_ticks(problem), bool(scaled)
+        self._dt, self._soft_ticks, self._scales = problem.dt, soft_ticks(problem), bool(scaled)
         self._asked = False  # whether the kernel has been asked in this tick, and what it said
         self._said = OPTIMAL
-        self._bound: tuple[Any, ...] = ()
+        self._shown: tuple[Any, ...] = NOTHING
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
         self._asked, self._said = False, OPTIMAL
-        if self._alone(state) and self._ready(state) and not self._stopped[0]:
+        if self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
                 state.mark_stale()
@@ -180,15 +182,19 @@ class KernelLaw(Law):
 
     def step(self, state: State) -> Command:
         """A tick and its step in one; state.advance without Python where nothing needs it."""
-        if self._runs and self._alone(state) and self._ready(state) and not self._waits:
-            status = self.whole.engine.step(state.t)
-            if status in ALL_WELL:
-                state.t += self.problem.dt
-                state.mark_stale()
+        if self._runs and self._alone(state):
+            status = self._engine_step(state.t)
+            causes = ALL_WELL.get(status)
+            if causes:
+                state.t += self._dt
+                self._mark_stale()
                 state.corrected = 1.0
-                self._say(ALL_WELL[status])
-                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
-                return self.command
+                command, self.compiled = self.command, True
+                command.drift = command.scale = 1.0
+                command.causes, command.note = causes, ""
+                if self._scales:
+                    command.scale = 1.0 - self._missing.max()
+                return command
         return super().step(state)
 
     def run(self, state: State, ticks: int) -> Ticks:
@@ -201,7 +207,7 @@ class KernelLaw(Law):
         found = Ticks.room(ticks, self.problem.chain.n)
         done = 0
         while done < ticks:
-            if self._runs and self._alone(state) and self._ready(state) and not self._waits:
+            if self._runs and self._alone(state):
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
                 made = self._run(state, found, done, rest)
                 done += made
@@ -239,42 +245,50 @@ class KernelLaw(Law):
         self._stopped[0] = float(self.problem.on_infeasible == "stop")
 
     @property
-    def _waits(self) -> bool:
-        """Whether the law stands still, or hard tasks were given up a moment ago."""
-        return bool(self._stopped[0] or self._soft[0])
-
-    @property
     def _gives_up(self) -> bool:
         return self.problem.on_infeasible == "scale"
 
     def _alone(self, state: State) -> bool:
-        """Whether nothing of a tick is Python's: no rows, no sensors, no inputs to complain of."""
+        """Whether the kernel may decide and nothing of a tick is Python's.
+
+        There are no rows, no sensors, no inputs to complain of.
+        """
         inputs = state.inputs
-        measured = state.q_measured is not None
-        return self._alone_at_all and not (measured or inputs.stale or inputs.refused)
+        if inputs.stale or inputs.refused or state.q_measured is not None:
+            return False
+        return self._alone_at_all and self._ready(state)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""
-        memory, bound = state.memory, self._bound
+        seen, q, v, gap, memory, heard = self._shown
         if (
-            len(bound) == 5
-            and state is bound[0]
-            and state.q is bound[1]
-            and state.v is bound[2]
-            and state.gap is bound[3]
-            and memory is bound[4]
-            and self.whole.hears(state)
+            state is seen
+            and state.q is q
+            and state.v is v
+            and state.gap is gap
+            and state.memory is memory
         ):
-            return True
+            for name, course, value, rate in heard:
+                now = state.inputs.get(name)
+                if now is not course or (now and (now.value is not value or now.rate is not rate)):
+                    break
+            else:
+                return True
+        return self._shows(state)
+
+    def _shows(self, state: State) -> bool:
+        """Whether the kernel may decide at the arrays of a state, which it is shown."""
+        memory = state.memory
         if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
-        self._bound = ()
+        self._shown = NOTHING
         for compiled in (self.whole, self.softened):
             if compiled is not None and not compiled.bind(state, memory):
                 return False
-        self._bound = (state, state.q, state.v, state.gap, memory)
+        heard, self._mark_stale = self.whole.heard(state), state.mark_stale
+        self._shown = (state, state.q, state.v, state.gap, memory, heard)
         self._stopped, self._soft = memory["stopped"], memory["soft"]
         self._pull, self._missing = memory["pull"], memory["missing"]
         return True

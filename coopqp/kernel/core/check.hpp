@@ -31,11 +31,13 @@ class Check {
           const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
           levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
-          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
+          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)), of_arms_(6 * model.arms.size()),
           y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
     double worst_primal = 0.0, worst_dual = 0.0;
+
+    double V[6] = {};  // the object's twist at the answer judged last
 
     void aim(const double* b) { b_ = b; }
 
@@ -46,8 +48,8 @@ class Check {
                   const LeastDistance& nearest, const double* lb, const double* ub,
                   const double* G, const std::vector<double>& h) {
         const double mu = std::min(d, SCALE_WEIGHT);
-        const double overrun = std::hypot(clip(v, lb, ub), l == 0 ? clip_shares() : 0.0);
-        double above = 0.0, V[6];
+        const double overrun = std::sqrt(clip(v, lb, ub) + (l == 0 ? clip_shares() : 0.0));
+        double above = 0.0, V_before[6];
         const int p = s_.inequalities;
         for (int i = 0; i < p; i++) {
             const std::size_t at = std::size_t(i);
@@ -55,16 +57,18 @@ class Check {
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
         above = std::sqrt(above);
-        rows_.object_twist(v, V);
-        const double gap = std::sqrt(loop_gap(v) + decided_gap(l, v, before, V));
-        gradient(l, d, v, V, nearest, G);
+        std::copy(V, V + 6, V_before);
+        rows_.twists(v, of_arms_.data());
+        rows_.mean(of_arms_.data(), V);
+        const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
+        gradient(l, d, v, nearest, G);
         double off = 0.0;
         Outcome outcome{Status::Optimal, 0.0};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
             y_.balance(first);
             off = distance(v, lb, ub, mu, nearest.active > 0);
-            if (l == 0 && shares_.count()) off = std::hypot(off, share_distance(mu));
+            if (l == 0 && shares_.count()) off = std::sqrt(off * off + share_distance2(mu));
             if (off <= s_.budget.accuracy) break;
         }
         if (l == 0)
@@ -125,7 +129,7 @@ class Check {
     }
 
   private:
-    // Put the shares between 0 and 1; by how much they were not.
+    // Put the shares between 0 and 1; by how much they were not, squared.
     double clip_shares() {
         double squares = 0.0;
         for (int k = 0; k < shares_.count(); k++) {
@@ -133,11 +137,11 @@ class Check {
             squares += (shares_.share(k) - inside) * (shares_.share(k) - inside);
             shares_.share(k) = inside;
         }
-        return std::sqrt(squares);
+        return squares;
     }
 
-    // The part of the shares in a projected gradient step.
-    double share_distance(double mu) const {
+    // The part of the shares in a projected gradient step, squared.
+    double share_distance2(double mu) const {
         double squares = 0.0;
         for (int k = 0; k < shares_.count(); k++) {
             const double s = shares_.share(k);
@@ -145,9 +149,10 @@ class Check {
             const double off = s - std::min(std::max(step, 0.0), 1.0);
             squares += off * off;
         }
-        return std::sqrt(squares);
+        return squares;
     }
 
+    // Put v between its bounds; by how much it was not, squared.
     double clip(double* v, const double* lb, const double* ub) const {
         v4* x = lanes(v);
         const v4 *lo = lanes(lb), *hi = lanes(ub);
@@ -157,18 +162,17 @@ class Check {
             squares += over * over;
             x[b] = inside;
         }
-        return std::sqrt(sum(squares));
+        return sum(squares);
     }
 
-    double loop_gap(const double* v) const {
-        if (m_.loops() < 1) return 0.0;
-        double V_0[6], V_i[6], gap2 = 0.0;
+    // How far the arms' twists are from closing the loops as they should, squared.
+    double loop_gap() const {
+        double gap2 = 0.0;
         std::size_t at = 0;
-        rows_.twist(0, v, V_0);
         for (int i = 1; i < m_.holding; i++) {
-            rows_.twist(i, v, V_i);
+            const double* V_i = &of_arms_[std::size_t(6 * i)];
             for (int r : kept_[std::size_t(i - 1)]) {
-                const double off = V_i[r] - V_0[r] - b_[at++];
+                const double off = V_i[r] - of_arms_[std::size_t(r)] - b_[at++];
                 gap2 += off * off;
             }
         }
@@ -176,7 +180,7 @@ class Check {
     }
 
     // What the level moves of what was decided before it.
-    double decided_gap(int l, const double* v, const double* before, const double* V) const {
+    double decided_gap(int l, const double* v, const double* before, const double* V_before) const {
         double gap2 = 0.0, V_moved[6];
         for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
             const int k = levels_[0].share[std::size_t(s)];
@@ -186,7 +190,7 @@ class Check {
         }
         if (l == 0) return gap2;
         for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
-        rows_.object_twist(moved_, V_moved);
+        for (int r = 0; r < 6; r++) V_moved[r] = V[r] - V_before[r];
         for (int k = 0; k < l; k++)
             for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
                 const double off = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
@@ -196,7 +200,7 @@ class Check {
     }
 
     // g = the level's gradient, with what active limits push; y_.box has the part of bounds on v.
-    void gradient(int l, double d, const double* v, const double* V, const LeastDistance& nearest,
+    void gradient(int l, double d, const double* v, const LeastDistance& nearest,
                   const double* G) {
         const Level& level = levels_[std::size_t(l)];
         const double curvature = d + level.joint_weight;
@@ -317,7 +321,7 @@ class Check {
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
     double *t_, *moved_;
-    std::vector<double> slack_;
+    std::vector<double> slack_, of_arms_;
     Multipliers y_;
 };
 

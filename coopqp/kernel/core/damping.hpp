@@ -18,10 +18,17 @@ class StepDamping {
         : rows_(rows), share_(settings.error_damping * settings.dt), reach_(settings.reach),
           asked2_(std::size_t(shares)), wanted2_(std::size_t(shares)) {}
 
-    // Of level l, at the last velocity, in lanes.
-    double of(int l, const Level& level, const double* v_last, const Bound& bound) {
-        double V[6], bend = 0.0, extra = 0.0;
-        rows_.object_twist(v_last, V);
+    // At the last velocity, in lanes, which must stay where it is.
+    void begin(const double* v_last) {
+        v_last_ = v_last;
+        if (share_ > 0.0) rows_.object_twist(v_last, V_);
+    }
+
+    // Of level l.
+    double of(int l, const Level& level, const Bound& bound) {
+        if (!(share_ > 0.0)) return 0.0;
+        const double *v_last = v_last_, *V = V_;
+        double bend = 0.0, extra = 0.0;
         for (int s = level.exact; s < level.rows; s++)
             bend += level.weight[std::size_t(s)] * of_row(level, s, v_last, V);
         if (level.shares)
@@ -61,7 +68,8 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double share_, reach_;
+    double share_, reach_, V_[6];
+    const double* v_last_ = nullptr;
     std::vector<double> asked2_, wanted2_;
 };
 

@@ -16,6 +16,7 @@ namespace coopqp {
 
 constexpr double NOISE = 1e-6;       // singular values of task rows up to this ask for nothing
 constexpr double NOTHING = 1e-13;    // left of a task row that others explain
+constexpr double ORTHOGONAL = 1e-13;  // cosine of rows whose lengths are singular values
 constexpr int MOST_SWEEPS = 30;
 
 class Hierarchy {
@@ -114,11 +115,11 @@ class Hierarchy {
     bool make_orthogonal(int i, int j, int b) {
         double *x = S_ + i * width_, *y = S_ + j * width_;
         const double xx = dot(x, x, b), yy = dot(y, y, b), xy = dot(x, y, b);
-        if (!(std::fabs(xy) > 1e-15 * std::sqrt(xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
+        if (!(xy * xy > ORTHOGONAL * ORTHOGONAL * (xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
             return false;
-        const double zeta = (yy - xx) / (2 * xy);
-        const double t = (zeta >= 0 ? 1.0 : -1.0) / (std::fabs(zeta) + std::sqrt(1 + zeta * zeta));
-        const double c = 1 / std::sqrt(1 + t * t), s = c * t;
+        const double apart = std::fabs(yy - xx), far = std::sqrt(apart * apart + 4 * xy * xy);
+        const double t = (yy >= xx ? 2.0 : -2.0) * xy / (apart + far);
+        const double c = std::sqrt((apart + far) / (2 * far)), s = c * t;
         v4 *p = lanes(x), *q = lanes(y);
         for (int k = 0; k < b; k++) {
             const v4 a = p[k], d = q[k];

@@ -88,6 +88,7 @@ class Kernel {
     Status solve(double kappa) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
+        damping_.begin(last_);
         aim_loops(kappa);
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
@@ -164,9 +165,9 @@ class Kernel {
         if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
         const int decided = hierarchy_.decided;
         hierarchy_.append(level.rows);
-        const double d = s_.damping + damping_.of(l, level, last_, bound);
+        const double d = s_.damping + damping_.of(l, level, bound);
         copy(before_, v_, m_->blocks);
-        miss(level);
+        miss(l, level);
         const int first = decided + (level.exact ? take_exact(level, d) : 0);
         take_soft(l, before, first, d);
         if (fault(Fault::WrongAnswer)) add(v_, loops_->Z, 1e-4, m_->blocks);
@@ -215,9 +216,12 @@ class Kernel {
     }
 
     // What v lacks of each row.
-    void miss(const Level& level) {
+    void miss(int l, const Level& level) {
         double V[6];
-        rows_.object_twist(v_, V);
+        if (l > 0)
+            std::copy(check_.V, check_.V + 6, V);  // v is as it was judged
+        else
+            rows_.object_twist(v_, V);
         for (int s = 0; s < level.rows; s++)
             residual_[std::size_t(s)] =
                 level.wanted[std::size_t(s)] - rows_.times(level, s, v_, V);

@@ -6,12 +6,13 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <vector>
 
 namespace coopqp {
 
 typedef double v4 __attribute__((vector_size(32), may_alias));
+
+typedef long long v4i __attribute__((vector_size(32)));
 
 constexpr int LANES = 4;
 
@@ -48,9 +49,33 @@ __attribute__((always_inline)) inline void add(double* a, const double* b, doubl
     for (int i = 0; i < blocks; i++) x[i] += y[i] * factor;
 }
 
-inline void clear(double* a, int blocks) { std::memset(a, 0, sizeof(v4) * std::size_t(blocks)); }
-inline void copy(double* a, const double* b, int blocks) {
-    std::memcpy(a, b, sizeof(v4) * std::size_t(blocks));
+// The same of six rows, one after the other in memory.
+__attribute__((always_inline)) inline void add_six(double* a, const double* rows,
+                                                   const double* factor, int blocks) {
+    v4* x = lanes(a);
+    for (int i = 0; i < blocks; i++) {
+        v4 all = x[i];
+        for (int r = 0; r < 6; r++) all += lanes(rows)[r * blocks + i] * factor[r];
+        x[i] = all;
+    }
+}
+
+// A few blocks each: a call of the library takes longer. The empty statement keeps compilers from
+// making one of the loop.
+__attribute__((always_inline)) inline void clear(double* a, int blocks) {
+    v4* x = lanes(a);
+    for (int i = 0; i < blocks; i++) {
+        __asm__("" : "+r"(x));
+        x[i] = v4{};
+    }
+}
+__attribute__((always_inline)) inline void copy(double* a, const double* b, int blocks) {
+    v4* x = lanes(a);
+    const v4* y = lanes(b);
+    for (int i = 0; i < blocks; i++) {
+        __asm__("" : "+r"(x));
+        x[i] = y[i];
+    }
 }
 
 // Zeroed arrays that live as long as their owner, each on a boundary of 64 bytes.

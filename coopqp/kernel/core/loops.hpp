@@ -45,6 +45,9 @@ class StagedLoops final : public Loops {
         std::vector<int> kept;
         Reflections<B> decide, compress;
         double* E;  // the carry's directions, (carry, lanes); of the first stage none
+        // Directions over [carry | own]: first those that the rows see, then those they leave, of
+        // these first the next carry.
+        double* Q;
         bool compresses = false;
 
         int rows() const { return int(kept.size()); }
@@ -56,13 +59,13 @@ class StagedLoops final : public Loops {
   public:
     // kept: which of each loop's six rows are independent.
     StagedLoops(const Model& model, const std::vector<std::vector<int>>& kept, Arena& arena)
-        : m_(model), rows_(arena.take(8 * WIDTH)), nulls_(arena.take(WIDTH * WIDTH)),
+        : m_(model), rows_(arena.take(8 * WIDTH)),
           touch_(arena.take((6 + MOST_SHARED) * WIDTH)) {
         shared_ = shared_lanes(model);
         const int touches = 6 + int(shared_.size());
         int carry = model.base_lanes;
         for (int i = 1; i < model.holding; i++) {
-            Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, false};
+            Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, nullptr, false};
             const int left = s.left(model);
             if (left < 0) throw std::invalid_argument("a loop has fewer joints than rows");
             const bool last = i == model.holding - 1;
@@ -70,6 +73,7 @@ class StagedLoops final : public Loops {
             s.compresses = !last && left > touches;
             s.decide.open(arena, s.rows(), carry + int(model.arms[std::size_t(i)].own.size()));
             if (s.compresses) s.compress.open(arena, touches, left);
+            s.Q = arena.take(std::size_t(s.rows() + left) * WIDTH);
             if (i > 1) s.E = arena.take(std::size_t(carry) * lanes_of(model));
             carry = s.next;
             free += left - s.next;
@@ -100,18 +104,16 @@ class StagedLoops final : public Loops {
             Stage& s = stages_[i];
             fill_rows(s);
             if (!s.decide.factor(rows_, s.rows(), DEPENDENT, true)) return false;
-            const int left = s.left(m_);
-            for (int k = 0; k < left; k++) {
-                double* null = nulls_ + k * WIDTH;
-                clear(null, B);
-                null[s.rows() + k] = 1.0;
-                s.decide.to_old(null);
-            }
-            if (s.compresses) compress(s, left);
+            const int left = s.left(m_), all = s.rows() + left;
+            double* nulls = s.Q + s.rows() * WIDTH;
+            clear(s.Q, all * B);
+            for (int k = 0; k < all; k++) s.Q[k * WIDTH + k] = 1.0;
+            s.decide.to_old(s.Q, all);
+            if (s.compresses) compress(s, left, nulls);
             for (int k = 0; k < left; k++) {
                 const bool carried = k < s.next;
                 double* to = carried ? stages_[i + 1].E + k * stride() : finished;
-                direction(s, nulls_ + k * WIDTH, to);
+                direction(s, nulls + k * WIDTH, to);
                 if (!carried) finished += stride();
             }
         }
@@ -122,13 +124,14 @@ class StagedLoops final : public Loops {
         clear(v, m_.blocks);
         alignas(64) double x[WIDTH];
         for (const Stage& s : stages_) {
+            double y[6];
             clear(x, B);
             for (int k = 0; k < s.rows(); k++) {
                 double rest = b[k] - along_base(s, s.kept[std::size_t(k)], v);
-                for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * x[j];
-                x[k] = rest / s.decide.L(k, k);
+                for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * y[j];
+                y[k] = rest * s.decide.inverse(k);
+                add(x, s.Q + k * WIDTH, y[k], B);
             }
-            s.decide.to_old(x);
             add_direction(s, x, v);
             b += s.rows();
         }
@@ -144,13 +147,8 @@ class StagedLoops final : public Loops {
         for (std::size_t i = 0; i < stages_.size(); i++) {
             const Stage& s = stages_[i];
             gather(s, g, t, x);
-            s.decide.to_new(x);
-            for (int k = 0; k < s.rows(); k++) rho[i][k] = x[k];
-            const int left = s.left(m_);
-            for (int k = 0; k < left; k++) x[k] = x[s.rows() + k];
-            for (int k = left; k < WIDTH; k++) x[k] = 0.0;
-            if (s.compresses) s.compress.to_new(x);
-            for (int k = 0; k < s.next; k++) g[k] = x[k];
+            for (int k = 0; k < s.rows(); k++) rho[i][k] = dot(s.Q + k * WIDTH, x, B);
+            for (int k = 0; k < s.next; k++) g[k] = dot(s.Q + (s.rows() + k) * WIDTH, x, B);
             at += s.rows();
         }
         alignas(64) double w[MOST_BASE] = {};
@@ -163,23 +161,25 @@ class StagedLoops final : public Loops {
                     for (int c = 0; c < s.carry; c++) x[c] = dot(w, s.E + c * stride(), base);
                 else
                     for (int c = 0; c < s.carry; c++) x[c] = w[c];
-                s.decide.to_new(x);
-                for (int k = 0; k < s.rows(); k++) rho[i][k] += x[k];
+                for (int k = 0; k < s.rows(); k++) rho[i][k] += dot(s.Q + k * WIDTH, x, B);
             }
             double step[6];
             for (int k = s.rows(); k-- > 0;) {
                 double rest = -rho[i][k];
                 for (int j = k + 1; j < s.rows(); j++) rest -= s.decide.L(j, k) * step[j];
-                step[k] = rest / s.decide.L(k, k);
+                step[k] = rest * s.decide.inverse(k);
             }
             const Arm& arm = m_.arms[std::size_t(s.arm)];
+            double by[6] = {}, back[6] = {};
             for (int k = 0; k < s.rows(); k++) {
                 const int r = s.kept[std::size_t(k)];
                 y[at + k] += step[k];
-                add(w, m_.J_base(s.arm, r), step[k], base);
-                add(w, m_.J_base(0, r), -step[k], base);
-                if (arm.own_blocks) add(t + arm.first, m_.J_own(s.arm, r), step[k], arm.own_blocks);
+                by[r] = step[k];
+                back[r] = -step[k];
             }
+            add_six(w, m_.J_base(s.arm, 0), by, base);
+            add_six(w, m_.J_base(0, 0), back, base);
+            if (arm.own_blocks) add_six(t + arm.first, m_.J_own(s.arm, 0), by, arm.own_blocks);
         }
         add(t, w, 1.0, base);
     }
@@ -219,13 +219,13 @@ class StagedLoops final : public Loops {
     }
 
     // Turn the directions left so that the first of them alone move arm 0 and shared joints.
-    void compress(Stage& s, int left) {
+    void compress(Stage& s, int left, double* nulls) {
         const int base = m_.base_blocks, touches = 6 + int(shared_.size());
-        alignas(64) double moved[MOST_BASE], turned[WIDTH * WIDTH];
+        alignas(64) double moved[MOST_BASE];
         for (int k = 0; k < touches; k++) clear(touch_ + k * WIDTH, B);
         for (int i = 0; i < left; i++) {
             clear(moved, base);
-            const double* null = nulls_ + i * WIDTH;
+            const double* null = nulls + i * WIDTH;
             if (s.E)
                 for (int c = 0; c < s.carry; c++) add(moved, s.E + c * stride(), null[c], base);
             else
@@ -235,16 +235,7 @@ class StagedLoops final : public Loops {
                 touch_[(6 + int(k)) * WIDTH + i] = moved[shared_[k]];
         }
         s.compress.factor(touch_, touches, UNTOUCHED, false);
-        alignas(64) double mix[WIDTH];
-        for (int k = 0; k < left; k++) {
-            clear(mix, B);
-            mix[k] = 1.0;
-            s.compress.to_old(mix);
-            double* to = turned + k * WIDTH;
-            clear(to, B);
-            for (int i = 0; i < left; i++) add(to, nulls_ + i * WIDTH, mix[i], B);
-        }
-        copy(nulls_, turned, left * B);
+        s.compress.mix(nulls);
     }
 
     // A direction over [carry | own] as one of all joints.
@@ -280,7 +271,7 @@ class StagedLoops final : public Loops {
     const Model& m_;
     std::vector<Stage> stages_;
     std::vector<int> shared_, alone_;
-    double *rows_, *nulls_, *touch_;
+    double *rows_, *touch_;
 };
 
 // Of the width that a chain needs.

@@ -18,21 +18,53 @@ __attribute__((always_inline)) inline void reflect(double* x, const double* h, d
     for (int b = 0; b < blocks; b++) a[b] -= t[b] * u;
 }
 
+// The same for P vectors of B blocks side by side in registers, one after the other in memory.
+template <int B, int P>
+struct Beside {
+    v4 x[P][B];
+
+    void load(const double* from) {
+        for (int p = 0; p < P; p++)
+            for (int b = 0; b < B; b++) x[p][b] = lanes(from)[p * B + b];
+    }
+    void store(double* to) const {
+        for (int p = 0; p < P; p++)
+            for (int b = 0; b < B; b++) lanes(to)[p * B + b] = x[p][b];
+    }
+    void reflect(const double* h, double beta) {
+        const v4* t = lanes(h);
+        double u[P];
+        for (int p = 0; p < P; p++) {
+            v4 s = t[0] * x[p][0];
+            for (int b = 1; b < B; b++) s += t[b] * x[p][b];
+            u[p] = beta * sum(s);
+        }
+        for (int p = 0; p < P; p++)
+            for (int b = 0; b < B; b++) x[p][b] -= t[b] * u[p];
+    }
+};
+
 // The reflection of a row's lanes from `first` on onto lane `first`; returns what lane `first`
-// becomes, and 0 where less than `least` is there.
+// becomes, and 0 where less than `least` is there. Lanes are set by whole vectors: a number that is
+// written alone makes whoever reads its vector wait.
 inline double reflection(const double* row, int first, int blocks, double least, double* h,
                          double& beta) {
     v4* t = lanes(h);
     const v4* a = lanes(row);
-    for (int b = 0; b < blocks; b++) t[b] = a[b];
-    for (int i = 0; i < first; i++) h[i] = 0.0;
-    v4 squares = t[0] * t[0];
-    for (int b = 1; b < blocks; b++) squares += t[b] * t[b];
-    const double size2 = sum(squares);
+    const int at = first / LANES, lane = first % LANES;
+    const v4i index = {0, 1, 2, 3};
+    for (int b = 0; b < at; b++) t[b] = v4{};
+    v4 head = index >= v4i{} + lane ? a[at] : v4{}, squares = at ? v4{} : head * head;
+    for (int b = 1; b < blocks; b++) {
+        const v4 x = b > at ? a[b] : head;
+        if (b > at) t[b] = x;
+        if (b >= at) squares += x * x;
+    }
+    const double size2 = sum(squares), pivot = row[first];
     if (!(size2 > least * least)) return 0.0;
-    const double size = std::sqrt(size2), onto = h[first] > 0 ? -size : size;
-    h[first] -= onto;
-    beta = -1.0 / (onto * h[first]);
+    const double size = std::sqrt(size2), onto = pivot > 0 ? -size : size, longer = pivot - onto;
+    t[at] = index == v4i{} + lane ? v4{} + longer : head;
+    beta = -1.0 / (onto * longer);
     return onto;
 }
 
@@ -48,10 +80,14 @@ class Reflections {
         h_ = arena.take(std::size_t(most) * WIDTH);
         L_.assign(std::size_t(most) * std::size_t(most), 0.0);
         beta_.assign(std::size_t(most), 0.0);
+        inverse_.assign(std::size_t(most), 0.0);
     }
 
     int rank() const { return rank_; }
     double L(int row, int pivot) const { return L_[std::size_t(row * most_ + pivot)]; }
+
+    // 1 / L(k, k), where all rows are independent.
+    double inverse(int k) const { return inverse_[std::size_t(k)]; }
 
     // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
     // `least` brings no reflection; false where that is not allowed.
@@ -71,25 +107,45 @@ class Reflections {
                 L[rank_] = onto;
             }
             beta_[std::size_t(rank_)] = beta;
+            inverse_[std::size_t(rank_)] = 1.0 / onto;
             for (int j = s + 1; j < count; j++) reflect(rows + j * WIDTH, h, beta, B);
             rank_++;
         }
         return true;
     }
 
-    // Q' x, coordinates in the new basis, of which the first `rank` are those that the rows see.
-    void to_new(double* x) const {
-        for (int s = 0; s < rank_; s++) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+    // Q x of `count` vectors, one after the other in memory.
+    void to_old(double* x, int count) const {
+        constexpr int P = B > 8 ? 1 : B > 4 ? 2 : B > 2 ? 3 : 4;
+        Beside<B, P> several;
+        int k = 0;
+        for (; k + P <= count; k += P) {
+            several.load(x + k * WIDTH);
+            for (int s = rank_; s-- > 0;)
+                several.reflect(h_ + s * WIDTH, beta_[std::size_t(s)]);
+            several.store(x + k * WIDTH);
+        }
+        for (; k < count; k++)
+            for (int s = rank_; s-- > 0;)
+                reflect(x + k * WIDTH, h_ + s * WIDTH, beta_[std::size_t(s)], B);
     }
 
-    // Q x.
-    void to_old(double* x) const {
-        for (int s = rank_; s-- > 0;) reflect(x, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+    // X Q, in place; X has a column for each coordinate, one after the other in memory.
+    void mix(double* X) const {
+        for (int s = 0; s < rank_; s++) {
+            const double* h = h_ + s * WIDTH;
+            v4 all[B] = {};
+            for (int i = s; i < width_; i++)
+                for (int b = 0; b < B; b++) all[b] += lanes(X)[i * B + b] * h[i];
+            for (int b = 0; b < B; b++) all[b] *= beta_[std::size_t(s)];
+            for (int i = s; i < width_; i++)
+                for (int b = 0; b < B; b++) lanes(X)[i * B + b] -= all[b] * h[i];
+        }
     }
 
   private:
     double* h_ = nullptr;
-    std::vector<double> beta_, L_;
+    std::vector<double> beta_, inverse_, L_;
     int most_ = 0, width_ = 0, rank_ = 0;
 };
 

@@ -23,11 +23,10 @@ class Rows {
     // t += factor J_i' tau
     void pull(int arm, const double* tau, double factor, double* t) const {
         const Arm& a = m_.arms[std::size_t(arm)];
-        for (int r = 0; r < 6; r++) {
-            const double by = factor * tau[r];
-            add(t, m_.J_base(arm, r), by, m_.base_blocks);
-            if (a.own_blocks) add(t + a.first, m_.J_own(arm, r), by, a.own_blocks);
-        }
+        double by[6];
+        for (int r = 0; r < 6; r++) by[r] = factor * tau[r];
+        add_six(t, m_.J_base(arm, 0), by, m_.base_blocks);
+        if (a.own_blocks) add_six(t + a.first, m_.J_own(arm, 0), by, a.own_blocks);
     }
 
     // J v of a level's rows from `first` to `last`; V is the object's twist at v.
@@ -45,7 +44,23 @@ class Rows {
         return x;
     }
 
-    // The object's twist, mean over the arms.
+    // The same of all arms that hold the object or have a share in where it is, shape (arms, 6).
+    void twists(const double* v, double* of_arms) const {
+        for (std::size_t i = 0; i < m_.arms.size(); i++)
+            if (int(i) < m_.holding || m_.arms[i].alpha != 0.0) twist(int(i), v, of_arms + 6 * i);
+    }
+
+    // The object's twist, mean over the arms, of which each has its own.
+    void mean(const double* of_arms, double* V) const {
+        for (int r = 0; r < 6; r++) V[r] = 0.0;
+        for (std::size_t i = 0; i < m_.arms.size(); i++) {
+            const double alpha = m_.arms[i].alpha;
+            if (alpha == 0.0) continue;
+            for (int r = 0; r < 6; r++) V[r] += alpha * of_arms[6 * i + std::size_t(r)];
+        }
+    }
+
+    // The object's twist at v.
     void object_twist(const double* v, double* V) const {
         double of_arm[6];
         for (int r = 0; r < 6; r++) V[r] = 0.0;
