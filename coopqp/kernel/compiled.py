@@ -116,7 +116,7 @@ class Compiled:
     ) -> tuple[tuple[str, Course | None, Array | None, Array | None], ...]:
         """Inputs and the arrays of theirs that it was shown."""
         inputs = state.inputs
-        return tuple((name, inputs.get(name), *arrays) for name, *arrays in self._heard)
+        return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
     def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
         """Decide, and return what became of it: INFEASIBLE only where that is proved.

@@ -282,43 +282,6 @@ def test_the_last_word_of_a_slow_robot_counts_for_a_while() -> None:
     assert loop.status is Status.ROBOT_SILENT
 
 
-def test_it_stops_and_goes_on_from_where_the_robot_is_then() -> None:
-    scenario = follows()
-    loop = OnlineLoop(scenario, clock=None)
-    robot = Scripted(scenario.chain.q_start)
-    target = {"target": NEAR}
-    for _ in range(50):
-        robot.write(loop.setpoint, loop.tick(robot.read(), target).v)
-    loop.stop("lunch")
-    for _ in range(50):
-        robot.write(loop.setpoint, loop.tick(robot.read(), target).v)
-    assert loop.at_rest
-    assert (loop.status, loop.note) == (Status.STOPPED, "lunch")
-    t = loop.state.t
-    robot.q += 0.01  # somebody leans on it
-    loop.resume()
-    loop.tick(robot.read(), target)
-    assert loop.status is Status.OPTIMAL
-    assert loop.state.t == t
-    np.testing.assert_array_equal(loop.state.q, robot.q)
-    assert np.abs(loop.command.v).max() <= 0.01 * _accelerations(loop).max()
-
-
-def test_ending_is_for_good() -> None:
-    loop, robot = simulated(follows())
-    go(loop, robot, 50, {"target": NEAR})
-    loop.end("done")
-    assert loop.running
-    go(loop, robot, 40)
-    loop.resume()
-    assert not loop.running
-    assert loop.stopped == "done"
-    loop.reset()
-    go(loop, robot, 3)
-    assert loop.running
-    assert loop.ticks == 3
-
-
 def test_the_object_is_taken_as_it_is_held() -> None:
     scenario = coopqp.load("point_on_point")
     q = scenario.chain.q_start + 0.05

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from online_loops import follows, go, simulated
+from online_loops import Scripted, follows, go, simulated
 
+from coopqp.limits import JointAcceleration
+from coopqp.online.loop import OnlineLoop
 from coopqp.solver import Status
 
 NEAR = {"target": [0.15, 0.01, 0.05]}
@@ -111,3 +113,40 @@ def test_signals_are_given_back_and_the_second_one_ends_at_once() -> None:
         with pytest.raises(SystemExit):
             os.kill(os.getpid(), signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_it_stops_and_goes_on_from_where_the_robot_is_then() -> None:
+    scenario = follows()
+    loop = OnlineLoop(scenario, clock=None)
+    robot = Scripted(scenario.chain.q_start)
+    for _ in range(50):
+        robot.write(loop.setpoint, loop.tick(robot.read(), NEAR).v)
+    loop.stop("lunch")
+    for _ in range(50):
+        robot.write(loop.setpoint, loop.tick(robot.read(), NEAR).v)
+    assert loop.at_rest
+    assert (loop.status, loop.note) == (Status.STOPPED, "lunch")
+    t = loop.state.t
+    robot.q += 0.01  # somebody leans on it
+    loop.resume()
+    loop.tick(robot.read(), NEAR)
+    assert loop.status is Status.OPTIMAL
+    assert loop.state.t == t
+    np.testing.assert_array_equal(loop.state.q, robot.q)
+    limit = next(k for k in loop.scenario.limits if isinstance(k, JointAcceleration))
+    assert np.abs(loop.command.v).max() <= 0.01 * np.max(limit.max)
+
+
+def test_ending_is_for_good() -> None:
+    loop, robot = simulated(follows())
+    go(loop, robot, 50, NEAR)
+    loop.end("done")
+    assert loop.running
+    go(loop, robot, 40)
+    loop.resume()
+    assert not loop.running
+    assert loop.stopped == "done"
+    loop.reset()
+    go(loop, robot, 3)
+    assert loop.running
+    assert loop.ticks == 3
