@@ -133,8 +133,8 @@ def test_it_stops_and_goes_on_from_where_the_robot_is_then() -> None:
     assert loop.status is Status.OPTIMAL
     assert loop.state.t == t
     np.testing.assert_array_equal(loop.state.q, robot.q)
-    limit = next(k for k in loop.scenario.limits if isinstance(k, JointAcceleration))
-    assert np.abs(loop.command.v).max() <= 0.01 * np.max(limit.max)
+    (limit,) = (k for k in loop.problem.limits if isinstance(k, JointAcceleration))
+    assert np.abs(loop.command.v).max() <= 0.01 * max(limit.joints.values())
 
 
 def test_ending_is_for_good() -> None:
