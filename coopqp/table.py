@@ -7,7 +7,6 @@ import functools
 import io
 import math
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,13 +101,14 @@ def _csv(path: Path) -> Table:
         names = [name.strip() for name in next(reader, [])]
         if len(set(names)) < len(names) or not all(names):
             raise InvalidValueError(f"{path}:1: needs a name for each column, each name once")
-        if len(names) == 1 and (other := re.search(r"[;\t|]", names[0])):
-            raise InvalidValueError(f"{path}:1: is separated by {other[0]!r}; needs commas")
+        if other := next((c for c in ";\t|" if len(names) == 1 and c in names[0]), None):
+            words = f"its columns are separated by {other!r}, needs commas"
+            raise InvalidValueError(f"{path}:1: {words}")
         rows = []
         for cells in reader:
             place = f"{path}:{reader.line_num}"
             if not cells:
-                raise InvalidValueError(f"{place}: is an empty line; take it out")
+                raise InvalidValueError(f"{place}: is a blank line; leave it out")
             if len(cells) != len(names):
                 words = f"found {len(cells)} cells, needs {len(names)}: {', '.join(names)}"
                 raise InvalidValueError(f"{place}: {words}")

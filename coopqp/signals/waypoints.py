@@ -6,11 +6,11 @@ way.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from coopqp.checked import Array, Pose, spec
 from coopqp.errors import InvalidValueError
@@ -25,13 +25,22 @@ from coopqp.table import read_table
 SAME = 1e-6
 
 
+def _rows(values: Any) -> Any:
+    """Numbers where lists of numbers belong get one message, and not two each."""
+    if isinstance(values, list | tuple) and any(isinstance(x, int | float) for x in values):
+        raise ValueError("needs a list of numbers, or a pose, for each time")
+    return values
+
+
 @spec
 class Waypoints(Signal):
     """A way through given values at given times, once, there and back, or round and round."""
 
     times: Annotated[list[float], Field(min_length=2)] | None = None
     """When it is at each value, rising [s]."""
-    values: Annotated[list[list[float] | Pose], Field(min_length=2)] | None = None
+    values: (
+        Annotated[list[list[float] | Pose], Field(min_length=2), BeforeValidator(_rows)] | None
+    ) = None
     """One for each time: as many numbers as are needed, a rotation as the quaternion x, y, z, w,
     a pose as position and quaternion or as {position, rpy_deg}."""
     file: FilePath | None = None

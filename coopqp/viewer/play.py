@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import socket
 import time
@@ -30,6 +31,7 @@ PATIENCE = 60.0
 #: Over this time the pace is averaged [s].
 AVERAGED = 1.0
 MOST_PORT = 65535
+HOSTS = "needs an address of this machine: 127.0.0.1, or 0.0.0.0 for all that it has"
 
 
 def check_viewer() -> None:
@@ -59,9 +61,14 @@ def check_address(host: str, port: int) -> None:
         with socket.socket(family, kind) as found:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             found.bind(address)
-    except (OSError, UnicodeError) as error:
+    except (socket.gaierror, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise InvalidValueError(f"--host: found '{host}': {why}; {HOSTS}") from None
+    except OSError as error:
         why = getattr(error, "strerror", None) or str(error)
         words = "take another with --port, or any that is free with --port 0"
+        if error.errno == errno.EADDRNOTAVAIL:
+            words = HOSTS
         raise InvalidValueError(f"cannot listen on {host}:{port}: {why}; {words}") from None
 
 

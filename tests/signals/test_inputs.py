@@ -249,6 +249,10 @@ FAULTS = [
         {"{input: target}": "{circle: {center: [0, 0, 0], radius: 0.1}}"},
         f"{TASK}.circle.period: is missing",
     ),
+    (
+        {"{input: target}": "{waypoints: {times: [0, 1, 2], values: [0.15, 0, 0.06]}}"},
+        "waypoints.values: found [0.15, 0, 0.06]; needs a list of numbers, or a pose, for each",
+    ),
     ({"{input: target}": "{waypoints: {file: no.csv}}"}, "no.csv: cannot be read"),
 ]
 
@@ -270,8 +274,9 @@ def test_files_with_faults_are_refused_with_what_is_there(tmp_path: Path) -> Non
         ("t,x,y,z\n0,1,2,3\n0,1,2,3\n", "way.csv:3: t: found 0 s after 0 s"),
         ("t,x,y,z\n0,1,2,3\n1,1,2,a\n", "way.csv:3: z: found 'a', needs a number"),
         ("t,x,y,z\n0,1,2,3\n1,1,2\n", "way.csv:3: found 3 cells, needs 4"),
-        ("t;x;y;z\n0;1;2;3\n1;1;2;3\n", "way.csv:1: is separated by ';'; needs commas"),
-        ("t,x,y,z\n0,1,2,3\n\n1,1,2,3\n", "way.csv:3: is an empty line; take it out"),
+        ("t;x;y;z\n0;1;2;3\n", "way.csv:1: its columns are separated by ';', needs commas"),
+        ("t;x;y;z\n0,5;1;2;3\n", "way.csv:1: its columns are separated by ';', needs commas"),
+        ("t,x,y,z\n0,1,2,3\n\n1,1,2,3\n", "way.csv:3: is a blank line; leave it out"),
         ("t,x,y,z\n", "has no rows"),
         ("t,x,y,z\n0,1,2,3\n", "needs at least 2 rows"),
         ("t,x,y,z\n0,1,2,\n1,1,2,3\n", "way.csv:2: z: needs a finite number"),

@@ -6,6 +6,8 @@ Distances are those of scipy over pinocchio's kinematics.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +15,11 @@ from explained import HIGH, LOW, REACH, advice, explained, nao, nearest, of_case
 from scenario_files import needs_robots
 
 from coopqp.checked import Pose as PoseValue
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
+from coopqp.limits import JointPosition
 from coopqp.scenario.loader import load
+from coopqp.study.explanation.late import _rests
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pose, Twist
 
 
@@ -124,3 +129,12 @@ def test_a_pose_asks_for_more_than_firm_hands_leave() -> None:
     found = explained(nao(pose))
     assert found.kind == "freedom"
     assert "carry asks for 6 motions, the loops leave 4" in found.sentence
+
+
+@pytest.mark.parametrize(("speed", "said"), [(0.2, "it keeps moving"), (1e-6, "it rests")])
+def test_arms_that_go_on_are_not_said_to_rest(speed: float, said: str, chain: ClosedChain) -> None:
+    """As after a reference that goes round for ever."""
+    problem: Any = SimpleNamespace(chain=chain, limits=(JointPosition(),))
+    leg: Any = SimpleNamespace(problem=problem, v=np.array([chain.q_start * 0.0 + speed]))
+    place: Any = SimpleNamespace(q=chain.q_start)
+    assert _rests(leg, place, ()).startswith(f"{said} although this is inside the limits: ")

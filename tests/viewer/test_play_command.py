@@ -150,7 +150,9 @@ def test_a_port_that_is_taken_is_one_line() -> None:
     ("words", "said"),
     [
         (["--port", "99999"], "--port: found 99999, needs 0 to 65535"),
-        (["--host", "no such host"], "cannot listen on no such host:8080"),
+        (["--host", "no such host"], "--host: found 'no such host': "),
+        (["--host", "nonsense.invalid"], "needs an address of this machine: 127.0.0.1"),
+        (["--host", "192.0.2.1"], "needs an address of this machine: 127.0.0.1"),
         (["--port", "0", "--record", "/proc/x"], "--record: cannot write to '/proc/x': No such"),
         (["--port", "0", "--record", __file__], "--record: cannot write to"),
         (["--port", "0", "--controller", "qpp"], "unknown controller 'qpp'; did you mean 'qp'"),

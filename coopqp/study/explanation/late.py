@@ -26,6 +26,8 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
+#: Slower than this the arms rest [rad/s, m/s].
+RESTS = 1e-3
 #: A motor this near to its limit is at it, and is the cause in more than this share of the ticks.
 AT_EFFORT, OFTEN = 0.999, 0.25
 
@@ -106,7 +108,9 @@ def _rests(leg: Leg, place: Place, held: Sequence[Share]) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
-    why = f"{words.holding(held)}, and it rests" if held else "it rests"
+    moves = float(np.abs(leg.v[-1]).max(initial=0.0)) > RESTS  # as after a reference that goes on
+    ends = "it keeps moving" if moves else "it rests"
+    why = f"{words.holding(held)}, and {ends}" if held else ends
     at = words.start(place.q, leg.problem.chain)
     return f"{why} although this is inside the limits: {at}"
 
