@@ -31,13 +31,14 @@ class Check {
           const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
           levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
-          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)), of_arms_(6 * model.arms.size()),
+          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
+          of_arms_(6 * model.arms.size()),
           y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
     double worst_primal = 0.0, worst_dual = 0.0;
 
-    double V[6] = {};  // the object's twist at the answer judged last
+    double V[6] = {};  // the object's twist at the answer judged last, or where the first sets out
 
     void aim(const double* b) { b_ = b; }
 

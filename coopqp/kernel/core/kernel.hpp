@@ -217,14 +217,10 @@ class Kernel {
 
     // What v lacks of each row.
     void miss(int l, const Level& level) {
-        double V[6];
-        if (l > 0)
-            std::copy(check_.V, check_.V + 6, V);  // v is as it was judged
-        else
-            rows_.object_twist(v_, V);
+        if (l == 0) rows_.object_twist(v_, check_.V);  // later v is as it was judged
         for (int s = 0; s < level.rows; s++)
             residual_[std::size_t(s)] =
-                level.wanted[std::size_t(s)] - rows_.times(level, s, v_, V);
+                level.wanted[std::size_t(s)] - rows_.times(level, s, v_, check_.V);
     }
 
     // Do what exact rows ask for; returns how many coordinates that takes.
