@@ -32,15 +32,16 @@ def _rows(values: Any) -> Any:
     return values
 
 
+Values = Annotated[list[list[float] | Pose], Field(min_length=2), BeforeValidator(_rows)]
+
+
 @spec
 class Waypoints(Signal):
     """A way through given values at given times, once, there and back, or round and round."""
 
     times: Annotated[list[float], Field(min_length=2)] | None = None
     """When it is at each value, rising [s]."""
-    values: (
-        Annotated[list[list[float] | Pose], Field(min_length=2), BeforeValidator(_rows)] | None
-    ) = None
+    values: Values | None = None
     """One for each time: as many numbers as are needed, a rotation as the quaternion x, y, z, w,
     a pose as position and quaternion or as {position, rpy_deg}."""
     file: FilePath | None = None
