@@ -141,6 +141,7 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
         (["stress", "--rollouts", "0"], "is not in the range"),
         (["stress", "--solver", "osqq"], "unknown solver 'osqq'; did you mean 'osqp'?"),
         (["stress", "--plant", "mujocoo"], "unknown plant 'mujocoo'; did you mean 'mujoco'?"),
+        (["stress", "--contacts", "--plant", "mujoco"], "needs rigid_body; omit --plant"),
     ],
 )
 def test_explain_replay_and_stress_refuse_in_words(

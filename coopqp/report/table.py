@@ -13,6 +13,7 @@ from coopqp.errors import one_line
 from coopqp.report.cells import Cell, cells
 from coopqp.study.replay import Replay
 from coopqp.study.stress import Summary
+from coopqp.study.stress.contacts import ContactSummary
 from coopqp.study.tick_record import TickRecord
 
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
@@ -44,6 +45,8 @@ SIGNS_WITH_MASSES = {
     "squee-\nzed": "squeezed",
     **{k: v for k, v in SIGNS.items() if v != "never_back"},
 }
+#: Columns of the stress test of hands that press.
+CONTACT_OUTCOMES = ("held", "lost", "refused")
 COLORS = {None: "", True: "red", False: "green"}
 
 
@@ -103,6 +106,34 @@ def stress(lines: Sequence[Summary], plant: str = "kinematic") -> Table:
         counts = (x.outcomes.get(outcome, 0) for outcome in outcomes.values())
         seen = (getattr(x, sign) for sign in signs.values())
         table.add_row(x.kind, *(str(count) for count in (x.count, *counts, *seen)))
+    return table
+
+
+def contacts(lines: Sequence[ContactSummary]) -> Table:
+    """One row a kind of rollout of hands that press; fits 80 columns."""
+    worst, causes = lines[-1], lines[-1].causes
+    lost = ", ".join(f"{name} {count}" for name, count in causes.items()) or "nothing"
+    table = Table(
+        title="random rollouts of hands that press, on rigid_body",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=0,
+        show_edge=False,
+        caption=Text(
+            f"lost by: {lost}\n"
+            f"kept cones left by at most {worst.cone:.1e} N, "
+            f"motors' limits by {worst.torque:.1e} N m\n"
+            f"of {worst.ticks} ticks {worst.given_up} gave a cone up or had no answer"
+        ),
+        caption_justify="left",
+    )
+    table.add_column("rollouts", no_wrap=True)
+    for heading in ("number", *CONTACT_OUTCOMES, "edge", "no\nname", "broken"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for x in lines:
+        ended = [x.outcomes.get(outcome, 0) for outcome in CONTACT_OUTCOMES]
+        named = [x.causes.get("edge", 0), x.causes.get("no name", 0)]
+        table.add_row(x.kind, *(str(count) for count in (x.count, *ended, *named, x.broken)))
     return table
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Protocol, TypeVar
 
 from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant
@@ -43,13 +44,43 @@ def stress(
         MissingDependencyError: solver or plant needs a package that is not installed.
     """
     work = partial(rollouts, solver=solver, plant=plant)
-    done: list[Rollout] = []
-    for own, found in engine.results(work, range(seed, seed + count)):
-        lost = isinstance(found, Lost)
-        done.append(Rollout(own, broken=(found.reason,)) if lost else found)
+    return gathered(work, range(seed, seed + count), _lost, engine, progress)
+
+
+class _Seeded(Protocol):
+    @property
+    def seed(self) -> int: ...
+
+
+One = TypeVar("One", bound=_Seeded)
+
+
+def gathered(
+    work: Callable[[Sequence[int]], list[One]],
+    seeds: Sequence[int],
+    lost: Callable[[int, str], One],
+    engine: Engine,
+    progress: Callable[[int], None] | None = None,
+) -> list[One]:
+    """What an engine makes of seeds, in their order.
+
+    Args:
+        work: does a batch.
+        seeds: of all.
+        lost: makes a result of a seed whose process ended, and of why.
+        engine: where.
+        progress: called with the number done.
+    """
+    done: list[One] = []
+    for own, found in engine.results(work, seeds):
+        done.append(lost(own, found.reason) if isinstance(found, Lost) else found)
         if progress:
             progress(len(done))
-    return sorted(done, key=lambda rollout: rollout.seed)
+    return sorted(done, key=lambda one: one.seed)
+
+
+def _lost(seed: int, reason: str) -> Rollout:
+    return Rollout(seed, broken=(reason,))
 
 
 def rollouts(seeds: Sequence[int], *, solver: Solver, plant: Plant) -> list[Rollout]:
