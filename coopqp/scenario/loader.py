@@ -125,9 +125,18 @@ def shipped() -> dict[str, Path]:
 
 
 def find(path: str | Path) -> Path:
-    """The file behind a path or the name of a shipped scenario."""
-    given = Path(path)
-    return given if os.path.exists(given) else shipped().get(str(path), given)  # any name
+    """The file behind a path or the name of a shipped scenario.
+
+    Raises:
+        ScenarioError: it looks like a name, and there is neither such a file nor such a scenario.
+    """
+    given, known = Path(path), shipped()
+    if os.path.exists(given) or given.suffix or given.name != str(path):
+        return given
+    if given.name not in known:
+        words = f"no such file, and {unknown_name('shipped scenario', given.name, known)}"
+        raise ScenarioError([Fault(str(path), words)])
+    return known[given.name]
 
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:

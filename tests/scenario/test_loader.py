@@ -95,6 +95,11 @@ def test_a_file_that_is_no_scenario_is_refused(tmp_path: Path, text: str, messag
         load(write(tmp_path, text))
 
 
+def test_a_misspelt_shipped_scenario_names_the_nearest() -> None:
+    with pytest.raises(ScenarioError, match=r"no such file.*did you mean 'point_on_plane'"):
+        load("point_on_plnae")
+
+
 def test_a_missing_or_binary_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"cannot be read: No such file"):
         load(tmp_path / "none.yaml")
