@@ -6,6 +6,7 @@ fixes, and looks into the scenario besides.
 
 from __future__ import annotations
 
+import types
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any, Literal
@@ -52,7 +53,7 @@ def schema(catalog: Catalog) -> dict[str, Any]:
     Args:
         catalog: what the study's scenario can name.
     """
-    found = study_model(catalog).model_json_schema()
+    found: dict[str, Any] = study_model(catalog).model_json_schema()
     vary = found["properties"]["vary"]
     fields = file_model(catalog).model_fields
     # Any path is a key; editors propose those that lead to a key of the scenario itself.
@@ -79,7 +80,7 @@ def study_model(catalog: Catalog) -> Any:
     Args:
         catalog: what the study's scenario can name.
     """
-    metrics = Literal[tuple(catalog.entries("metrics"))]  # type: ignore[valid-type]
+    metric: Any = Literal[tuple(catalog.entries("metrics"))]
     over = [_one("Over", {kind: (form, ...)}, about) for kind, (form, about) in VARIATIONS.items()]
     count = Annotated[int, Field(ge=1, le=MOST)]
     seed = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
@@ -100,7 +101,7 @@ def study_model(catalog: Catalog) -> Any:
             Field(description="How many variants, and how they are chosen."),
         ),
         "metrics": (
-            list[metrics],
+            types.GenericAlias(list, (metric,)),
             Field(default=[], description="Columns beside those that every study has."),
         ),
     }
