@@ -16,8 +16,9 @@ CXX ?= c++
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
 
+# Python may keep what it has compiled, so that not every process that the tests start does it anew.
 test: .venv/installed-test
-	$(BIN)/python -m pytest -n 2
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2
 
 lint: .venv/installed-test
 	$(BIN)/ruff check .

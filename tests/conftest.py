@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import signal
-from functools import cache
+from collections import Counter
+from collections.abc import Callable
+from functools import cache, wraps
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,10 +23,29 @@ from coopqp.held_object import HeldObject
 from coopqp.rank import null_space
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
+from coopqp.scenario import loader
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import find, shipped
+from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 SEED = 2014
+#: Files that take longest, in this order, so that no process is alone with one of them at the end.
+LONGEST = (
+    "viewer/test_in_a_browser.py",
+    "controllers/test_passive_grasp.py",
+    "plants/test_rigid_body.py",
+    "plants/test_pressing_hands.py",
+    "study/test_sweep_kept.py",
+    "report/test_playback.py",
+    "controllers/test_torque_margins.py",
+    "study/test_engine.py",
+    "study/test_stress_wide.py",
+    "recordings/test_every_format.py",
+    "plants/test_kinematic_errors.py",
+    "kernel/test_core.py",
+)
 STEPS, STEP = 12, 0.1  # self-motions between two states, and their size [rad]
 CLOSED = 1e-13  # largest loop error after the projection [m, rad]
 SINGULAR = 1e-8  # share of the largest singular value
@@ -34,11 +57,42 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def _remembering(load: Callable[..., Scenario]) -> Callable[..., Scenario]:
+    """Shipped scenarios are read and checked once a process; nothing in a scenario ever changes."""
+    once, places = cache(load), set(shipped().values())
+
+    @wraps(load)
+    def remembered(path: str | Path, catalog: Catalog | None = None) -> Scenario:
+        found = find(path)
+        return once(found) if catalog is None and found in places else load(path, catalog)
+
+    return remembered
+
+
+loader.load = _remembering(loader.load)  # before tests import it
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with the longest files where several processes share them, then those of many tests."""
+    if not hasattr(config, "workerinput"):
+        return
+    here = Path(__file__).parent
+    tests = Counter(item.path for item in items)
+    places = {here / name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (places.get(item.path, len(LONGEST)), -tests[item.path]))
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the garbage collector need not look at it again."""
+    gc.freeze()
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     """All tests of a file in one process, so that what they share is made once."""
     from xdist.scheduler import LoadFileScheduling
 
+    config.option.loadscopereorder = False  # the order is that of pytest_collection_modifyitems
     return LoadFileScheduling(config, log)
 
 

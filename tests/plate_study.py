@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from coopqp.scenario.loader import shipped
 from coopqp.study.engine import Engine
 
 HERE = Engine(jobs=1)
@@ -16,6 +17,16 @@ samples: {sobol: 8, seed: 1}
 metrics: [loop_error_max]
 """
 SHORT = (("duration: 3.0", "duration: 0.1"), ("duration: 2.0", "duration: 0.1"))
+
+
+def plate_in(folder: Path) -> Path:
+    """The folder, with a study of eight variants of ten ticks in it."""
+    text = shipped()["planar_pair"].read_text(encoding="utf-8")
+    for before, after in SHORT:
+        text = text.replace(before, after)
+    (folder / "plate.yaml").write_text(text, encoding="utf-8")
+    written(folder, STUDY)
+    return folder
 
 
 def written(folder: Path, text: str) -> Path:

@@ -163,12 +163,15 @@ def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
 
 
 @click.command()
+@click.option("--study", is_flag=True, help="Of study files instead, which coopqp sweep runs.")
 @catalogued
-def schema(catalog: Any) -> None:
+def schema(catalog: Any, study: bool) -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from coopqp.scenario.form import file_model
+    from coopqp.study.sweep import form
 
-    click.echo(json.dumps(file_model(catalog).model_json_schema(), indent=2))
+    found = form.schema(catalog) if study else file_model(catalog).model_json_schema()
+    click.echo(json.dumps(found, indent=2))
 
 
 def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -125,13 +126,24 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
         half: half-lengths X, Y [m].
         friction: coefficient.
     """
+    wanted = wrench / wrench[2]
+    wanted[3:] /= max(half)
+    # Friction stretches what is tangential: forces along x and y, and the yaw that they make.
+    stretched = np.array([friction, friction, 1.0, 1.0, 1.0, friction])
+    return bool(nnls(stretched[:, None] * _corner_edges(half), wanted)[1] < SUMS_UP)
+
+
+@lru_cache(maxsize=64)
+def _corner_edges(half: tuple[float, float]) -> Array:
+    """Wrenches of the edges of all corners' cones with a friction of 1, shape (6, edges).
+
+    The torques are over the greater half-length. Not to be written to.
+    """
     angles = 2.0 * np.pi * np.arange(CORNER_EDGES) / CORNER_EDGES
-    edges = np.array([friction * np.cos(angles), friction * np.sin(angles), np.ones(CORNER_EDGES)])
+    edges = np.array([np.cos(angles), np.sin(angles), np.ones(CORNER_EDGES)])
     X, Y = half
     columns = []
     for x, y in ((X, Y), (X, -Y), (-X, Y), (-X, -Y)):
         torques = np.array([y * edges[2], -x * edges[2], x * edges[1] - y * edges[0]])
         columns.append(np.vstack([edges, torques / max(X, Y)]))
-    wanted = wrench / wrench[2]
-    wanted[3:] /= max(X, Y)
-    return bool(nnls(np.hstack(columns), wanted)[1] < SUMS_UP)
+    return np.hstack(columns)

@@ -39,7 +39,7 @@ class EndStops:
         self._k, self._d = self._firm, np.zeros(chain.n)
         self._most = (STABLE / h) ** 2
         self._A, self._J = np.zeros((0, 0)), np.zeros((0, 0))
-        self._follows = True
+        self._follows, self._nothing = True, np.zeros(chain.n)
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
         """Follow the inertia that the joints see, after ``dynamics.update``."""
@@ -53,10 +53,10 @@ class EndStops:
         self._follows = True
 
     def torque(self, q: Array, v: Array) -> Array:
-        """What the stops do to the joints, shape (n,) [N m]."""
+        """What the stops do to the joints, shape (n,) [N m]; not to be written to."""
         above, below = q - self._upper, self._lower - q
-        if not (above > 0.0).any() and not (below > 0.0).any():
-            return np.zeros(len(q))
+        if not np.maximum(above, below).max(initial=0.0) > 0.0:
+            return self._nothing
         if not self._follows:
             self._follow()
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)

@@ -63,14 +63,16 @@ class ServoLaw:
         self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
         self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
-        self._forward = np.zeros(chain.n)
+        self._forward, self._damped = np.zeros((2, chain.n))
         self.follows = True
         self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
+        self._least = -self.effort
 
     def resume(self, before: ServoLaw) -> None:
         """Keep the angles that the servos of the phase before were holding."""
         self._q_d[:], self._v_d[:] = before._q_d, before._v_d
         self._forward[:], self.follows = before._forward, before.follows
+        self._ask(self._forward)
 
     def hold(self, q: Array) -> None:
         """Hold these angles, from where velocity commands go on."""
@@ -81,6 +83,7 @@ class ServoLaw:
         self.follows = command.tau is None
         if command.tau is not None:
             self._forward[:] = command.tau
+            self._ask(self._forward)
             return
         self._v_d[:] = command.v
         self._model.update(q, self._rest)
@@ -110,12 +113,21 @@ class ServoLaw:
 
     def torque(self, q: Array, v: Array) -> Array:
         """Motor torques at a state, within their limits, shape (n,) [N m]."""
-        asked = self.asked
-        asked[:] = self._forward
         if self.follows:
-            asked += self.stiffness * (self._q_d - q) + self._damping * (self._v_d - v)
-        np.minimum(np.maximum(asked, -self.effort, out=self.tau), self.effort, out=self.tau)
+            asked, damped = self.asked, self._damped
+            np.subtract(self._q_d, q, asked)
+            np.multiply(self.stiffness, asked, asked)
+            np.subtract(self._v_d, v, damped)
+            np.multiply(self._damping, damped, damped)
+            np.add(asked, damped, asked)
+            self._ask(np.add(asked, self._forward, asked))
         return self.tau
+
+    def _ask(self, asked: Array) -> None:
+        """Torques as far as the motors' limits let them; those of a command stay for its period."""
+        self.asked[:] = asked
+        np.maximum(asked, self._least, out=self.tau)
+        np.minimum(self.tau, self.effort, out=self.tau)
 
 
 #: Taken for the stiffness of a joint whose motor has no limit [N m].

@@ -19,6 +19,7 @@ from coopqp.errors import ScenarioError
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robots import ExampleRobot, Several, example_robot
+from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.state import State
 
@@ -173,4 +174,4 @@ def test_without_the_package_a_scenario_says_what_to_install(
     monkeypatch.setattr(example_robot, "metadata", Empty)
     for name in ("baxter_tray", "two_pandas"):  # by itself, and one of several
         with pytest.raises(ScenarioError, match=r"robot: .*pip install 'coopqp\[robots\]'"):
-            load(name)
+            load(name, Catalog())  # which is read anew

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from plate_study import SHORT, STUDY
+from plate_study import plate_in
 
 from coopqp.comparison import Comparison, compare
 from coopqp.controllers import QPController
 from coopqp.qp_law.law import QPLaw
 from coopqp.report import files
-from coopqp.scenario.loader import load, shipped
+from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 
 
@@ -42,9 +42,4 @@ def law(scenario: Scenario) -> QPLaw:
 @pytest.fixture
 def plate(tmp_path: Path) -> Path:
     """A folder with a study of eight variants of ten ticks."""
-    text = shipped()["planar_pair"].read_text(encoding="utf-8")
-    for before, after in SHORT:
-        text = text.replace(before, after)
-    (tmp_path / "plate.yaml").write_text(text, encoding="utf-8")
-    (tmp_path / "study.yaml").write_text(STUDY, encoding="utf-8")
-    return tmp_path
+    return plate_in(tmp_path)

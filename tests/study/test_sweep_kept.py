@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from command_line import typed
-from plate_study import HERE, STUDY, table_of, written
+from plate_study import HERE, STUDY, plate_in, table_of, written
 
 from coopqp.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
@@ -24,12 +24,19 @@ from coopqp.study.sweep import Progress, Study, kept_study, read_study, sweep
 pytest.importorskip("pyarrow.parquet")
 
 
-@pytest.fixture
-def whole(plate: Path) -> Study:
-    """The study of 24 variants, and its results when nothing happens to it."""
-    study = read_study(written(plate, STUDY.replace("sobol: 8", "random: 24")))
-    sweep(study, plate / "whole", engine=HERE)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """The study of 24 variants, whose results when nothing happens to it are beside it."""
+    folder = plate_in(tmp_path_factory.mktemp("kept"))
+    study = read_study(written(folder, STUDY.replace("sobol: 8", "random: 24")))
+    sweep(study, folder / "whole", engine=HERE)
     return study
+
+
+@pytest.fixture(scope="module")
+def undisturbed(whole: Study) -> Path:
+    """The folder with these results."""
+    return whole.file.path.parent / "whole"
 
 
 def forked(work: Callable[[], object]) -> int:
@@ -45,21 +52,23 @@ def forked(work: Callable[[], object]) -> int:
     return child
 
 
-def test_wherever_a_journal_ends_the_results_are_the_same(whole: Study, plate: Path) -> None:
+def test_wherever_a_journal_ends_the_results_are_the_same(
+    whole: Study, undisturbed: Path, tmp_path: Path
+) -> None:
     """Whole lines up to somewhere, a part of the next one, and what a loss of power may leave."""
     rng = random.Random(17)
-    content = (plate / "whole" / "journal.jsonl").read_bytes()
+    content = (undisturbed / "journal.jsonl").read_bytes()
     for k in range(10):
-        folder = plate / f"cut{k}"
+        folder = tmp_path / f"cut{k}"
         folder.mkdir()
         end = rng.randrange(len(content))
         (folder / "journal.jsonl").write_bytes(content[:end] + b"\0" * (100 * (k % 2)))
         sweep(whole, folder, engine=HERE)
-        assert table_of(folder) == table_of(plate / "whole")
+        assert table_of(folder) == table_of(undisturbed)
 
 
-def test_a_client_is_killed_ten_times(whole: Study, plate: Path) -> None:
-    rng, out, killed = random.Random(4), plate / "out", 0
+def test_a_client_is_killed_ten_times(whole: Study, undisturbed: Path, tmp_path: Path) -> None:
+    rng, out, killed = random.Random(4), tmp_path / "out", 0
     while killed < 10:
         child = forked(lambda: sweep(whole, out, engine=HERE))
         time.sleep(rng.uniform(0.03, 0.2))
@@ -67,13 +76,13 @@ def test_a_client_is_killed_ten_times(whole: Study, plate: Path) -> None:
         os.waitpid(child, 0)
         killed += 1
     sweep(whole, out, engine=HERE)
-    assert table_of(out) == table_of(plate / "whole")
+    assert table_of(out) == table_of(undisturbed)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
-def test_a_worker_is_killed(whole: Study, plate: Path) -> None:
+def test_a_worker_is_killed(whole: Study, undisturbed: Path, tmp_path: Path) -> None:
     """Ten times: python -m benchmarks.studies --kills 10."""
-    rng, out, left = random.Random(4), plate / "out", [5]
+    rng, out, left = random.Random(4), tmp_path / "out", [5]
 
     def kill(state: Progress) -> None:
         if left and state.done >= left[0]:
@@ -82,7 +91,7 @@ def test_a_worker_is_killed(whole: Study, plate: Path) -> None:
 
     sweep(whole, out, engine=Engine(jobs=2), progress=kill)
     assert not left
-    assert table_of(out) == table_of(plate / "whole")
+    assert table_of(out) == table_of(undisturbed)
 
 
 def workers() -> list[int]:
@@ -95,34 +104,36 @@ def workers() -> list[int]:
     return found
 
 
-def test_a_full_disk_stops_with_what_is_there(whole: Study, plate: Path) -> None:
+def test_a_full_disk_stops_with_what_is_there(
+    whole: Study, undisturbed: Path, tmp_path: Path
+) -> None:
     """Files may have 8 kB; then the command goes on where it was."""
 
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))
-        result = typed("sweep", plate / "study.yaml", "--out", plate / "out", "--jobs", "1")
-        (plate / "said").write_text(f"{result.exit_code} {result.stderr}", encoding="utf-8")
+        result = typed("sweep", whole.file.path, "--out", tmp_path / "out", "--jobs", "1")
+        (tmp_path / "said").write_text(f"{result.exit_code} {result.stderr}", encoding="utf-8")
 
     os.waitpid(forked(limited), 0)
-    said = (plate / "said").read_text(encoding="utf-8")
+    said = (tmp_path / "said").read_text(encoding="utf-8")
     assert said.startswith("2 error: cannot write")
     assert said.endswith("; what was done is kept, and the same command goes on from there\n")
-    kept = (plate / "out" / "journal.jsonl").read_bytes()
+    kept = (tmp_path / "out" / "journal.jsonl").read_bytes()
     assert kept.endswith(b"\n")
     assert kept.count(b"\n") > 1
-    sweep(whole, plate / "out", engine=HERE)
-    assert (plate / "out" / "journal.jsonl").read_bytes().startswith(kept)
-    assert table_of(plate / "out") == table_of(plate / "whole")
+    sweep(whole, tmp_path / "out", engine=HERE)
+    assert (tmp_path / "out" / "journal.jsonl").read_bytes().startswith(kept)
+    assert table_of(tmp_path / "out") == table_of(undisturbed)
 
 
-def test_two_commands_do_not_write_to_one_journal(whole: Study, plate: Path) -> None:
+def test_two_commands_do_not_write_to_one_journal(whole: Study, undisturbed: Path) -> None:
     from coopqp.study.sweep.journal import Journal, path_of
 
     with (
-        Journal.opened(path_of(plate / "whole", Share()), {}),
+        Journal.opened(path_of(undisturbed, Share()), {}),
         pytest.raises(CoopqpError, match="another process is at work on it"),
     ):
-        sweep(whole, plate / "whole", engine=HERE)
+        sweep(whole, undisturbed, engine=HERE)
 
 
 def test_plugins_of_a_users_own_are_part_of_a_study(plate: Path) -> None:
