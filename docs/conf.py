@@ -19,7 +19,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
-    "coopqp_site",
+    "coopqp_site.extension",
 ]
 exclude_patterns = ["_ext", "gallery/**.ipynb", "gallery/**.py"]
 

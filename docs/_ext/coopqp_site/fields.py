@@ -33,7 +33,7 @@ def own_keys(cls: type, idea: type) -> str:
     schema = schema_of(cls)
     inherited = set(vars(idea).get("__pydantic_fields__", ())) - set(inspect.get_annotations(cls))
     own = {key: v for key, v in schema.get("properties", {}).items() if key not in inherited}
-    return keys({**schema, "properties": own}, _told(idea))
+    return keys({**schema, "properties": own}, told(cls))
 
 
 def common_keys(idea: type) -> str:
@@ -43,11 +43,11 @@ def common_keys(idea: type) -> str:
         key: {**TypeAdapter(field.annotation).json_schema(), "default": field.get_default()}
         for key, field in fields.items()
     }
-    told, rows = _told(idea), {}
+    rows = {}
     for key, shown in properties.items():
         bounds = {name: value for m in fields[key].metadata for name, value in _bound(m)}
         rows[key] = {**shown, **bounds}
-    return keys({"properties": rows}, told)
+    return keys({"properties": rows}, told(idea))
 
 
 def _bound(metadata: Any) -> Iterator[tuple[str, Any]]:
@@ -57,19 +57,23 @@ def _bound(metadata: Any) -> Iterator[tuple[str, Any]]:
             yield name, getattr(metadata, short)
 
 
-def _told(idea: type) -> dict[str, str]:
-    """What the idea says of its own keys, for plug-ins that only change a default."""
-    fields = vars(idea).get("__pydantic_fields__", {})
-    return {key: field.description or "" for key, field in fields.items()}
+def told(cls: type) -> dict[str, str]:
+    """What is said of each key by the class that has it first, or by the one that changes it."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        for key, field in vars(base).get("__pydantic_fields__", {}).items():
+            found[key] = field.description or found.get(key, "")
+    return found
 
 
-def keys(schema: Schema, told: Mapping[str, str] | None = None) -> str:
+def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
     """A table of the keys of a mapping.
 
     Args:
         schema: of the mapping.
-        told: meanings of keys whose schema has none.
+        meanings: of keys whose schema says none.
     """
+    meanings = meanings or {}
     needed = set(schema.get("required", ()))
     return table(
         HEAD,
@@ -78,7 +82,7 @@ def keys(schema: Schema, told: Mapping[str, str] | None = None) -> str:
                 f"**`{key}`**" if key in needed else f"`{key}`",
                 takes(value),
                 "needed" if key in needed else f"`{flow(value.get('default'))}`",
-                value.get("description") or (told or {}).get(key, ""),
+                value.get("description") or meanings.get(key, ""),
             )
             for key, value in schema.get("properties", {}).items()
         ),
@@ -129,7 +133,7 @@ def _listed(schema: Schema) -> str:
         count = len(schema["prefixItems"])
         many = items[0].replace("number", "numbers").replace("text", "texts")
         return f"{count} {many}" if len(items) == 1 else f"[{', '.join(items)}]"
-    return f"list of {takes(schema['items'])}" if schema.get("items") else "list"
+    return f"list: {takes(schema['items'])}" if schema.get("items") else "list"
 
 
 def _mapped(schema: Schema) -> str:

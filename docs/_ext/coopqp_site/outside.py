@@ -12,8 +12,7 @@ import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
-
-from sphinx.application import Sphinx
+from typing import Any
 
 from coopqp_site.writing import ROOT, Made, prose
 
@@ -88,7 +87,7 @@ def _listed(path: Path) -> bool:
     return path.suffix in (".py", ".yaml", ".md") and not path.name.startswith("_")
 
 
-def write(app: Sphinx) -> None:
+def write(app: Any) -> None:
     """Write the pages of everything outside of docs/ that pages link to, and these, and so on."""
     docs, made = Path(app.srcdir), Made(Path(app.srcdir) / FILES)
     pages = (page for page in docs.rglob("*.md") if made.folder not in page.parents)
@@ -106,7 +105,7 @@ def write(app: Sphinx) -> None:
     made.finish()
 
 
-def read(app: Sphinx, name: str, source: list[str]) -> None:
+def read(app: Any, name: str, source: list[str]) -> None:
     """Let a page's links hold on the site."""
     if Path(app.env.doc2path(name)).suffix == ".md":
         inside = name.startswith(f"{FILES}/")

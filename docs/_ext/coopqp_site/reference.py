@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic.dataclasses import is_pydantic_dataclass
+
 from coopqp.report.names import help_lines
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model
@@ -16,7 +18,7 @@ from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import points, reader, space
-from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of
+from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of, told
 from coopqp_site.writing import ROOT, plain, table
 
 
@@ -107,8 +109,16 @@ def values(catalog: Catalog) -> str:
         if name in plugins or name in SLOTS or title in {"Phase", *done}:
             continue
         done.add(title)
-        text += f"\n## {title}\n\n{plain(known[name].get('description'))}\n\n{keys(known[name])}"
+        text += f"\n## {title}\n\n{plain(known[name].get('description'))}\n\n"
+        text += keys(known[name], told(_class_of(name)))
     return text
+
+
+def _class_of(name: str) -> type:
+    """The class that a schema calls so: by its own name, or by its module's and its own."""
+    modules = (module for key, module in sys.modules.items() if key.startswith("coopqp."))
+    classes = (value for module in modules for value in vars(module).values())
+    return next(c for c in classes if is_pydantic_dataclass(c) and name in (c.__name__, _long(c)))
 
 
 def _long(cls: type) -> str:
@@ -121,6 +131,8 @@ def study_keys() -> str:
     rows = ((f"`{key}`", words) for key, words in reader.KEYS.items())
     text = "# Keys of a study\n\nSee [studies](../studies.md).\n\n"
     text += table(("key", "meaning"), rows)
+    always = ", ".join(f"[`{name}`](metrics.md#{name})" for name in reader.ALWAYS)
+    text += f"\nMeasured always: {always}.\n"
     for module, title in ((space, "Under `vary`"), (points, "Under `samples`")):
         text += f"\n## {title}\n\n{plain(module.__doc__)}\n"
     return text
