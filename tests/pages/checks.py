@@ -147,7 +147,7 @@ def _file(words: list[str], place: str) -> None:
 def _coopqp(words: list[str], place: str) -> None:
     """The command line takes these words; files that another command writes need not be there."""
     words = [word for word in words if not re.fullmatch(r"\[.*|.*\]", word)]
-    if not words or words[0].startswith("-"):
+    if not words or words[0].startswith(("-", "...")):
         return
     assert words[0] in cli.main.commands, f"{place}: coopqp has no command '{words[0]}'"
     if len(words) == 1:

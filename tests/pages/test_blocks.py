@@ -31,7 +31,7 @@ def test_every_block_is_what_it_says_and_runs(name: str, tmp_path: Path) -> None
     [
         ("sh", "coopqp compre point_on_point", "has no command 'compre'"),
         ("sh", "coopqp compare point_on_point --outt x", "--outt"),
-        ("sh", "coopqp run point_on_point --solver daqp", "Missing parameter: controller"),
+        ("sh", "coopqp run point_on_point --solver daqp", "--controller"),
         ("sh", "make everything", "make has no"),
         ("sh", "pip install 'coopqp[robbots]'", "no extra robbots"),
         ("sh", "python -m tests.fuz", "no module tests.fuz"),
