@@ -31,6 +31,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+toc_object_entries = False
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples/gallery",
@@ -40,6 +42,7 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,
+    "within_subsection_order": "coopqp_site.gallery.Order",
     "write_computation_times": False,
 }
 
@@ -47,6 +50,7 @@ html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_show_copyright = False
 html_show_sphinx = False
 html_copy_source = False
 html_show_sourcelink = False

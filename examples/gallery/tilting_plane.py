@@ -30,10 +30,6 @@ side.set(
     title="the box from the side, light to dark", xlabel="x [m]", ylabel="z [m]", aspect="equal"
 )
 side.legend()
-
-# %%
-# Its error is how far the point is from the tray, whose own motion the law knows of.
-
 height.semilogy(trace.t, 1e3 * np.abs(trace.goal_error[:, 0]) + 1e-9)
 height.set(title="point above the tray", xlabel="t [s]", ylabel="[mm]")
 plt.show()

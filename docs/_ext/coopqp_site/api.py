@@ -64,7 +64,7 @@ def _told(name: str, module: ModuleType) -> str:
     if not _written_here(value):
         return _definition(name, module)
     kind = "autoclass" if inspect.isclass(value) else "autofunction"
-    members = "\n   :members:\n   :show-inheritance:" if inspect.isclass(value) else ""
+    members = "\n   :members:" if inspect.isclass(value) else ""
     return f"```{{eval-rst}}\n.. {kind}:: coopqp.{name}{members}\n```"
 
 

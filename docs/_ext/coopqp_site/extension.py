@@ -8,6 +8,7 @@ from typing import Any
 from sphinx.application import Sphinx
 
 from coopqp_site import mathml, outside
+from coopqp_site.docstrings import EARLY, LATE, Attributes, short, short_types
 from coopqp_site.pages import written
 from coopqp_site.writing import Made
 
@@ -18,16 +19,6 @@ def _write(app: Sphinx) -> None:
         made.keep(name, text)
     made.finish()
     outside.write(app)
-
-
-def _escape(
-    app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
-) -> None:
-    """Let |v| be a norm in docstrings, and no substitution."""
-    for i, line in enumerate(lines):
-        parts = line.split("``")  # code in every second
-        parts[::2] = (part.replace("|", "\\|") for part in parts[::2])
-        lines[i] = "``".join(parts)
 
 
 def _patterns_that_match(app: Sphinx, name: str, source: list[str]) -> None:
@@ -44,5 +35,9 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", _write)
     app.connect("source-read", outside.read)
     app.connect("source-read", _patterns_that_match)
-    app.connect("autodoc-process-docstring", _escape)
+    attributes = Attributes()
+    app.connect("autodoc-process-docstring", attributes.keep, priority=EARLY)
+    app.connect("autodoc-process-docstring", attributes.restore, priority=LATE)
+    app.connect("autodoc-process-signature", short)
+    app.connect("object-description-transform", short_types)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -74,6 +74,7 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
         meanings: of keys whose schema says none.
     """
     meanings = meanings or {}
+    known = schema.get("$defs", {})
     needed = set(schema.get("required", ()))
     return table(
         HEAD,
@@ -81,12 +82,20 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
             (
                 f"**`{key}`**" if key in needed else f"`{key}`",
                 takes(value),
-                "needed" if key in needed else f"`{flow(value.get('default'))}`",
+                "needed" if key in needed else _default(value, known),
                 value.get("description") or meanings.get(key, ""),
             )
             for key, value in schema.get("properties", {}).items()
         ),
     )
+
+
+def _default(schema: Schema, known: Mapping[str, Schema]) -> str:
+    """The default; not each of its keys, where those have the same defaults where they are told."""
+    value = schema.get("default")
+    there = known.get(schema.get("$ref", "").rpartition("/")[2], {}).get("properties", {})
+    same = there and all(there[k].get("default") == v for k, v in (value or {}).items())
+    return "its own" if value and same else f"`{flow(value)}`"
 
 
 def flow(value: Any) -> str:
