@@ -1,6 +1,7 @@
 # make demo   set up .venv, run the demo, say where the page is
 # make test   the same with the test tools, and run the suite
 # make lint   style, types, direction of imports
+# make docs   the site, in out/docs; warnings are errors
 # make bench  one tick side by side with Pink
 # make sanitize  the kernel on random robots and garbage, watched by the compiler's sanitizers
 
@@ -11,7 +12,7 @@ OUT ?= out/point_on_point
 
 CXX ?= c++
 
-.PHONY: demo test lint bench sanitize clean
+.PHONY: demo test lint docs bench sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -25,6 +26,10 @@ lint: .venv/installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: .venv/installed-docs
+	$(BIN)/sphinx-build -W --keep-going -q -d out/doctrees docs out/docs
+	@echo out/docs/index.html
 
 bench: .venv/installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist
@@ -48,5 +53,9 @@ KERNEL := hatch_build.py $(wildcard coopqp/kernel/*.[ch]pp coopqp/kernel/core/*.
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ .venv/installed
 
+.venv/installed-docs: pyproject.toml $(KERNEL) | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@ .venv/installed
+
 clean:
-	rm -rf .venv out
+	rm -rf .venv out docs/reference docs/source docs/gallery

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nao_in_files import in_urdf
-from scenario_files import GOOD, HAS_ROBOTS, write
+from scenario_files import GOOD, write
 
 from coopqp.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
@@ -91,21 +91,3 @@ def test_a_robot_that_cannot_be_read_is_a_fault_of_the_scenario(tmp_path: Path) 
     path = scenario_with(tmp_path, "{urdf: {path: none.urdf, arms: {right: a, left: b}}}")
     with pytest.raises(ScenarioError, match=r"scenario.yaml:2: robot: .*none.urdf: cannot be read"):
         load(path)
-
-
-DOCS = Path(__file__).parents[2] / "docs" / "robots.md"
-
-
-def test_the_examples_of_the_manual_are_good(tmp_path: Path) -> None:
-    blocks = [part.split("```", 1)[0] for part in DOCS.read_text("utf-8").split("```yaml\n")[1:]]
-    rest = "tasks: [point_on_point: {goal: [0, 0, 1]}]\nduration: 1\n"
-    seen = set()
-    for block in blocks:
-        path = tmp_path / "manual.yaml"
-        path.write_text(block + rest, encoding="utf-8")
-        read: Any = check(read_yaml(path), Catalog())
-        name, robot = chosen(read.robot)
-        seen.add(name)
-        if name == "mdh_table" or (HAS_ROBOTS and name in ("example_robot", "several")):
-            assert len(robot.build().arms) > 1
-    assert seen >= {"urdf", "mjcf", "mdh_table", "example_robot", "several"}

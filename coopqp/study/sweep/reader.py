@@ -25,7 +25,12 @@ from coopqp.wording import Location
 
 T = TypeVar("T")
 
-KEYS = ("scenario", "vary", "samples", "metrics")
+KEYS = {
+    "scenario": "Path of a scenario's file, from the study's folder, or the name of a shipped one.",
+    "vary": "What is varied over what: a path in the scenario, and values to take there.",
+    "samples": "Which points are looked at: a way to sample and how many, and a seed (0).",
+    "metrics": "Names of metrics that are measured, beside those that the page needs.",
+}
 GRID = "grid"
 #: Measured in every study, because its page shows them.
 ALWAYS = ("reached", "task_error", "limit_margin_min", "limit_violation_max")
