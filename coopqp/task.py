@@ -21,6 +21,7 @@ from pydantic import Field, field_validator
 
 from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
 from coopqp.mark import Mark
 from coopqp.profile import Profile
 from coopqp.program import Primitive
@@ -65,6 +66,25 @@ class Part:
     rows: int
     unit: str
     tolerance: float
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """How rows give way to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
+
+    Attributes:
+        axes: which components of w the rows feel, at the object's origin, world axes.
+        stiffness: shape (k,) [N/m, N m/rad].
+        damping: shape (k,) [N s/m, N m s/rad]; None where every mode has the damping_ratio.
+        damping_ratio: [-].
+        mass: shape (k,) [kg, kg m2]; None where it is what object and arms have there.
+    """
+
+    axes: tuple[int, ...]
+    stiffness: Array
+    damping: Array | None
+    damping_ratio: float
+    mass: Array | None
 
 
 @spec
@@ -154,6 +174,14 @@ class Task(ABC):
         return 0.0
 
     @property
+    def impedance(self) -> Impedance | None:
+        """How its rows give way to pushes, which only some laws by torques can do; gain is idle.
+
+        None for tasks whose error shall decay whatever pushes.
+        """
+        return None
+
+    @property
     def curvature(self) -> float:
         """Of the surface from which a length is measured [1/m]; 0 where it is flat, or a point."""
         return 0.0
@@ -235,6 +263,20 @@ class TaskStack:
     def bend(self, v: Array) -> float:
         """All of it in the cost, sum_i w_i g_i |e_i| L_i."""
         return float(self.weights.dot(self.bends(v)))
+
+
+def refuse_impedances(tasks: Sequence[Task]) -> None:
+    """Refuse tasks that give way to pushes, for laws that cannot.
+
+    Raises:
+        InvalidValueError: with the first of them.
+    """
+    for task in tasks:
+        if task.impedance is not None:
+            raise InvalidValueError(
+                f"task '{task.name}' asks for an impedance, which this controller does not have; "
+                "use torque_qp, with plant: rigid_body or plant: mujoco"
+            )
 
 
 def not_finite(tasks: Sequence[Task], chain: ClosedChain, state: State) -> str:

@@ -71,12 +71,15 @@ class TaskDynamics:
         tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
-    def inverse_inertia(self) -> Array:
-        """Acceleration of the task rows per wrench on them, the loops closed, shape (k, k).
+    def inverse_inertia(self, J: Array) -> Array:
+        """Acceleration of rows per wrench on them, the loops closed, shape (k, k).
 
         W = J N (N' A N)^-1 N' J', with N as in :meth:`ClosedLoopDynamics.null_space`.
+
+        Args:
+            J: of the rows, shape (k, n).
         """
-        J, N = self.tasks.J, self.dynamics.null_space()
+        N = self.dynamics.null_space()
         JN = J @ N
         return np.asarray(JN @ np.linalg.solve(N.T @ self.dynamics.A @ N, JN.T), float)
 

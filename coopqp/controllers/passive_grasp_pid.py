@@ -95,7 +95,7 @@ class TorquePid(Law):
         self._inverse = settings.feed_forward == "inverse_dynamics"
         require_damped_models(problem, settings.name or "passive_grasp_pid")
         level.update(State(problem.chain))
-        W, forward = level.inverse_inertia(), float(self._inverse)
+        W, forward = level.inverse_inertia(level.tasks.J), float(self._inverse)
         self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
         settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit
