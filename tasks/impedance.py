@@ -29,7 +29,8 @@ from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.signal import Instant, MovingPose, quaternion_of
 from coopqp.state import State
-from coopqp.task import Evaluate, Impedance as OfRows, Part, Task, TaskRows
+from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Impedance as OfRows
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
 Springs = Annotated[dict[Axis, Positive], Field(min_length=1)]

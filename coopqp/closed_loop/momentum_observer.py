@@ -10,6 +10,9 @@ so that r follows J_c' lambda + J_o' w with the time constant 1/K. With N a basi
 of J_c the loops drop out, N' r = N' J_o' w, and w follows in least squares. Where the object has
 fewer than six motions the rest of w is the structure's and is told as zero.
 
+As N moves, what r remembers of J_c' lambda is seen as a push, by as much as it changes in 1/K. So
+the lambda that the model says goes with tau and the last w is taken out of r beforehand.
+
 What it tells is as good as the model: an object that is lighter by a fifth of 10 N shows as 2 N.
 """
 
@@ -55,7 +58,7 @@ class MomentumObserver:
         self.wrench = np.zeros(6)
         self.memory_sizes = {
             "observer.begun": 1, "observer.integral": n, "observer.known": n,
-            "observer.residual": n, "observer.tau": n,
+            "observer.residual": n, "observer.tau": n, "observer.wrench": 6,
         }  # fmt: skip
 
     def update(self, memory: Memory, q: Array, v: Array) -> Array:
@@ -70,17 +73,21 @@ class MomentumObserver:
         Returns:
             ``wrench``.
         """
-        dt, now, momentum = self._dt, self._forces(q, v), self._dynamics.A.dot(v)
+        dt, dynamics = self._dt, self._dynamics
+        now, momentum = self._forces(q, v), dynamics.A.dot(v)
         integral, known = memory["observer.integral"], memory["observer.known"]
         r = memory["observer.residual"]
         if memory["observer.begun"][0]:
-            integral += dt * (memory["observer.tau"] + 0.5 * (known + now) + r)
+            tau, felt = memory["observer.tau"], dynamics.J_object.T.dot(memory["observer.wrench"])
+            of_loops = dynamics.direct(tau + felt).wrench[dynamics.kept].dot(dynamics.J)
+            integral += dt * (tau + of_loops + 0.5 * (known + now) + r)
         else:
             integral[:], memory["observer.begun"][0] = momentum, 1.0
         known[:] = now
         r[:] = self._gain * (momentum - integral)
-        N = self._dynamics.null_space()
-        self.wrench[:] = least_squares(N.T @ self._dynamics.J_object.T, N.T @ r)
+        N = dynamics.null_space()
+        self.wrench[:] = least_squares(N.T @ dynamics.J_object.T, N.T @ r)
+        memory["observer.wrench"][:] = self.wrench
         return self.wrench
 
     def _forces(self, q: Array, v: Array) -> Array:

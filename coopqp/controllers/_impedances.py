@@ -2,7 +2,7 @@
 
 Rows of which a mass M is stated have B = M^-1; w has to be known there. All others have that of
 what is really there, object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', which a
-wrench that nobody knows of sees as well: with w = 0 in the law they move as B (w - K e) - R e_dot.
+wrench that nobody knows of meets as well: with w = 0 in the law they move as above.
 
 R = B D where the damping is stated, and else what gives every mode its damping ratio z. With
 S = K^1/2 the modes are those of C = S W S, and
@@ -10,6 +10,10 @@ S = K^1/2 the modes are those of C = S W S, and
     R = 2 S^-1 C^1/4 z C^1/4 S         (M stated: 2 z (K/M)^1/2)
 
 which is the double diagonalisation of Albu-Schaeffer, Ott, Frese and Hirzinger 2003.
+
+A law that corrects open loops asks for accelerations J_c a = -drift_c - c that closed ones do not
+have. Torques for a then make a + d instead, with J_c d = c and N' A d = 0, and J d would show as a
+push: it is taken off.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from coopqp.controller import ControlProblem
 from coopqp.controllers._margins import DELAY, LEAST_DAMPING, spring_damping
 from coopqp.controllers._torque_level import TaskDynamics
 from coopqp.errors import InvalidValueError
+from coopqp.rank import least_squares
 from coopqp.state import State
 
 
@@ -69,7 +74,7 @@ class Impedances:
                 self._D[part] = i.damping
         self._level = level
         self.B, self.R = np.zeros((r, r)), np.zeros((r, r))
-        self._by_wrench = np.zeros((r, 6))
+        self._by_wrench, self._X = np.zeros((r, 6)), np.zeros((len(stack.J.T), len(stack.J.T)))
         self._fill_stated()
 
     def _fill_stated(self) -> None:
@@ -82,28 +87,47 @@ class Impedances:
 
     def update(self) -> None:
         """Follow the arms; the level must be up to date."""
+        if not len(self.rows):
+            return
+        self._X = self._level.inverse_inertia()
         real = np.flatnonzero(~self.stated)
         if not len(real):
             return
-        k = len(real)
-        J = np.vstack([self._level.tasks.J[self.rows[real]], self._level.dynamics.J_object])
-        W = self._level.inverse_inertia(J)
-        self._by_wrench[real] = W[:k, k:]
-        W, S = W[:k, :k], np.sqrt(self.K[real])
+        J = self._level.tasks.J[self.rows[real]]
+        JX = J @ self._X
+        self._by_wrench[real] = JX @ self._level.dynamics.J_object.T
+        W, S = JX @ J.T, np.sqrt(self.K[real])
         squares, U = np.linalg.eigh(S[:, None] * W * S)
         root = (U * np.maximum(squares, 0.0) ** 0.25) @ U.T
         R = 2.0 * (root * self._z[real]) @ root * S / S[:, None] + W * self._D[real]
         self.B[np.ix_(real, real)], self.R[np.ix_(real, real)] = W, R
 
-    def accelerations(self, wrench: Array | None) -> Array:
-        """e_ddot of the rows, shape (r,).
+    def guess(self) -> Array | None:
+        """Who pushes where nobody knows, shape (6,): as much as the springs push back.
+
+        None without rows. At rest that is so, and the hands bear it; until then nothing changes
+        by what torques are for, since the springs pull against it by as much.
+        """
+        if not len(self.rows):
+            return None
+        wrench = np.zeros(6)
+        np.add.at(wrench, self._axes, self.K * self._level.tasks.e[self.rows])
+        return wrench
+
+    def accelerations(self, wrench: Array, correction: Array) -> Array:
+        """e_ddot of the rows that torques must be for, shape (r,).
 
         Args:
-            wrench: of the surroundings on the object, shape (6,); None where nobody knows.
+            wrench: of the surroundings on the object, or the :meth:`guess`, shape (6,).
+            correction: c of the loop rows, shape (m,).
         """
         level, rows = self._level, self.rows
-        found = -self.B.dot(self.K * level.tasks.e[rows]) - self.R.dot(level.e_dot[rows])
-        return found if wrench is None else found + self._by_wrench.dot(wrench)
+        found = self._by_wrench.dot(wrench)
+        found -= self.B.dot(self.K * level.tasks.e[rows]) + self.R.dot(level.e_dot[rows])
+        if correction.any():
+            d = least_squares(level.dynamics.J, correction)
+            found -= level.tasks.J[rows].dot(d - self._X.dot(level.dynamics.A.dot(d)))
+        return np.asarray(found, float)
 
 
 def require_impedances(

@@ -129,8 +129,11 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        if self._pushes:
-            self._wrench = self._pushes.update(state.memory, state.q, state.v)
+        self._wrench = (
+            self._pushes.update(state.memory, state.q, state.v)
+            if self._pushes
+            else self._impedances.guess()
+        )
         self._fill(0, state, None)
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
@@ -176,15 +179,20 @@ class TorqueQpLaw(Law):
         held = level.tasks.e.copy()
         held[self._followed] += self._pull * state.memory["integral"]
         wanted = -gains * (2.0 * level.e_dot + gains * held)
-        wanted[given.rows] = given.accelerations(self._wrench)
+        if len(given.rows) and self._wrench is not None:
+            wanted[given.rows] = given.accelerations(self._wrench, self._correction(state))
         return np.asarray(wanted - level.drift, float)
 
     def _loops(self, state: State) -> Array:
-        """J_c a with which open loops close; hands that press are held together by that."""
+        """J_c a with which open loops close."""
+        return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
+
+    def _correction(self, state: State) -> Array:
+        """What of that closes them; hands that press are held together by that."""
         dynamics, kappa = self._level.dynamics, self.problem.kappa
         pulls = self.hands.loop_pulls[dynamics.kept]
         back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
-        return np.asarray(-dynamics.drift - back, float)
+        return np.asarray(back, float)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """What the limits say of v + a dt, as bounds and rows on a."""
