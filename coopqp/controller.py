@@ -18,9 +18,10 @@ from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.loop_observer import LoopObserver
 from coopqp.memory import Memory
+from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import State
-from coopqp.task import Task, not_finite, refuse_impedances
+from coopqp.task import Task, refuse_impedances
 from coopqp.wording import Location, culprit, dotted
 
 TELL_APART = "add 'name:' to tell them apart"
@@ -259,8 +260,9 @@ class Law(ABC):
             wrong.append(Status.INPUT_REFUSED)
         command = self._decided(state)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            tasks = (*self.problem.tasks, *self.problem.secondary)
-            command.note = not_finite(tasks, self.problem.chain, state)
+            asked = self.problem
+            tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
+            command.note = not_finite(tasks, asked.limits, asked.chain, state, asked.dt)
         if wrong:
             command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)

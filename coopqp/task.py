@@ -14,7 +14,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -46,6 +46,24 @@ class TaskRows:
 
 
 Evaluate = Callable[[State, TaskRows], None]
+
+Rows = TypeVar("Rows")
+
+
+def evaluate_all(each: Sequence[tuple[Callable[[State, Rows], None], Rows]], state: State) -> None:
+    """Let bound tasks or limits write their rows at a state, which they cannot write to.
+
+    Args:
+        each: what is bound, and where it writes.
+        state: up to date.
+    """
+    state.lock()
+    try:
+        for evaluate, rows in each:
+            evaluate(state, rows)
+    finally:
+        state.unlock()
+
 
 #: Units of errors that are lengths, or speeds of such.
 LENGTHS = ("m", "m/s")
@@ -232,12 +250,7 @@ class TaskStack:
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
-        state.lock()
-        try:
-            for evaluate, block in self._evaluate:
-                evaluate(state, block)
-        finally:
-            state.unlock()
+        evaluate_all(self._evaluate, state)
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 
@@ -277,32 +290,6 @@ def refuse_impedances(tasks: Sequence[Task]) -> None:
                 f"task '{task.name}' asks for an impedance, which this controller does not have; "
                 "use torque_qp, with plant: rigid_body or plant: mujoco"
             )
-
-
-def not_finite(tasks: Sequence[Task], chain: ClosedChain, state: State) -> str:
-    """Which tasks give NaN or infinite values at a state; empty if none does.
-
-    For a tick that has failed: each task is bound once more.
-
-    Args:
-        tasks: any.
-        chain: theirs.
-        state: up to date.
-    """
-    found = []
-    for task in tasks:
-        start = State(chain)
-        start.inputs = state.inputs.now()
-        try:
-            stack = TaskStack([task], start)
-            stack.update(state)
-        except Exception:  # noqa: BLE001 - code of plug-ins may raise anything; not asked here
-            continue
-        numbers = {"e": stack.e, "J": stack.J, "rate": stack.rate}
-        bad = [name for name, values in numbers.items() if not np.isfinite(values).all()]
-        if bad:
-            found.append(f"task '{task.name}' gives NaN or infinite values in {', '.join(bad)}")
-    return "; ".join(found)
 
 
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
