@@ -33,6 +33,7 @@ from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.hand_sensors import HandSensors
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.contact import SAFETY
@@ -89,8 +90,8 @@ class TorqueQpLaw(Law):
         self._model = ReferenceModel(level.gains[self._followed], problem.dt)
         self._pull = settings.integral * level.gains[self._followed]
         self._pushes = settings.observer(dynamics, problem.dt)
-        observed = self._pushes.memory_sizes if self._pushes else {}
-        self.memory_sizes = self._model.memory_sizes | observed
+        seen = self._pushes.memory_sizes if self._pushes else {}
+        self.memory_sizes = self._model.memory_sizes | seen
 
     @property
     def qp(self) -> QP:
@@ -129,12 +130,16 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        self._wrench = (
-            self._pushes.update(state.memory, state.q, state.v)
-            if self._pushes
-            else self._impedances.guess()
-        )
+        self._wrench = self._pushed(state)
         self._fill(0, state, None)
+
+    def _pushed(self, state: State) -> Array | None:
+        """Of the surroundings on the object, as far as somebody knows."""
+        if isinstance(self._pushes, HandSensors):
+            return self._pushes.update(state.memory, state)
+        if self._pushes:
+            return self._pushes.update(state.memory, state.q, state.v)
+        return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
         self.programs[number].assemble(
@@ -214,7 +219,7 @@ class TorqueQpLaw(Law):
 
     def _remember(self, state: State) -> None:
         """Keep what the motors do until the next tick, for the observer."""
-        if self._pushes:
+        if isinstance(self._pushes, MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
 
 
@@ -242,11 +247,11 @@ class TorqueQp(Controller):
     left."""
     safety: Annotated[float, Field(ge=1.0, le=10.0)] = SAFETY
     """Friction of hands that press is counted on over this."""
-    external_wrench: Literal["unknown", "observed"] = "unknown"
-    """Of the surroundings on the object; observed: from joints and torques, by the generalised
-    momentum. Hands then bear it, and tasks with an impedance feel it as it is."""
+    external_wrench: Literal["unknown", "observed", "measured"] = "unknown"
+    """Of the surroundings on the object: observed from joints and torques, by the generalised
+    momentum, or measured by sensors in the hands. Hands then bear it, and impedances feel it."""
     observer_gain: Positive = 50.0
-    """One over the time in which the observer follows a push [1/s]; at most 1/dt."""
+    """One over the time in which a push is followed [1/s]; at most 1/dt."""
     brake_time: Positive = 0.05
     """A joint may move towards its stop at most at the distance over this time [s]."""
     acceleration: Positive = 500.0
@@ -274,7 +279,9 @@ class TorqueQp(Controller):
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)
 
-    def observer(self, dynamics: ClosedLoopDynamics, dt: float) -> MomentumObserver | None:
+    def observer(
+        self, dynamics: ClosedLoopDynamics, dt: float
+    ) -> MomentumObserver | HandSensors | None:
         """Who tells the wrench of the surroundings; None where nobody does.
 
         Args:
@@ -283,6 +290,8 @@ class TorqueQp(Controller):
         """
         if self.external_wrench == "unknown":
             return None
+        if self.external_wrench == "measured":
+            return HandSensors(dynamics, gain=self.observer_gain, dt=dt)
         try:
             return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
         except InvalidValueError as error:

@@ -6,6 +6,7 @@ masses of their own; what comes of it is compared with closed forms.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -37,7 +38,9 @@ PUSHED = np.concatenate([FORCE, TORQUE])
 K = {"x": 600.0, "y": 800.0, "z": 1000.0, "rot_x": 10.0, "rot_y": 12.0, "rot_z": 15.0}
 STIFF = np.array(list(K.values()))
 M = {"x": 1.5, "y": 1.5, "z": 1.5, "rot_x": 0.03, "rot_y": 0.03, "rot_z": 0.03}
-UNKNOWN, OBSERVED = TorqueQp(), TorqueQp(external_wrench="observed")
+UNKNOWN, OBSERVED, MEASURED = (
+    TorqueQp(external_wrench=knows) for knows in ("unknown", "observed", "measured")
+)
 PLANTS: dict[str, Plant] = {"rigid_body": RigidBody(), "mujoco": Mujoco()}
 NOBODY = Disturbance()
 #: Of the push, and how far away it is let go [m]: little, so that the arms' inertia stays.
@@ -93,12 +96,12 @@ def ran(
 
 @pytest.mark.parametrize(
     ("plant", "law"),
-    [("rigid_body", UNKNOWN), ("mujoco", UNKNOWN), ("rigid_body", OBSERVED), ("mujoco", OBSERVED)],
+    list(itertools.product(PLANTS, (UNKNOWN, OBSERVED, MEASURED))),
     ids=lambda value: value if isinstance(value, str) else value.external_wrench,
 )
 def test_a_steady_push_moves_it_by_force_over_stiffness(plant: str, law: TorqueQp) -> None:
     """Along and about every axis, whether the arms count or another mass is feigned."""
-    mass = M if law is OBSERVED else None
+    mass = None if law is UNKNOWN else M
     trace = ran(Impedance(goal=here(), stiffness=K, mass=mass), law, 0.6, dt=0.002, plant=plant)
     np.testing.assert_allclose(trace.e[-1], PUSHED / STIFF, rtol=0.02)
 
@@ -176,9 +179,9 @@ def test_hands_bear_an_observed_push_and_other_tasks_stay() -> None:
     stay = PoseTask(goal=here(), gain=15.0)
     gone = [
         np.linalg.norm(ran(stay, replace(law, integral=0.0), 0.4, dt=0.002).e[-1, :3])
-        for law in (UNKNOWN, OBSERVED)
+        for law in (UNKNOWN, OBSERVED, MEASURED)
     ]
-    assert gone[1] < 0.02 * gone[0]
+    assert max(gone[1:]) < 0.02 * gone[0]
 
 
 @pytest.mark.parametrize(
