@@ -18,9 +18,10 @@ from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
 from coopqp.loop_observer import LoopObserver
 from coopqp.memory import Memory
+from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import State
-from coopqp.task import Task, not_finite
+from coopqp.task import Task, refuse_impedances
 from coopqp.wording import Location, culprit, dotted
 
 TELL_APART = "add 'name:' to tell them apart"
@@ -102,7 +103,7 @@ def problem_faults(
     yield from _task_faults("tasks", tasks, dt)
     yield from _task_faults("secondary", secondary, dt)
     for i, task in enumerate(secondary):
-        if task.of_forces:
+        if task.of_forces or task.impedance is not None:
             yield ("secondary", i), f"'{task.name}' asks for a force; put it under tasks"
         if task.mode != "soft":
             words = f"'{task.name}' is {task.mode}, secondary objectives are soft"
@@ -195,6 +196,11 @@ class Ticks:
 class Law(ABC):
     """A controller built for one problem.
 
+    Args:
+        problem: what it is built for.
+        torques: whether it commands torques.
+        gives_way: whether it does what tasks with an impedance ask for; they are refused if not.
+
     Attributes:
         problem: what it was built for.
         command: of the last tick.
@@ -206,7 +212,11 @@ class Law(ABC):
     memory_sizes: Mapping[str, int] = {}
     """What the law must remember between ticks, and how many numbers; see ``State.memory``."""
 
-    def __init__(self, problem: ControlProblem, *, torques: bool = False) -> None:
+    def __init__(
+        self, problem: ControlProblem, *, torques: bool = False, gives_way: bool = False
+    ) -> None:
+        if not gives_way:
+            refuse_impedances(problem.tasks)
         self.problem = problem
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
@@ -250,8 +260,9 @@ class Law(ABC):
             wrong.append(Status.INPUT_REFUSED)
         command = self._decided(state)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            tasks = (*self.problem.tasks, *self.problem.secondary)
-            command.note = not_finite(tasks, self.problem.chain, state)
+            asked = self.problem
+            tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
+            command.note = not_finite(tasks, asked.limits, asked.chain, state, asked.dt)
         if wrong:
             command.note = command.note or "; ".join(state.inputs.refused)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)

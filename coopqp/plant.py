@@ -39,7 +39,8 @@ class PlantModel(ABC):
         After a velocity command q is the commanded configuration and v the commanded velocity,
         :meth:`State.advance`, and q_measured says where the joints are: limits, damping and the
         drift correction go by what was asked for, not by what a servo has made of it so far. After
-        a torque command q and v are measured, and q_measured is None.
+        a torque command q and v are measured, and q_measured is None. Plants that know what the
+        hands do to the object write hand_wrenches.
         """
 
     def truth(self, state: State) -> State:

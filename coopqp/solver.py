@@ -191,7 +191,7 @@ class Verifier:
         """Clip v to the bounds and return what it is worth, from its own residuals."""
         qp, solution, budget = self.qp, self.solution, self.budget
         if not solution.status.usable:
-            return self._refuse(solution.status)
+            return self._refuse(Status.NOT_FINITE if self._lacks_numbers() else solution.status)
         if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
         inside = np.minimum(np.maximum(solution.v, qp.lb), qp.ub)
@@ -213,6 +213,12 @@ class Verifier:
             return Status.EQUALITY_RESIDUAL
         near = off <= budget.accuracy + self._rounding()
         return Status.OPTIMAL if near else Status.INACCURATE
+
+    def _lacks_numbers(self) -> bool:
+        """Whether a number of the QP is none, whatever the solver has said of it."""
+        qp = self.qp
+        finite = all(np.isfinite(part).all() for part in (qp.P, qp.q, qp.C, qp.b))
+        return not finite or any(np.isnan(part).any() for part in (qp.h, qp.lb, qp.ub))
 
     def _refuse(self, status: Status) -> Status:
         """There are no residuals to report."""

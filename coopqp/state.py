@@ -48,6 +48,8 @@ class State:
         closed_error: the part of drift that belongs to closed loops.
         q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
             what there is, as for joints that do exactly as told.
+        hand_wrenches: what sensors say that each hand does to the object at its point, world axes,
+            in the robot's order, shape (6 N,) [N, N m]; None where nothing measures it.
         corrected: share of the drift correction that the last tick did.
         inputs: what is made of what arrived from outside, by name; empty where nothing can.
     """
@@ -71,6 +73,7 @@ class State:
         self._q_seen, self._stale = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
+        self.hand_wrenches: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
         self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
         self.corrected = 1.0
@@ -86,7 +89,8 @@ class State:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
-        own = (self.v, self.gap, self.q_measured, self.corrected, self._commanded)
+        measured = self.q_measured, self.hand_wrenches
+        own = (self.v, self.gap, *measured, self.corrected, self._commanded)
         return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
 
     def __repr__(self) -> str:
@@ -340,13 +344,14 @@ def _state(
     q: Array,
     t: float,
     memory: Memory,
-    own: tuple[Array, Array, Array | None, float, Array],
+    own: tuple[Array, Array, Array | None, Array | None, float, Array],
     inputs: Followed,
 ) -> State:
     """A state from what a copy is made of."""
     state = State(chain, q, t, memory)
     state.inputs = inputs
-    state.v[:], state.gap[:], state.q_measured, state.corrected, state._commanded[:] = own
+    state.v[:], state.gap[:], state.q_measured, state.hand_wrenches = own[:4]
+    state.corrected, state._commanded[:] = own[4:]
     state.update()
     return state
 

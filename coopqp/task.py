@@ -14,13 +14,14 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from coopqp.checked import Array, NonNegative, Positive, spec, type_name
 from coopqp.closed_chain import ClosedChain
+from coopqp.errors import InvalidValueError
 from coopqp.mark import Mark
 from coopqp.profile import Profile
 from coopqp.program import Primitive
@@ -46,6 +47,24 @@ class TaskRows:
 
 Evaluate = Callable[[State, TaskRows], None]
 
+Rows = TypeVar("Rows")
+
+
+def evaluate_all(each: Sequence[tuple[Callable[[State, Rows], None], Rows]], state: State) -> None:
+    """Let bound tasks or limits write their rows at a state, which they cannot write to.
+
+    Args:
+        each: what is bound, and where it writes.
+        state: up to date.
+    """
+    state.lock()
+    try:
+        for evaluate, rows in each:
+            evaluate(state, rows)
+    finally:
+        state.unlock()
+
+
 #: Units of errors that are lengths, or speeds of such.
 LENGTHS = ("m", "m/s")
 
@@ -65,6 +84,25 @@ class Part:
     rows: int
     unit: str
     tolerance: float
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """How rows give way to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
+
+    Attributes:
+        axes: which components of w the rows feel, at the object's origin, world axes.
+        stiffness: shape (k,) [N/m, N m/rad].
+        damping: shape (k,) [N s/m, N m s/rad]; None where every mode has the damping_ratio.
+        damping_ratio: [-].
+        mass: shape (k,) [kg, kg m2]; None where it is what object and arms have there.
+    """
+
+    axes: tuple[int, ...]
+    stiffness: Array
+    damping: Array | None
+    damping_ratio: float
+    mass: Array | None
 
 
 @spec
@@ -154,6 +192,14 @@ class Task(ABC):
         return 0.0
 
     @property
+    def impedance(self) -> Impedance | None:
+        """How its rows give way to pushes, which only some laws by torques can do; gain is idle.
+
+        None for tasks whose error shall decay whatever pushes.
+        """
+        return None
+
+    @property
     def curvature(self) -> float:
         """Of the surface from which a length is measured [1/m]; 0 where it is flat, or a point."""
         return 0.0
@@ -204,12 +250,7 @@ class TaskStack:
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
-        state.lock()
-        try:
-            for evaluate, block in self._evaluate:
-                evaluate(state, block)
-        finally:
-            state.unlock()
+        evaluate_all(self._evaluate, state)
         np.multiply(self._gains, self.e, self.wanted)
         np.subtract(self.rate, self.wanted, self.wanted)
 
@@ -237,30 +278,18 @@ class TaskStack:
         return float(self.weights.dot(self.bends(v)))
 
 
-def not_finite(tasks: Sequence[Task], chain: ClosedChain, state: State) -> str:
-    """Which tasks give NaN or infinite values at a state; empty if none does.
+def refuse_impedances(tasks: Sequence[Task]) -> None:
+    """Refuse tasks that give way to pushes, for laws that cannot.
 
-    For a tick that has failed: each task is bound once more.
-
-    Args:
-        tasks: any.
-        chain: theirs.
-        state: up to date.
+    Raises:
+        InvalidValueError: with the first of them.
     """
-    found = []
     for task in tasks:
-        start = State(chain)
-        start.inputs = state.inputs.now()
-        try:
-            stack = TaskStack([task], start)
-            stack.update(state)
-        except Exception:  # noqa: BLE001 - code of plug-ins may raise anything; not asked here
-            continue
-        numbers = {"e": stack.e, "J": stack.J, "rate": stack.rate}
-        bad = [name for name, values in numbers.items() if not np.isfinite(values).all()]
-        if bad:
-            found.append(f"task '{task.name}' gives NaN or infinite values in {', '.join(bad)}")
-    return "; ".join(found)
+        if task.impedance is not None:
+            raise InvalidValueError(
+                f"task '{task.name}' asks for an impedance, which this controller does not have; "
+                "use torque_qp, with plant: rigid_body or plant: mujoco"
+            )
 
 
 def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:

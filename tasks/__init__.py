@@ -1,6 +1,7 @@
 """The tasks: one file each, the YAML name is the file's name."""
 
 from coopqp.tasks.distance import Distance
+from coopqp.tasks.impedance import Impedance
 from coopqp.tasks.internal_wrench import InternalWrench
 from coopqp.tasks.joint_centering import JointCentering
 from coopqp.tasks.joint_limit_barrier import JointLimitBarrier
@@ -25,6 +26,7 @@ from coopqp.tasks.twist import Twist
 
 __all__ = [
     "Distance",
+    "Impedance",
     "InternalWrench",
     "JointCentering",
     "JointLimitBarrier",

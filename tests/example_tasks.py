@@ -16,6 +16,7 @@ from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
+    Impedance,
     InternalWrench,
     JointCentering,
     JointLimitBarrier,
@@ -51,6 +52,11 @@ MOVES = {"point": POINT, "velocity": MOVING, "turn": TURN, "profile": SMOOTH}
 #: At least one of every class; a new task needs a line here.
 EXAMPLES: dict[str, Task] = {
     "pose": Pose(goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)), profile=SMOOTH),
+    "impedance": Impedance(
+        goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)),
+        stiffness={"rot_z": 5.0, "x": 300.0, "z": 500.0},
+        profile=SMOOTH,
+    ),
     "origin on point": PointOnPoint(goal=(0.2, 0.02, 0.08), profile=SMOOTH),
     "point on point": PointOnPoint(goal=(0.2, 0.02, 0.08), point=POINT, profile=SMOOTH),
     "step to a point": PointOnPoint(

@@ -10,6 +10,9 @@ so that r follows J_c' lambda + J_o' w with the time constant 1/K. With N a basi
 of J_c the loops drop out, N' r = N' J_o' w, and w follows in least squares. Where the object has
 fewer than six motions the rest of w is the structure's and is told as zero.
 
+As N moves, what r remembers of J_c' lambda is seen as a push, by as much as it changes in 1/K. So
+the lambda that the model says goes with tau and the last w is taken out of r beforehand.
+
 What it tells is as good as the model: an object that is lighter by a fifth of 10 N shows as 2 N.
 """
 
@@ -19,67 +22,73 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.errors import InvalidValueError
+from coopqp.memory import Memory
 from coopqp.rank import least_squares
 
 
 class MomentumObserver:
-    """Follows a chain from a state on.
+    """Follows a chain; what it remembers from tick to tick is in the law's memory.
 
     Args:
-        chain: arms and modelled object.
-        q: configuration at the beginning, shape (n,).
-        v: velocity there, shape (n,).
+        dynamics: of arms and modelled object, up to date whenever this is updated.
         gain: K [1/s].
         dt: time between updates [s]; at most 1/K.
 
     Attributes:
         wrench: force and torque on the object at its origin, world axes, as of the last
             update, shape (6,) [N, N m].
+        memory_sizes: what to remember; "observer.tau" is for whoever commands torques to write.
 
     Raises:
         InvalidValueError: gain times dt is above one, where it would overshoot.
     """
 
     def __init__(
-        self, chain: ClosedChain, q: Array, v: Array, *, gain: float = 50.0, dt: float = 0.001
+        self, dynamics: ClosedLoopDynamics, *, gain: float = 50.0, dt: float = 0.001
     ) -> None:
         if not 0.0 < gain * dt <= 1.0:
             raise InvalidValueError(
                 f"gain: found {gain:g} 1/s, needs more than 0 and at most 1/dt = {1.0 / dt:g} 1/s"
             )
-        self._dynamics = ClosedLoopDynamics(chain)
-        self._model, self._data = self._dynamics.model, self._dynamics.model.createData()
-        self._gain, self._dt = gain, dt
+        self._dynamics, self._gain, self._dt = dynamics, gain, dt
+        self._model, self._data = dynamics.model, dynamics.model.createData()
+        n = dynamics.chain.n
         self.wrench = np.zeros(6)
-        self._r = np.zeros(chain.n)
-        self._known = self._forces(q, v)
-        self._integral = self._momentum(q, v)
+        self.memory_sizes = {
+            "observer.begun": 1, "observer.integral": n, "observer.known": n,
+            "observer.residual": n, "observer.tau": n, "observer.wrench": 6,
+        }  # fmt: skip
 
-    def update(self, q: Array, v: Array, tau: Array) -> Array:
-        """The wrench after a period in which the motors' torques were constant.
+    def update(self, memory: Memory, q: Array, v: Array) -> Array:
+        """The wrench at the end of a period; zero at the first update, with which it begins.
 
         Args:
+            memory: with the torques of all joints during the period as "observer.tau" [N m];
+                written.
             q: configuration at its end, shape (n,).
-            v: velocity at its end, shape (n,).
-            tau: torques of all joints during it, shape (n,) [N m].
+            v: velocity there, shape (n,).
 
         Returns:
             ``wrench``.
         """
-        dt, known = self._dt, self._forces(q, v)
-        self._integral += dt * (tau + 0.5 * (self._known + known) + self._r)
-        self._known = known
-        self._r = self._gain * (self._momentum(q, v) - self._integral)
-        self._dynamics.update(q, v)
-        N = self._dynamics.null_space()
-        self.wrench[:] = least_squares(N.T @ self._dynamics.J_object.T, N.T @ self._r)
+        dt, dynamics = self._dt, self._dynamics
+        now, momentum = self._forces(q, v), dynamics.A.dot(v)
+        integral, known = memory["observer.integral"], memory["observer.known"]
+        r = memory["observer.residual"]
+        if memory["observer.begun"][0]:
+            tau, felt = memory["observer.tau"], dynamics.J_object.T.dot(memory["observer.wrench"])
+            of_loops = dynamics.direct(tau + felt).wrench[dynamics.kept].dot(dynamics.J)
+            integral += dt * (tau + of_loops + 0.5 * (known + now) + r)
+        else:
+            integral[:], memory["observer.begun"][0] = momentum, 1.0
+        known[:] = now
+        r[:] = self._gain * (momentum - integral)
+        N = dynamics.null_space()
+        self.wrench[:] = least_squares(N.T @ dynamics.J_object.T, N.T @ r)
+        memory["observer.wrench"][:] = self.wrench
         return self.wrench
-
-    def _momentum(self, q: Array, v: Array) -> Array:
-        return np.asarray(pin.crba(self._model, self._data, q) @ v, float)
 
     def _forces(self, q: Array, v: Array) -> Array:
         """C' v - g."""

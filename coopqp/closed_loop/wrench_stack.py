@@ -11,7 +11,7 @@ from coopqp.checked import Array
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.row import Row
 from coopqp.state import State
-from coopqp.task import Task, TaskRows
+from coopqp.task import Task, TaskRows, evaluate_all
 
 
 class WrenchStack:
@@ -58,12 +58,7 @@ class WrenchStack:
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
-        state.lock()
-        try:
-            for evaluate, block in self._evaluate:
-                evaluate(state, block)
-        finally:
-            state.unlock()
+        evaluate_all(self._evaluate, state)
 
     def error(self, h: Array) -> Array:
         """How far wrenches are from what is wanted, shape (r,).

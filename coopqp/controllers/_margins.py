@@ -134,6 +134,30 @@ class VelocityLoop:
         return damping_ratio(step, own + delay * k)
 
 
+def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
+    """Least damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
+
+    Args:
+        C: shape (k, k) [1/s2].
+        R: shape (k, k) [1/s].
+        dt: control period [s].
+        delay: ticks that a command is late; None for how it is meant, without ticks.
+    """
+    k, nothing = len(C), np.zeros_like(C)
+    if delay is None:
+        s = np.linalg.eigvals(np.block([[nothing, np.eye(k)], [-C, -R]])).astype(complex)
+        return float((-s.real / np.maximum(np.abs(s), STILL)).min(initial=1.0))
+
+    def step(x: Array) -> Array:
+        e, e_dot = x[:k], x[k : 2 * k]
+        late = np.concatenate([x[2 * k :], -C @ e - R @ e_dot])
+        a = late[:k]
+        moved = e + dt * e_dot + 0.5 * dt**2 * a
+        return np.concatenate([moved, e_dot + dt * a, late[k:]])
+
+    return damping_ratio(step, (2 + delay) * k)
+
+
 def row_loop(gain: float, integral: float, dt: float) -> TorqueLoop:
     """One row under the torque QP, which decides accelerations, so that W = 1."""
     g = np.array([gain])
@@ -168,7 +192,7 @@ def require_damped_models(problem: ControlProblem, controller: str) -> None:
     """
     dt = problem.dt
     for task in problem.tasks:
-        if not damped(row_loop(task.gain, 0.0, dt)):
+        if task.impedance is None and not damped(row_loop(task.gain, 0.0, dt)):
             most = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
             raise InvalidValueError(
                 f"task {task.name}: found gain {task.gain:g} 1/s, {controller} needs at most "

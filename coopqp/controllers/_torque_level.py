@@ -72,13 +72,12 @@ class TaskDynamics:
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
     def inverse_inertia(self) -> Array:
-        """Acceleration of the task rows per wrench on them, the loops closed, shape (k, k).
+        """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
 
-        W = J N (N' A N)^-1 N' J', with N as in :meth:`ClosedLoopDynamics.null_space`.
+        X = N (N' A N)^-1 N', with N as in :meth:`ClosedLoopDynamics.null_space`.
         """
-        J, N = self.tasks.J, self.dynamics.null_space()
-        JN = J @ N
-        return np.asarray(JN @ np.linalg.solve(N.T @ self.dynamics.A @ N, JN.T), float)
+        N = self.dynamics.null_space()
+        return np.asarray(N @ np.linalg.solve(N.T @ self.dynamics.A @ N, N.T), float)
 
 
 def require_motor_freedom(problem: ControlProblem, controller: str) -> None:

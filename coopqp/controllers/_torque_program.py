@@ -172,6 +172,7 @@ class Program:
         before: Array | None = None,
         *,
         soften: bool = False,
+        wrench: Array | None = None,
     ) -> None:
         """Fill the QP.
 
@@ -182,9 +183,10 @@ class Program:
             loops: right side of the loop rows, shape (m,).
             before: the answer of the levels before; None for the first.
             soften: whether hard rows only count with a weight.
+            wrench: of the surroundings on the object, shape (6,); None where nobody knows.
         """
         self._fill_cost(state, wanted, soften)
-        self._fill_dynamics(loops)
+        self._fill_dynamics(loops, wrench)
         self._fill_bounds(bounds)
         self._fill_exact(wanted, before, soften)
         self.qp.seal()
@@ -213,7 +215,7 @@ class Program:
         if self._hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
 
-    def _fill_dynamics(self, loops: Array) -> None:
+    def _fill_dynamics(self, loops: Array, wrench: Array | None) -> None:
         qp, layout, dynamics, hands = self.qp, self._layout, self._level.dynamics, self._hands
         n, m, J_0 = layout.n, layout.m, dynamics.J_object
         qp.A[:n, :n] = dynamics.A
@@ -223,6 +225,9 @@ class Program:
         qp.A[n : n + 6, layout.a] = M @ J_0
         qp.A[n : n + 6, layout.h] = -hands.G
         qp.b[n : n + 6] = -(M @ dynamics.drift_arms[:6] + b)
+        if wrench is not None:
+            qp.b[:n] += J_0.T @ wrench
+            qp.b[n : n + 6] += wrench
         qp.A[n + 6 : n + 6 + m, layout.a] = dynamics.J
         qp.b[n + 6 : n + 6 + m] = loops
 

@@ -95,7 +95,8 @@ class TorquePid(Law):
         self._inverse = settings.feed_forward == "inverse_dynamics"
         require_damped_models(problem, settings.name or "passive_grasp_pid")
         level.update(State(problem.chain))
-        W, forward = level.inverse_inertia(), float(self._inverse)
+        J, forward = level.tasks.J, float(self._inverse)
+        W = J @ level.inverse_inertia() @ J.T
         self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
         settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit

@@ -32,11 +32,15 @@ import numpy as np
 from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.hand_sensors import HandSensors
+from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._force_checks import require_forces
 from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
+from coopqp.controllers._impedances import Impedances, require_impedances
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
@@ -62,7 +66,7 @@ class TorqueQpLaw(Law):
     """
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
-        super().__init__(problem, torques=True)
+        super().__init__(problem, torques=True, gives_way=True)
         self.settings = settings
         self._level = level = TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
@@ -78,10 +82,16 @@ class TorqueQpLaw(Law):
         costs = Costs(settings.damping, settings.damping_time, settings.effort, settings.grip)
         self.programs = programs(problem, self.layout, level, self.hands, self.wrenches, costs)
         self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
+        self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._gains = level.gains
-        self._model = ReferenceModel(level.gains, problem.dt)
-        self.memory_sizes = self._model.memory_sizes
+        self._impedances = Impedances(problem, level)
+        self._followed = self._impedances.others
+        self._model = ReferenceModel(level.gains[self._followed], problem.dt)
+        self._pull = settings.integral * level.gains[self._followed]
+        self._pushes = settings.observer(dynamics, problem.dt)
+        seen = self._pushes.memory_sizes if self._pushes else {}
+        self.memory_sizes = self._model.memory_sizes | seen
 
     @property
     def qp(self) -> QP:
@@ -105,24 +115,36 @@ class TorqueQpLaw(Law):
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
             integrate = bool((np.abs(tau) < self._effort).all())
-            self._model.update(state.memory, self._level.tasks.e)
-            self._model.advance(state.memory, self._level.e_dot, integrate=integrate)
+            followed = self._followed
+            self._model.update(state.memory, self._level.tasks.e[followed])
+            self._model.advance(state.memory, self._level.e_dot[followed], integrate=integrate)
         else:
             command.tau[:] = self._level.holding(state, self.settings.damping_time)
+        self._remember(state)
         return command
 
     def assemble(self, state: State) -> None:
         """Evaluate tasks, dynamics, hands and limits at a state, and fill the first level's QP."""
         self._level.update(state)
+        self._impedances.update()
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
+        self._wrench = self._pushed(state)
         self._fill(0, state, None)
+
+    def _pushed(self, state: State) -> Array | None:
+        """Of the surroundings on the object, as far as somebody knows."""
+        if isinstance(self._pushes, HandSensors):
+            return self._pushes.update(state.memory, state)
+        if self._pushes:
+            return self._pushes.update(state.memory, state.q, state.v)
+        return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
         self.programs[number].assemble(
             state, self._wanted(state), self._limits(state), self._loops(state), before,
-            soften=soften,
+            soften=soften, wrench=self._wrench,
         )  # fmt: skip
 
     def _solved(self, state: State) -> tuple[Array | None, tuple[Status, ...]]:
@@ -158,16 +180,24 @@ class TorqueQpLaw(Law):
 
     def _wanted(self, state: State) -> Array:
         """J a that the rows of all tasks ask for."""
-        level, gains = self._level, self._gains
-        held = level.tasks.e + self.settings.integral * gains * state.memory["integral"]
-        return np.asarray(-level.drift - gains * (2.0 * level.e_dot + gains * held), float)
+        level, gains, given = self._level, self._gains, self._impedances
+        held = level.tasks.e.copy()
+        held[self._followed] += self._pull * state.memory["integral"]
+        wanted = -gains * (2.0 * level.e_dot + gains * held)
+        if len(given.rows) and self._wrench is not None:
+            wanted[given.rows] = given.accelerations(self._wrench, self._correction(state))
+        return np.asarray(wanted - level.drift, float)
 
     def _loops(self, state: State) -> Array:
-        """J_c a with which open loops close; hands that press are held together by that."""
+        """J_c a with which open loops close."""
+        return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
+
+    def _correction(self, state: State) -> Array:
+        """What of that closes them; hands that press are held together by that."""
         dynamics, kappa = self._level.dynamics, self.problem.kappa
         pulls = self.hands.loop_pulls[dynamics.kept]
         back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
-        return np.asarray(-dynamics.drift - back, float)
+        return np.asarray(back, float)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """What the limits say of v + a dt, as bounds and rows on a."""
@@ -185,6 +215,12 @@ class TorqueQpLaw(Law):
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
+        self._remember(state)
+
+    def _remember(self, state: State) -> None:
+        """Keep what the motors do until the next tick, for the observer."""
+        if isinstance(self._pushes, MomentumObserver):
+            state.memory["observer.tau"][:] = self.command.tau
 
 
 @spec
@@ -211,6 +247,11 @@ class TorqueQp(Controller):
     left."""
     safety: Annotated[float, Field(ge=1.0, le=10.0)] = SAFETY
     """Friction of hands that press is counted on over this."""
+    external_wrench: Literal["unknown", "observed", "measured"] = "unknown"
+    """Of the surroundings on the object: observed from joints and torques, by the generalised
+    momentum, or measured by sensors in the hands. Hands then bear it, and impedances feel it."""
+    observer_gain: Positive = 50.0
+    """One over the time in which a push is followed [1/s]; at most 1/dt."""
     brake_time: Positive = 0.05
     """A joint may move towards its stop at most at the distance over this time [s]."""
     acceleration: Positive = 500.0
@@ -232,9 +273,29 @@ class TorqueQp(Controller):
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)
         require_forces(problem, self.safety, name)
+        knows = self.external_wrench != "unknown"
+        require_impedances(problem, TaskDynamics(problem), name, knows_wrench=knows)
         self._require_times(problem.dt, name)
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)
+
+    def observer(
+        self, dynamics: ClosedLoopDynamics, dt: float
+    ) -> MomentumObserver | HandSensors | None:
+        """Who tells the wrench of the surroundings; None where nobody does.
+
+        Args:
+            dynamics: of arms and object.
+            dt: control period [s].
+        """
+        if self.external_wrench == "unknown":
+            return None
+        if self.external_wrench == "measured":
+            return HandSensors(dynamics, gain=self.observer_gain, dt=dt)
+        try:
+            return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
+        except InvalidValueError as error:
+            raise InvalidValueError(f"{self.name or 'torque_qp'}: observer_{error}") from None
 
     def _require_times(self, dt: float, name: str) -> None:
         """What dies out or brakes within a tick or two overshoots, and passes the stop."""

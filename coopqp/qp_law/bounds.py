@@ -11,6 +11,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, LimitRows, Tighten
 from coopqp.row import Row
 from coopqp.state import State
+from coopqp.task import evaluate_all
 
 
 class Bounds:
@@ -56,9 +57,4 @@ class Bounds:
     def update(self, state: State) -> None:
         """Ask the limits that change."""
         self.lb[:], self.ub[:] = self._constant_lb, self._constant_ub
-        state.lock()
-        try:
-            for tighten, block in self._each_tick:
-                tighten(state, block)
-        finally:
-            state.unlock()
+        evaluate_all(self._each_tick, state)

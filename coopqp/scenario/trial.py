@@ -30,7 +30,7 @@ from coopqp.rank import null_space
 from coopqp.row import names_of
 from coopqp.signal import Moment
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Evaluate, Task, TaskRows, evaluate_all
 from coopqp.wording import raised
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
@@ -160,11 +160,9 @@ class _Look:
         k = len(self.names)
         rows = TaskRows(np.zeros(k), self._J.copy(), np.zeros(k))
         before, state.t = state.t, t
-        state.lock()
         try:
-            self._evaluate(state, rows)
+            evaluate_all([(self._evaluate, rows)], state)
         finally:
-            state.unlock()
             state.t = before
         for key in ("e", "J", "rate"):
             _check_finite(key, self.names, getattr(rows, key), state.chain)
@@ -242,12 +240,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
-            state.lock()
-            try:
-                tighten(state, open_)
-                tighten(state, shut)
-            finally:
-                state.unlock()
+            evaluate_all([(tighten, open_), (tighten, shut)], state)
             _check_inequalities(chain, names, open_)
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 

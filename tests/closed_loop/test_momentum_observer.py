@@ -9,10 +9,12 @@ import pytest
 
 import coopqp
 from coopqp.checked import Array
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import InvalidValueError
 from coopqp.held_object import HeldObject
+from coopqp.memory import Memory
 from coopqp.profile import Profile
 from coopqp.trace import Trace
 
@@ -33,10 +35,20 @@ def observed(trace: Trace, held: HeldObject | None = None) -> Array:
     """The wrench after each tick, shape (T, 6)."""
     scenario = coopqp.load("passive_grasp_pose")
     chain = replace(scenario, held=held or scenario.held).chain
-    rest = np.zeros(chain.n)
-    observer = MomentumObserver(chain, trace.q[0], rest, gain=GAIN, dt=trace.dt)
-    told = zip(trace.q[1:], trace.v, trace.signals["tau"], strict=True)
-    return np.array([observer.update(q, v, tau).copy() for q, v, tau in told])
+    dynamics = ClosedLoopDynamics(chain)
+    observer = MomentumObserver(dynamics, gain=GAIN, dt=trace.dt)
+    memory, found = Memory(observer.memory_sizes), []
+    at_rest, before = np.zeros((1, chain.n)), np.zeros((1, chain.n))
+    for q, v, tau in zip(
+        trace.q,
+        np.vstack([at_rest, trace.v]),
+        np.vstack([before, trace.signals["tau"]]),
+        strict=True,
+    ):
+        dynamics.update(q, v)
+        memory["observer.tau"][:] = tau
+        found.append(observer.update(memory, q, v).copy())
+    return np.array(found[1:])
 
 
 def test_a_push_is_told_within_five_per_cent_after_three_time_constants(pushed: Trace) -> None:
@@ -61,4 +73,4 @@ def test_a_wrong_mass_is_told_as_a_force(pushed: Trace) -> None:
 def test_gains_that_overshoot_are_refused(pushed: Trace) -> None:
     chain = coopqp.load("passive_grasp_pose").chain
     with pytest.raises(InvalidValueError, match=r"at most 1/dt = 500 1/s"):
-        MomentumObserver(chain, chain.q_start, np.zeros(chain.n), gain=600.0, dt=0.002)
+        MomentumObserver(ClosedLoopDynamics(chain), gain=600.0, dt=0.002)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from chains import HANDS
 from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, problem
 
-from coopqp.checked import Array, spec
+from coopqp.checked import Array, spec, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller
-from coopqp.controllers import QPController
+from coopqp.controllers import QPController, TorqueQp
+from coopqp.grasps import Rigid
+from coopqp.held_object import HeldObject
+from coopqp.limit import Limit, LimitRows, Tighten
 from coopqp.qp import QP
+from coopqp.robot import RobotModel
+from coopqp.row import Row
 from coopqp.solver import Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp
 from coopqp.state import State
@@ -141,6 +148,77 @@ def test_robot_holds_still_when_a_task_is_not_a_number(solver: Solver, chain: Cl
     answer = law.tick(law.start())
     assert not answer.status.usable
     np.testing.assert_array_equal(answer.v, np.zeros(chain.n))
+
+
+@spec
+class SickLimit(Limit):
+    """A limit whose measurement is broken."""
+
+    what: str
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        return (Row(name="sick", kind="limit", owner="sick", unit="m/s"),)
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        def tighten(state: State, rows: LimitRows) -> None:
+            rows.h[0] = 1.0
+            getattr(rows, self.what)[0] = np.nan
+
+        return tighten
+
+
+@spec
+class SickForce(Task):
+    """A force that is no number."""
+
+    of_forces: ClassVar[bool] = True
+    what: str
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("force",)
+
+    def bind(self, start: State) -> Evaluate:
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.J[:], rows.rate[:] = 1.0, 1.0
+            getattr(rows, self.what)[:] = np.nan if state.t > 0.0 else 1.0
+
+        return evaluate
+
+
+@pytest.mark.parametrize("solver", [Daqp(), Proxqp()], ids=["daqp", "proxqp"])
+@pytest.mark.parametrize("law", [QPController(), TorqueQp()], ids=lambda law: law.name)
+@pytest.mark.parametrize("what", ["lb", "ub", "G", "h"])
+def test_a_limit_that_is_not_a_number_is_named(
+    what: str, law: Controller, solver: Solver, box_of_nao: ClosedChain
+) -> None:
+    limits = (*LIMITS, SickLimit(what=what))
+    given = problem(box_of_nao, PointOnPoint(goal=NEAR), limits=limits, solver=solver)
+    built = law.build(given)
+    answer = built.tick(built.start())
+    assert answer.status is Status.NOT_FINITE
+    name = type_name(SickLimit)
+    assert answer.note == f"limit '{name}' gives NaN or infinite values in {what}"
+
+
+@pytest.mark.parametrize("solver", [Daqp(), Proxqp()], ids=["daqp", "proxqp"])
+@pytest.mark.parametrize("what", ["J", "rate"])
+def test_a_force_that_is_not_a_number_is_named(
+    what: str, solver: Solver, box_of_nao: ClosedChain
+) -> None:
+    wrenches = (SickForce(name="fever", what=what),)
+    given = problem(box_of_nao, PointOnPoint(goal=NEAR), wrenches=wrenches, solver=solver)
+    law = TorqueQp().build(given)
+    state = law.start()
+    assert law.tick(state).status.usable
+    state.t = 1.0
+    answer = law.tick(state)
+    assert answer.status is Status.NOT_FINITE
+    assert answer.note == f"task 'fever' gives NaN or infinite values in {what}"
+
+
+@pytest.fixture(scope="module")
+def box_of_nao(nao: RobotModel) -> ClosedChain:
+    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
 
 
 @each_controller

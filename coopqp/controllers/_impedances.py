@@ -1,0 +1,166 @@
+"""What rows with an impedance accelerate by: e_ddot = B (w - K e) - R e_dot.
+
+Rows of which a mass M is stated have B = M^-1; w has to be known there. All others have that of
+what is really there, object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', which a
+wrench that nobody knows of meets as well: with w = 0 in the law they move as above.
+
+R = B D where the damping is stated, and else what gives every mode its damping ratio z. With
+S = K^1/2 the modes are those of C = S W S, and
+
+    R = 2 S^-1 C^1/4 z C^1/4 S         (M stated: 2 z (K/M)^1/2)
+
+which is the double diagonalisation of Albu-Schaeffer, Ott, Frese and Hirzinger 2003.
+
+A law that corrects open loops asks for accelerations J_c a = -drift_c - c that closed ones do not
+have. Torques for a then make a + d instead, with J_c d = c and N' A d = 0, and J d would show as a
+push: it is taken off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.controllers._margins import DELAY, LEAST_DAMPING, spring_damping
+from coopqp.controllers._torque_level import TaskDynamics
+from coopqp.errors import InvalidValueError
+from coopqp.rank import least_squares
+from coopqp.state import State
+
+
+class Impedances:
+    """Of all rows of one problem that have one, r of them.
+
+    Args:
+        problem: what to control.
+        level: its tasks and dynamics.
+
+    Attributes:
+        rows: which of all task rows, shape (r,); the rest are ``others``.
+        B: acceleration by a wrench on the rows, shape (r, r) [1/kg, ...].
+        R: acceleration by their rate, shape (r, r) [1/s].
+        K: stiffness, shape (r,) [N/m, N m/rad].
+        stated: which have a mass of their own, shape (r,).
+    """
+
+    def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
+        stack = level.tasks
+        found = [
+            (np.arange(part.start, part.stop), task.impedance)
+            for task, part in zip(stack.tasks, stack.slices, strict=True)
+            if task.impedance is not None
+        ]
+        given = [(rows, impedance) for rows, impedance in found if impedance is not None]
+        nothing = np.zeros(0)
+        self.rows = np.concatenate([nothing.astype(int), *(rows for rows, _ in given)])
+        self.others = np.setdiff1d(np.arange(len(stack.e)), self.rows)
+        r = len(self.rows)
+        self._axes = np.array([axis for _, i in given for axis in i.axes], int)
+        self.K = np.concatenate([nothing, *(i.stiffness for _, i in given)])
+        self.stated = np.concatenate(
+            [nothing.astype(bool), *(np.full(len(i.axes), i.mass is not None) for _, i in given)]
+        )
+        self._M = np.concatenate(
+            [nothing, *(np.ones(len(i.axes)) if i.mass is None else i.mass for _, i in given)]
+        )
+        self._D, self._z = np.zeros(r), np.zeros(r)
+        at = 0
+        for _, i in given:
+            part = slice(at, at := at + len(i.axes))
+            if i.damping is None:
+                self._z[part] = i.damping_ratio
+            else:
+                self._D[part] = i.damping
+        self._level = level
+        self.B, self.R = np.zeros((r, r)), np.zeros((r, r))
+        self._by_wrench, self._X = np.zeros((r, 6)), np.zeros((len(stack.J.T), len(stack.J.T)))
+        self._fill_stated()
+
+    def _fill_stated(self) -> None:
+        """What does not change: rows with a mass of their own."""
+        own = np.flatnonzero(self.stated)
+        self.B[own, own] = 1.0 / self._M[own]
+        omega = np.sqrt(self.K[own] / self._M[own])
+        self.R[own, own] = self._D[own] / self._M[own] + 2.0 * self._z[own] * omega
+        self._by_wrench[own, self._axes[own]] = 1.0 / self._M[own]
+
+    def update(self) -> None:
+        """Follow the arms; the level must be up to date."""
+        if not len(self.rows):
+            return
+        self._X = self._level.inverse_inertia()
+        real = np.flatnonzero(~self.stated)
+        if not len(real):
+            return
+        J = self._level.tasks.J[self.rows[real]]
+        JX = J @ self._X
+        self._by_wrench[real] = JX @ self._level.dynamics.J_object.T
+        W, S = JX @ J.T, np.sqrt(self.K[real])
+        squares, U = np.linalg.eigh(S[:, None] * W * S)
+        root = (U * np.maximum(squares, 0.0) ** 0.25) @ U.T
+        R = 2.0 * (root * self._z[real]) @ root * S / S[:, None] + W * self._D[real]
+        self.B[np.ix_(real, real)], self.R[np.ix_(real, real)] = W, R
+
+    def guess(self) -> Array | None:
+        """Who pushes where nobody knows, shape (6,): as much as the springs push back.
+
+        None without rows. At rest that is so, and the hands bear it; until then nothing changes
+        by what torques are for, since the springs pull against it by as much.
+        """
+        if not len(self.rows):
+            return None
+        wrench = np.zeros(6)
+        np.add.at(wrench, self._axes, self.K * self._level.tasks.e[self.rows])
+        return wrench
+
+    def accelerations(self, wrench: Array, correction: Array) -> Array:
+        """e_ddot of the rows that torques must be for, shape (r,).
+
+        Args:
+            wrench: of the surroundings on the object, or the :meth:`guess`, shape (6,).
+            correction: c of the loop rows, shape (m,).
+        """
+        level, rows = self._level, self.rows
+        found = self._by_wrench.dot(wrench)
+        found -= self.B.dot(self.K * level.tasks.e[rows]) + self.R.dot(level.e_dot[rows])
+        if correction.any():
+            d = least_squares(level.dynamics.J, correction)
+            found -= level.tasks.J[rows].dot(d - self._X.dot(level.dynamics.A.dot(d)))
+        return np.asarray(found, float)
+
+
+def require_impedances(
+    problem: ControlProblem, level: TaskDynamics, name: str, *, knows_wrench: bool
+) -> None:
+    """Refuse masses that nobody can feign without knowing who pushes, and springs that ring.
+
+    Args:
+        problem: what to control.
+        level: its tasks and dynamics.
+        name: of the controller.
+        knows_wrench: whether it knows the wrench of the surroundings.
+
+    Raises:
+        InvalidValueError: says which task, and what would do.
+    """
+    impedances = Impedances(problem, level)
+    if not len(impedances.rows):
+        return
+    tasks = [task.name for task in problem.tasks if task.impedance is not None]
+    which = f"{name}: task {' and '.join(tasks)}"
+    if impedances.stated.any() and not knows_wrench:
+        raise InvalidValueError(
+            f"{which} states a mass, which only who knows the push can feign; say "
+            "external_wrench: observed, or leave mass out: object and arms as they are"
+        )
+    level.update(State(problem.chain))
+    impedances.update()
+    C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
+    asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
+    if found < (needed := min(LEAST_DAMPING, 0.5 * asked)):
+        raise InvalidValueError(
+            f"{which} rings at dt {1e3 * dt:g} ms when commands are a tick late (damping ratio "
+            f"{found:.2f}, needs {needed:.2f}); lower stiffness and damping, or dt, or state more "
+            "mass"
+        )

@@ -1,0 +1,26 @@
+"""Each task row's largest error on the way."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from coopqp.checked import spec
+from coopqp.metric import Metric
+from coopqp.trace import Trace
+
+
+@spec
+class TaskErrorMax(Metric):
+    """How far each row of the tasks was from its reference at most, such as "springs.y"."""
+
+    unit: ClassVar[str] = "the task's own"
+
+    def measure(self, trace: Trace) -> dict[str, float | None]:
+        """By row, without a sign; None where it has no number in any tick."""
+        found: dict[str, float | None] = {}
+        for name, errors in zip(trace.task_rows, np.abs(trace.e).T, strict=True):
+            told = errors[np.isfinite(errors)]
+            found[name] = float(told.max()) if told.size else None
+        return found

@@ -1,0 +1,129 @@
+"""The object gives way to pushes as a mass on springs and dampers: a row for each axis given.
+
+    M e_ddot + D e_dot + K e = w
+
+e is how far the object is from its reference, as in :mod:`coopqp.tasks.pose`, and w the wrench of
+the surroundings on it at its origin, along and about the world's axes; for angles that is so to
+first order. In the end a steady force F moves it by F / K. After Caccavale, Chiacchio, Marino and
+Villani 2008 (impedance of the object), with two kinds of M:
+
+- ``mass`` is left out: that of the object and the arms together, as they are in this pose. No law
+  has to know w then; nobody can feel the arms lighter than they are.
+- ``mass`` is given: the law must know w, ``torque_qp: {external_wrench: observed}``.
+
+Where ``damping`` is left out, every mode of these masses and springs has the ``damping_ratio``.
+Only laws that command torques can do this; there is no gain, and no integral brings e back.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.geometry import Approach, RotationError, last_end, pose_course
+from coopqp.mark import Mark, PoseMark, TrackedMark
+from coopqp.profile import Profile
+from coopqp.signal import Instant, MovingPose, quaternion_of
+from coopqp.state import State
+from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Impedance as OfRows
+
+Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
+Springs = Annotated[dict[Axis, Positive], Field(min_length=1)]
+Dampers = Annotated[dict[Axis, NonNegative], Field(min_length=1)]
+
+
+@spec
+class Impedance(Task):
+    """The object is a mass on springs and dampers along some axes; needs a law by torques."""
+
+    goal: MovingPose
+    """Where the springs pull the object, in the world."""
+    stiffness: Springs
+    """K along some of x, y, z and about rot_x, rot_y, rot_z [N/m, N m/rad]; others are free."""
+    damping: Dampers | None = None
+    """D of the same axes [N s/m, N m s/rad]; by damping_ratio if omitted."""
+    damping_ratio: Annotated[float, Field(gt=0.0, le=2.0)] = 1.0
+    """Of every mode, where damping is omitted; 1 does not overshoot."""
+    mass: Springs | None = None
+    """M of the same axes [kg, kg m2]; what object and arms have there if omitted."""
+    profile: Profile = Profile()
+    """How the reference moves from the start to the goal."""
+    tolerance_angle: Positive = 5e-3
+    """Orientation error at the end that still counts as reached [rad]."""
+
+    def __post_init__(self) -> None:
+        for key in ("damping", "mass"):
+            given = getattr(self, key)
+            if given is not None and set(given) != set(self.stiffness):
+                raise ValueError(f"{key}: needs the axes of stiffness, {', '.join(self._axes)}")
+        if self.mode == "scaled":
+            raise ValueError("mode: an impedance is soft or hard, not scaled")
+
+    @property
+    def _axes(self) -> tuple[str, ...]:
+        return tuple(axis for axis in AXES if axis in self.stiffness)
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        """The axes that have a stiffness, translation first."""
+        return self._axes
+
+    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
+        """Position and orientation, as far as given."""
+        turns = sum(axis.startswith("rot") for axis in self._axes)
+        parts = (
+            Part("position", len(self._axes) - turns, "m", self.tolerance),
+            Part("orientation", turns, "rad", self.tolerance_angle),
+        )
+        return tuple(part for part in parts if part.rows)
+
+    @property
+    def impedance(self) -> OfRows:
+        """What the rows are made of."""
+        return OfRows(
+            axes=tuple(AXES.index(axis) for axis in self._axes),
+            stiffness=self._by_row(self.stiffness),
+            damping=None if self.damping is None else self._by_row(self.damping),
+            damping_ratio=self.damping_ratio,
+            mass=None if self.mass is None else self._by_row(self.mass),
+        )
+
+    def _by_row(self, given: dict[Axis, float]) -> Array:
+        return np.array([given[axis] for axis in self._axes])  # type: ignore[index]
+
+    @property
+    def end(self) -> float:
+        """When the reference arrives [s]."""
+        return last_end(self.profile, self.goal)
+
+    def bind(self, start: State) -> Evaluate:
+        """The reference sets out from where the object is now."""
+        here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
+        goal, world = pose_course(self.goal, start, here), np.eye(3)
+        goal.update(start)
+        p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
+        rotation = RotationError(goal, self.profile, start.R_WO)
+        approach = Approach(self.profile, start.p_WO - p_goal)
+        chosen = np.array([AXES.index(axis) for axis in self._axes])
+        e, J, rate = np.zeros(6), np.zeros((6, start.chain.n)), np.zeros(6)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            goal.update(state)
+            np.subtract(state.p_WO, p_goal, e[:3])
+            J[:3], rate[:3] = state.J_task[:3], p_goal_dot
+            approach.shift(state.t, e[:3], rate[:3])
+            out = e[3:], J[3:], rate[3:]
+            rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
+            rows.e[:], rows.J[:], rows.rate[:] = e[chosen], J[chosen], rate[chosen]
+
+        return evaluate
+
+    def marks(self, at: Instant) -> tuple[Mark, ...]:
+        """The goal, and the object's origin."""
+        goal = pose_course(self.goal, at)
+        goal.update(at)
+        return PoseMark(rotation=goal.R, position=goal.value[:3]), TrackedMark()
