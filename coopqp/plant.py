@@ -32,9 +32,15 @@ class PlantModel(ABC):
     measured: Array | None
     lost: str
 
+    @property
+    def hand_wrench(self) -> Array | None:
+        """What the force sensors say now, ``State.hand_wrench``; None where there are none."""
+        told = self.signals.get("hand_wrench")
+        return None if told is None else told.copy()
+
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
-        """Carry the command out for one dt: writes t, q, v and q_measured of the state.
+        """Carry the command out for one dt: writes t, q, v and what is measured of the state.
 
         After a velocity command q is the commanded configuration and v the commanded velocity,
         :meth:`State.advance`, and q_measured says where the joints are: limits, damping and the

@@ -225,7 +225,7 @@ class Look:
     """An instant to explain.
 
     Attributes:
-        t, q, v, memory, gap, corrected, measured: of the state.
+        t, q, v, memory, gap, corrected, measured, hand_wrench: of the state.
         inputs: what is followed: kind, value, rate.
         targets: what inputs go to, by name.
         rests: whether the arms stand still.
@@ -238,6 +238,7 @@ class Look:
     gap: Array
     corrected: float
     measured: Array | None
+    hand_wrench: Array | None
     inputs: Mapping[str, tuple[Kind, Array, Array]]
     targets: Mapping[str, Array]
     rests: bool
