@@ -32,6 +32,8 @@ PRESSED = 2e-6
 #: What moves with the object in front of a hand's spring [kg], [m]; its weight is left out, because
 #: no servo knows of it. Much lighter, and the spring outruns the integration.
 HAND_MASS, HAND_RADIUS = 0.05, 0.03
+#: Damping of such a spring, over mass and step, with which MuJoCo has been seen to go well.
+MOST_DAMPING = 5.0
 #: Friction about the normal at each point of a pad and of a fingertip [m].
 POINT_TORSION = 5e-4
 
@@ -46,6 +48,25 @@ class SpringHand:
     """Of each hand, along all three axes [N/m]; it does not turn."""
     damping: NonNegative = 50.0
     """[N s/m]"""
+
+    def fault(self, time_step: float) -> str:
+        """What of it steps of this length cannot follow; empty if nothing.
+
+        Args:
+            time_step: of the integration [s].
+        """
+        most = {
+            "stiffness": HAND_MASS / time_step**2,
+            "damping": MOST_DAMPING * HAND_MASS / time_step,
+        }
+        for name, limit in most.items():
+            if getattr(self, name) > limit:
+                return (
+                    f"spring_hands.{name}: found {getattr(self, name):g}, and steps of "
+                    f"{time_step:g} s follow at most {limit:g}; make time_step shorter, or leave "
+                    "spring_hands out for hands that hardly yield"
+                )
+        return ""
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,8 @@ class MujocoModel(DynamicModel):
             friction=disturbance.friction,
             spring=settings.spring_hands,
         )
+        if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
+            raise InvalidValueError(f"plant mujoco: {fault}")
         self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._require_faces()
         self._open()
