@@ -174,12 +174,21 @@ def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer |
     if not problem.wrenches:
         return None
     if settings is None:
-        raise InvalidValueError(
-            f"'{problem.wrenches[0].name}' asks arms that take velocities for a force; state how "
-            "stiff hands and servos are together at most [N/m], such as "
-            "controllers: [qp: {admittance: {stiffness: 10000}}], or leave the task out"
-        )
+        raise InvalidValueError(unstated(problem.wrenches[0].name))
     return Squeezer(problem, settings)
+
+
+def unstated(task: str) -> str:
+    """What to do where a force is asked for and nobody has stated a stiffness.
+
+    Args:
+        task: its name.
+    """
+    return (
+        f"'{task}' asks arms that take velocities for a force; state how stiff hands and servos "
+        "are together at most [N/m], such as qp: {admittance: {stiffness: 10000}}, or leave the "
+        "task out"
+    )
 
 
 def _check_tasks(tasks: Sequence[Task]) -> None:
