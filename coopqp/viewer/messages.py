@@ -125,7 +125,7 @@ class LawFrame:
         held: where the object is, shape (7,).
         left: of each joint's half range what is left to its nearer limit; below 0 beyond it,
             shape (n,).
-        arrows: of the hands' forces, from and to, shape (., 2, 3) [m].
+        arrows: of the hands' forces, from and to, shape (., 2, 3) [m]. weight: of the object's.
         reached: whether all goals are within their tolerances.
         words: how far from its goals, and what is wrong.
         broken: what of it must not be, such as a joint past its limit; empty if nothing.
@@ -135,6 +135,7 @@ class LawFrame:
     held: Array
     left: Array
     arrows: Array
+    weight: Array
     reached: bool
     words: str
     broken: str
