@@ -16,7 +16,7 @@ from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_nam
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
-from coopqp.loop_observer import LoopObserver
+from coopqp.loop_observer import LoopObserver, Squeezer
 from coopqp.memory import Memory
 from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
@@ -205,6 +205,7 @@ class Law(ABC):
         problem: what it was built for.
         command: of the last tick.
         compiled: whether the kernel has decided the last tick.
+        squeezer: who presses by measured forces; None where nobody does.
     """
 
     engine: ClassVar[str | None] = None
@@ -213,24 +214,37 @@ class Law(ABC):
     """What the law must remember between ticks, and how many numbers; see ``State.memory``."""
 
     def __init__(
-        self, problem: ControlProblem, *, torques: bool = False, gives_way: bool = False
+        self,
+        problem: ControlProblem,
+        *,
+        torques: bool = False,
+        gives_way: bool = False,
+        squeezer: Squeezer | None = None,
     ) -> None:
         if not gives_way:
             refuse_impedances(problem.tasks)
-        self.problem = problem
+        self.problem, self.squeezer = problem, squeezer
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
         self._observer = LoopObserver(problem.chain, problem.dt)
 
-    def start(self, q: ArrayLike | None = None, *, q_measured: ArrayLike | None = None) -> State:
+    def start(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        q_measured: ArrayLike | None = None,
+        hand_wrench: Array | None = None,
+    ) -> State:
         """The first state, with room for the law's memory.
 
         Args:
             q: configuration, shape (n,); the chain's start when omitted.
             q_measured: where the sensors say that the joints are, instead of q. What the loops are
                 open by there is taken for the model's error (``State.gap``).
+            hand_wrench: ``State.hand_wrench`` there.
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
+        state.hand_wrench = hand_wrench
         if q_measured is not None:
             n = self.problem.chain.n
             state.q[:] = finite("q_measured", vector("q_measured", q_measured, n))
@@ -251,14 +265,13 @@ class Law(ABC):
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
-        wrong = [] if self._observer.update(state) else [Status.NOT_MEASURED]
+        command, wrong = self._decided(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
         if state.inputs.stale:
             wrong.append(Status.INPUT_STALE)
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
-        command = self._decided(state)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
             asked = self.problem
             tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
@@ -299,16 +312,21 @@ class Law(ABC):
         state.advance(command.v, self.problem.dt)
         return command
 
-    def _decided(self, state: State) -> Command:
-        """What :meth:`decide` says; to stand still where a plug-in raises."""
+    def _decided(self, state: State) -> tuple[Command, list[Status]]:
+        """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
+        wrong, pressed = list[Status](), self.squeezer
         try:
-            return self.decide(state)
+            if pressed and not pressed.update(state):
+                wrong.append(Status.FORCE_NOT_MEASURED)
+            if not self._observer.update(state, pressed.along if pressed else None):
+                wrong.append(Status.NOT_MEASURED)
+            return self.decide(state), wrong
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
             command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
             self.hold_still(state)
-            return command
+            return command, wrong
 
     def _fits(self, state: State) -> bool:
         """Whether a state is one of this law's chain."""

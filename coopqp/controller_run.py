@@ -135,9 +135,14 @@ def begin_phase(
     problem = scenario.problem(asked, chain)
     law = chosen.build(problem)
     plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+    if law.squeezer and plant.hand_wrench is None:
+        raise InvalidValueError(
+            f"controller '{chosen.name}' squeezes by measured forces, and this plant tells none "
+            "(signal hand_wrench); use plant: mujoco or plant: rigid_body"
+        )
     if before:
         plant.resume(before.plant)
-    state = law.start(q_measured=plant.measured)
+    state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     if before:
         state.v[:] = before.state.v
     return BegunPhase(problem, law, plant, state)

@@ -16,7 +16,9 @@ whole (small gain); ``time`` is long enough for the resonances of servos and gra
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -29,6 +31,18 @@ TIME, TICKS = 0.15, 10
 #: A gap beyond this is no model's error any more [m], [rad]. Encoders that are 5 mrad off put the
 #: hands of three UR arms 11 mm and 22 mrad apart; what is cut off here is pulled at.
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
+
+
+class Squeezer(Protocol):
+    """Who decides about the gap along one direction, because hands press there."""
+
+    along: Array
+    """That direction among all loops, a unit vector, shape (6 L,)."""
+    memory_sizes: Mapping[str, int]
+    """What a law must remember for it, see ``State.memory``."""
+
+    def update(self, state: State) -> bool:
+        """Move the gap along it; False where the force has not been measured."""
 
 
 class LoopObserver:
@@ -58,8 +72,13 @@ class LoopObserver:
         _bound(state.gap)
         state.update()
 
-    def update(self, state: State) -> bool:
-        """Follow the measured configuration, where there is one; False where it is none."""
+    def update(self, state: State, along: Array | None = None) -> bool:
+        """Follow the measured configuration, where there is one; False where it is none.
+
+        Args:
+            state: ``gap`` and what follows from it are written.
+            along: unit vector, shape (6 L,), along which others decide about the gap.
+        """
         if state.q_measured is None:
             return True
         measured, found = self._measured, np.asarray(state.q_measured)
@@ -69,8 +88,15 @@ class LoopObserver:
             return True
         measured.q[:] = found
         measured.update_poses()
-        state.gap += self._share * (measured.loop_error - state.loop_error)
-        _bound(state.gap)
+        learnt = self._share * (measured.loop_error - state.loop_error)
+        if along is None:
+            state.gap += learnt
+            _bound(state.gap)
+        else:
+            pressed = along.dot(state.gap) * along
+            state.gap += learnt - along.dot(learnt) * along - pressed
+            _bound(state.gap)
+            state.gap += pressed
         state.update_drift()
         return True
 

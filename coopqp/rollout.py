@@ -58,7 +58,8 @@ def rollout(
     Returns:
         All that happened.
     """
-    state = law.start(q_measured=plant.measured) if state is None else state
+    if state is None:
+        state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     guarded = GuardedPlant(plant)
     recorder = _Recorder(law, guarded, state, ticks)
     for k, (command, us) in enumerate(drive(law, guarded, state, ticks, feed)):

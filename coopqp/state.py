@@ -42,14 +42,15 @@ class State:
         p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
             position [m], then rotation vector [rad], per loop; open loops come last.
-        gap: the part of it that is the model's error and not the motion's: constant, or slow. It
-            is not corrected; the law observes it where ``q_measured`` is given. Shape (6 L,).
+        gap: what the loops are to be open by: the model's error, constant or slow, which the law
+            observes where ``q_measured`` is given, and how much closer hands are told to be that
+            squeeze by admittance. It is not corrected. Shape (6 L,).
         drift: loop_error - gap, what the drift correction has to undo, shape (6 L,).
         closed_error: the part of drift that belongs to closed loops.
         q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
             what there is, as for joints that do exactly as told.
-        hand_wrenches: what sensors say that each hand does to the object at its point, world axes,
-            in the robot's order, shape (6 N,) [N, N m]; None where nothing measures it.
+        hand_wrench: what force sensors say that the hands do to the object, by the robot's arms,
+            each at its hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
         corrected: share of the drift correction that the last tick did.
         inputs: what is made of what arrived from outside, by name; empty where nothing can.
     """
@@ -73,7 +74,7 @@ class State:
         self._q_seen, self._stale = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
-        self.hand_wrenches: Array | None = None
+        self.hand_wrench: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
         self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
         self.corrected = 1.0
@@ -89,8 +90,8 @@ class State:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
-        measured = self.q_measured, self.hand_wrenches
-        own = (self.v, self.gap, *measured, self.corrected, self._commanded)
+        sensed = self.q_measured, self.hand_wrench
+        own = (self.v, self.gap, sensed, self.corrected, self._commanded)
         return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
 
     def __repr__(self) -> str:
@@ -344,14 +345,14 @@ def _state(
     q: Array,
     t: float,
     memory: Memory,
-    own: tuple[Array, Array, Array | None, Array | None, float, Array],
+    own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
     inputs: Followed,
 ) -> State:
     """A state from what a copy is made of."""
     state = State(chain, q, t, memory)
     state.inputs = inputs
-    state.v[:], state.gap[:], state.q_measured, state.hand_wrenches = own[:4]
-    state.corrected, state._commanded[:] = own[4:]
+    state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:] = own
+    state.q_measured, state.hand_wrench = sensed
     state.update()
     return state
 

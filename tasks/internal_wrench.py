@@ -9,7 +9,8 @@ wrench. Between three hands there is the push along their edge, by the virtual l
 else. The squeeze is the mean of both normal forces; where the object's weight has a part along the
 line between the hands, one presses with more and the other with less.
 
-Only laws that command forces do something about it; others leave it out.
+``torque_qp`` brings it about by torques, and ``qp`` a squeeze by admittance
+(:mod:`coopqp.closed_loop.admittance`); others leave it out.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from coopqp.closed_loop.transmission import (
 )
 from coopqp.closed_loop.virtual_linkage import EDGES, FLAT, flatness, virtual_linkage
 from coopqp.contact import SAFETY
+from coopqp.errors import CoopqpError
 
 #: What becomes of components of a section wrench, in the order in which it is told.
 FATES = {
@@ -139,6 +140,23 @@ def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
     rows = np.zeros((3, 3, 6))
     rows[:, :, :3] = pushes.reshape(3, 3, 3)
     return dict(zip(EDGES, rows.reshape(3, 18), strict=True))
+
+
+def squeezes(points: Array, wrenches: Array) -> list[float]:
+    """How hard each pair of two or three hands presses the object; empty for others [N].
+
+    Args:
+        points: of the robot's hands, zero for those that do not hold, shape (N, 3) [m].
+        wrenches: of each on the object at its point, world axes, shape (N, 6).
+    """
+    held = (points != 0.0).any(axis=1)
+    if held.sum() not in (2, 3):
+        return []
+    try:
+        rows = squeeze_rows(points[held])
+    except CoopqpError:  # hands in one place have no direction between them
+        return []
+    return [float(row @ wrenches[held].ravel()) for row in rows.values()]
 
 
 def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:

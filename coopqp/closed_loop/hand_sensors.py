@@ -47,17 +47,17 @@ class HandSensors:
 
         Args:
             memory: written.
-            state: up to date, with ``hand_wrenches``.
+            state: up to date, with ``hand_wrench``.
 
         Returns:
             ``wrench``.
         """
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
         kept = memory["sensors.wrench"]
-        if memory["sensors.begun"][0] and state.hand_wrenches is not None:
+        if memory["sensors.begun"][0] and state.hand_wrench is not None:
             M, b, _ = dynamics.object_inertia()
             G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
-            h = state.hand_wrenches.reshape(-1, 6)[self._at].ravel()
+            h = state.hand_wrench.reshape(-1, 6)[self._at].ravel()
             a = (twist - memory["sensors.twist"]) / self._dt
             kept += self._share * (M.dot(a) + b - G.dot(h) - kept)
         memory["sensors.begun"][0], memory["sensors.twist"][:] = 1.0, twist

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from coopqp.checked import NonNegative, Positive, spec
+from coopqp.closed_loop.admittance import Admittance, squeezer
 from coopqp.controller import HEEDS_ALL, Controller, ControlProblem, Heeds, Law
 from coopqp.kernel.law import KernelLaw, required, why_not
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
@@ -15,7 +16,7 @@ class QPController(Controller):
     """QP each tick: tasks as objectives, loop closure and limits as hard constraints."""
 
     uses_solver: ClassVar[bool] = True
-    heeds: ClassVar[Heeds] = HEEDS_ALL
+    heeds: ClassVar[Heeds] = HEEDS_ALL | {"forces"}
 
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
@@ -24,12 +25,15 @@ class QPController(Controller):
 
     engine: Literal["auto", "python", "kernel"] = "auto"
     """auto: the compiled kernel where it can do the problem; python: never; kernel: always."""
+    admittance: Admittance | None = None
+    """How it comes to the squeeze that an internal_wrench task wants; needed there."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver, or the kernel, on them.
 
         Raises:
-            InvalidValueError: engine is kernel, which cannot do this problem.
+            InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
+                for that admittance cannot bring about, or without a stated stiffness.
         """
         if self.engine == "kernel":
             required(problem)
@@ -40,4 +44,5 @@ class QPController(Controller):
 
     def plain(self, problem: ControlProblem) -> QPLaw:
         """The law in Python, whatever the engine: what studies look into."""
-        return QPLaw(problem, self.damping, self.error_damping)
+        pressing = squeezer(problem, self.admittance)
+        return QPLaw(problem, self.damping, self.error_damping, pressing)

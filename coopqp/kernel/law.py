@@ -65,7 +65,7 @@ class KernelLaw(Law):
     def __init__(
         self, problem: ControlProblem, plain: QPLaw, damping: float, error_damping: float
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, squeezer=plain.squeezer)
         self.plain, self.memory_sizes = plain, plain.memory_sizes
         self._limits = limits = Limits(problem, State(problem.chain))
         hard, scaled = plain.exact.hard.tasks, plain.exact.scaled.tasks
@@ -78,6 +78,7 @@ class KernelLaw(Law):
         if hard or scaled:
             self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
+        self._alone_at_all &= plain.squeezer is None
         self._runs = self._alone_at_all and not self.whole.follows
         self._dt, self._soft_ticks, self._scales = problem.dt, soft_ticks(problem), bool(scaled)
         self._asked = False  # whether the kernel has been asked in this tick, and what it said

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import spec
+from coopqp.checked import Array, spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 
@@ -18,8 +18,29 @@ class Gap(Metric):
     unit: ClassVar[str] = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
-        """The largest of the loops in the last tick, as the controller observed it."""
-        last = trace.gap[-1] if trace.ticks else np.zeros(0)
+        """The largest of the loops in the last tick, as the controller observed it.
+
+        Along the line between hands that squeeze by admittance the gap is what they press, and says
+        nothing of the model.
+        """
+        last = trace.gap[-1].copy() if trace.ticks else np.zeros(0)
+        e = _squeezed_along(trace)
+        if e is not None:
+            last[:3] -= e.dot(last[:3]) * e
         sizes = np.linalg.norm(last.reshape(-1, 2, 3), axis=2)
         position, orientation = sizes.max(axis=0, initial=0.0).tolist()
         return {"position": position, "orientation": orientation}
+
+
+def _squeezed_along(trace: Trace) -> Array | None:
+    """Direction between two hands of which a squeeze is asked; None where it is not."""
+    told = trace.signals.get("hand_point")
+    asked = "forces" in trace.heeds and any(task.unit == "N" for task in trace.tasks)
+    if told is None or not asked or not trace.ticks or not len(trace.gap[-1]):
+        return None
+    points = told[-1].reshape(-1, 3)
+    held = points[(points != 0.0).any(axis=1)]
+    if len(held) != 2:
+        return None
+    way = held[1] - held[0]
+    return np.asarray(way / np.linalg.norm(way), float)

@@ -6,9 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
-from coopqp.closed_loop.forces import squeeze_rows
-from coopqp.errors import CoopqpError
+from coopqp.checked import spec
+from coopqp.closed_loop.forces import squeezes
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand, holding
 from coopqp.trace import Trace
@@ -34,21 +33,9 @@ class Squeeze(Metric):
         if normal is not None:
             found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:
-            found = _between(wrenches, points, holds)
+            told = zip(points, wrenches, strict=True)
+            found = np.array([newtons for p, h in told for newtons in squeezes(p, h)])
         if not found.size:
             return None
         least, mean, worst = float(found.min()), float(found.mean()), float(found.max())
         return {"least": least, "mean": mean, "worst": worst}
-
-
-def _between(wrenches: Array, points: Array, holds: Array) -> Array:
-    """Squeeze of every pair in every tick."""
-    found: list[float] = []
-    for h, p, held in zip(wrenches, points, holds, strict=True):
-        if held.sum() in (2, 3):
-            try:
-                rows = squeeze_rows(p[held])
-            except CoopqpError:  # hands in one place have no direction between them
-                continue
-            found += [float(row @ h[held].ravel()) for row in rows.values()]
-    return np.array(found)

@@ -8,16 +8,30 @@ Without acceleration limits that is at once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import QPController
+from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
 from coopqp.online.acceleration import acceleration_of
 from coopqp.solver import Status
 from coopqp.state import State
+
+
+class _Kept:
+    """Hands that squeeze stay as close as they are, while nobody looks at the force."""
+
+    memory_sizes: Mapping[str, int] = {}
+
+    def __init__(self, squeezer: Squeezer) -> None:
+        self.along = squeezer.along
+
+    def update(self, state: State) -> bool:
+        return True
 
 
 class Braking:
@@ -25,10 +39,13 @@ class Braking:
 
     Args:
         problem: what is controlled.
+        squeezer: of the law that is stopped, if hands squeeze by admittance.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
-        self._law = QPController().build(replace(problem, tasks=(), secondary=()))
+    def __init__(self, problem: ControlProblem, squeezer: Squeezer | None = None) -> None:
+        still = replace(problem, tasks=(), wrenches=(), secondary=())
+        self._law = QPController().build(still)
+        self._law.squeezer = _Kept(squeezer) if squeezer else None
         self._memory = Memory(self._law.memory_sizes)
         self._step = acceleration_of(problem.limits, problem.chain) * problem.dt
         self._still = Command(problem.chain.n)

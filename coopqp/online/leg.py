@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
-from coopqp.checked import Array
+from coopqp.checked import Array, real
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.errors import InvalidValueError
 from coopqp.input import Inputs
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.braking import Braking
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
+
+#: What force sensors say arrives as an input of this name with every tick; ``State.hand_wrench``.
+HAND_WRENCH = "hand_wrench"
 
 
 @dataclass
@@ -57,6 +64,24 @@ class Leg:
         self.state.t, self.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
+    def feel(self, inputs: Any) -> Any:
+        """Take what the force sensors say out of what has arrived, where hands squeeze by it.
+
+        Args:
+            inputs: by name.
+
+        Returns:
+            The others.
+        """
+        if not self.law.squeezer:
+            return inputs
+        self.state.hand_wrench = None
+        if not isinstance(inputs, Mapping) or HAND_WRENCH not in inputs:
+            return inputs
+        with suppress(Exception):  # anything can come from a driver
+            self.state.hand_wrench = real(inputs[HAND_WRENCH])
+        return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
+
     def rest_inputs(self) -> None:
         """Let what follows the inputs stand where it is."""
         for channel in self.inputs.channels.values():
@@ -98,13 +123,19 @@ def begin_leg(
         observed: whether q stays a measurement, from which commands may differ.
 
     Raises:
-        CoopqpError: the law cannot be built, or an input is not there.
+        CoopqpError: the law cannot be built, or an input is not there; hands squeeze by admittance,
+            and commands do not integrate.
     """
     phase = scenario.schedule[index]
     problem = scenario.problem(phase, chain)
     law = controller.build(problem)
+    if law.squeezer and not observed:
+        raise InvalidValueError(
+            'reference: found "measured"; hands that squeeze by admittance need "commanded", '
+            "because what they press is how far the commands lead"
+        )
     state = begin_state(law, q, observed=observed)
-    tasks = (*problem.tasks, *problem.secondary)
+    tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
     inputs = Inputs(scenario.inputs, tasks, state, problem.dt)
     return Leg(
         index=index,
@@ -114,6 +145,6 @@ def begin_leg(
         law=law,
         inputs=inputs,
         arrivals=Arrivals(inputs, scenario.inputs, first * problem.dt),
-        braking=Braking(problem),
+        braking=Braking(problem, law.squeezer),
         state=state,
     )

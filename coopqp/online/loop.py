@@ -204,7 +204,7 @@ class OnlineLoop(Seen):
             q: where the joints are, shape (n,) [rad, m], or those of the robot alone without the
                 grasps' passive joints; None where the robot says nothing.
             inputs: what has arrived since the last tick, by name: a value, or a value and when it
-                was sent by the loop's clock [s].
+                was sent by the loop's clock [s]; ``hand_wrench`` where hands squeeze by it.
 
         Returns:
             The command for the next period; its arrays are reused. :attr:`setpoint` is where it
@@ -342,7 +342,7 @@ class OnlineLoop(Seen):
 
     def _decide(self, inputs: Any, now: float) -> Command:
         leg = self._legs.now
-        arrivals = leg.arrivals.read(inputs, leg.state.t, now)
+        arrivals = leg.arrivals.read(leg.feel(inputs), leg.state.t, now)
         leg.inputs.step(leg.state, arrivals)
         followed = leg.state.inputs
         followed.refused = (*leg.arrivals.refused, *followed.refused)

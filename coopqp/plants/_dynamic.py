@@ -148,8 +148,8 @@ class DynamicModel(PlantModel):
 
     def _measure(self, state: State, command: Command) -> None:
         true, disturbance = self.true, self.disturbance
-        state.hand_wrenches = self.signals["hand_wrench"].copy()
         self.measured = self._noisy(true.q, disturbance.noise_position)
+        state.hand_wrench = self.hand_wrench
         if command.tau is None:
             state.advance(command.v, self._dt)
             state.q_measured = self.measured.copy()

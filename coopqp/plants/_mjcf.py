@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import ClosedChain
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
@@ -29,10 +29,44 @@ NO_STOP = 1e3
 PAD, FINGERTIP = 5e-3, 5e-3
 #: How deep contacts are pressed in at the start, as under some ten newtons [m].
 PRESSED = 2e-6
+#: What moves with the object in front of a hand's spring [kg], [m]; its weight is left out, because
+#: no servo knows of it. Much lighter, and the spring outruns the integration.
+HAND_MASS, HAND_RADIUS = 0.05, 0.03
+#: Damping of such a spring, over mass and step, with which MuJoCo has been seen to go well.
+MOST_DAMPING = 5.0
 #: Friction about the normal at each point of a pad and of a fingertip [m].
 POINT_TORSION = 5e-4
 
 OBJECT = "object"
+
+
+@spec
+class SpringHand:
+    """What yields between the arm and the object, such as rubber pads or bellows."""
+
+    stiffness: Positive
+    """Of each hand, along all three axes [N/m]; it does not turn."""
+    damping: NonNegative = 50.0
+    """[N s/m]"""
+
+    def fault(self, time_step: float) -> str:
+        """What of it steps of this length cannot follow; empty if nothing.
+
+        Args:
+            time_step: of the integration [s].
+        """
+        most = {
+            "stiffness": HAND_MASS / time_step**2,
+            "damping": MOST_DAMPING * HAND_MASS / time_step,
+        }
+        for name, limit in most.items():
+            if getattr(self, name) > limit:
+                return (
+                    f"spring_hands.{name}: found {getattr(self, name):g}, and steps of "
+                    f"{time_step:g} s follow at most {limit:g}; make time_step shorter, or leave "
+                    "spring_hands out for hands that hardly yield"
+                )
+        return ""
 
 
 @dataclass(frozen=True)
@@ -45,6 +79,7 @@ class Firmness:
         end_stops: whether joints have some.
         mass: of the real object over the modelled one.
         friction: of the real contacts over the modelled one.
+        spring: of hands that are fastened; None where only the welds yield.
     """
 
     weld: float
@@ -52,6 +87,7 @@ class Firmness:
     end_stops: bool
     mass: float
     friction: float
+    spring: SpringHand | None
 
 
 def mjcf(chain: ClosedChain, time_step: float, firm: Firmness) -> str:
@@ -79,14 +115,20 @@ def mjcf(chain: ClosedChain, time_step: float, firm: Firmness) -> str:
             ends.setdefault(tip.parentJoint, []).append(geom)
             pairs.append(pair)
             continue
-        body = model.names[frame.parentJoint]
-        ends.setdefault(frame.parentJoint, []).append(
-            f'<site name="end[{arm.name}]" {_pose(frame.placement)}/>'
-        )
+        body, X = model.names[frame.parentJoint], frame.placement
+        if firm.spring:
+            body, X = hand_name(arm.name), pin.SE3.Identity()
+        else:
+            ends.setdefault(frame.parentJoint, []).append(_end(arm.name, X))
         welds.append(
-            f'<weld body1="{body}" body2="{OBJECT}" relpose="{_relpose(frame.placement)}" '
+            f'<weld body1="{body}" body2="{OBJECT}" relpose="{_relpose(X)}" '
             f'solref="{firm.weld} 1" solimp="{FIRM}"/>'
         )
+    if firm.spring:  # of all arms, so that the bodies are the same whoever holds the object
+        for arm, index in zip(chain.arms, chain.frames, strict=True):
+            frame = model.frames[index]
+            hand = _spring_hand(arm.name, frame.placement, firm.spring)
+            ends.setdefault(frame.parentJoint, []).append(hand)
     stops = _stops(chain, firm) if firm.end_stops else {}
     arms = "".join(_body(model, joint, children, ends, stops) for joint in children.get(0, []))
     held = chain.held.body()
@@ -116,6 +158,27 @@ def free_joints(chain: ClosedChain) -> frozenset[str]:
         if grasp.contact
         for joint in chain.hold.passive[name]
     )
+
+
+def hand_name(arm: str) -> str:
+    """Of the body that a spring holds at an arm's end, where the object is."""
+    return f"hand[{arm}]"
+
+
+def _end(arm: str, X: pin.SE3) -> str:
+    return f'<site name="end[{arm}]" {_pose(X)}/>'
+
+
+def _spring_hand(arm: str, X_JO: pin.SE3, spring: SpringHand) -> str:
+    """A body that yields along the axes of the object, and the object's place in it."""
+    axes = "".join(
+        f'<joint type="slide" axis="{axis}" stiffness="{spring.stiffness!r}" '
+        f'damping="{spring.damping!r}"/>'
+        for axis in ("1 0 0", "0 1 0", "0 0 1")
+    )
+    ball = pin.Inertia.FromSphere(HAND_MASS, HAND_RADIUS)
+    body = f'<body name="{hand_name(arm)}" gravcomp="1" {_pose(X_JO)}>{axes}{_inertial(ball)}'
+    return f"{body}{_end(arm, pin.SE3.Identity())}</body>"
 
 
 def _contact(chain: ClosedChain, arm: str, X_JT: pin.SE3, firm: Firmness) -> tuple[str, str]:

@@ -9,6 +9,10 @@ with 1/W_jj the inertia the joint sees where it is, the loops closed: W = N (N' 
 tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain.) A
 torque command goes to the motors as it is.
 
+Drives that know what they move follow all alike, with one frequency w and the tree's inertia A:
+
+    tau = A (w^2 (q_d - q) + 2 damping_ratio w (v_d - v)) + gravity compensation
+
 Each arm carries its own weight and its share alpha of the object's, so that the servos of arms
 that hold one object do not squeeze it. Passive joints carry nothing: what the weight would turn
 there is taken by the smallest wrench between the hands that can.
@@ -31,6 +35,8 @@ class Servo:
 
     saturation_angle: Positive = 0.05
     """Angle error at which a servo asks its full torque [rad]."""
+    frequency: Positive | None = None
+    """With which all joints follow, whatever they move [rad/s]; the angle does not count then."""
     damping_ratio: Positive = 1.0
     """With the inertia a joint sees; 1 is critical."""
     gravity_compensation: bool = True
@@ -48,7 +54,7 @@ class ServoLaw:
         tau: torques as of the last :meth:`torque`, shape (n,) [N m].
         effort: their limits, zero for passive joints, shape (n,) [N m].
         asked: the same torques before they were limited.
-        stiffness: K, zero for passive joints, shape (n,) [N m/rad].
+        stiffness: K, zero for passive joints, shape (n,) [N m/rad]; not used with a frequency.
         follows: whether the last command was a velocity, or there was none.
     """
 
@@ -59,11 +65,11 @@ class ServoLaw:
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
         self._rest = np.zeros(chain.n)
         self.stiffness = full_effort(chain) / servo.saturation_angle
-        self._ratio = servo.damping_ratio
+        self._ratio, self._frequency = servo.damping_ratio, servo.frequency
         self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
         self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
-        self._forward, self._damped = np.zeros((2, chain.n))
+        self._forward, self._behind, self._slower = np.zeros((3, chain.n))
         self.follows = True
         self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
         self._least = -self.effort
@@ -114,14 +120,20 @@ class ServoLaw:
     def torque(self, q: Array, v: Array) -> Array:
         """Motor torques at a state, within their limits, shape (n,) [N m]."""
         if self.follows:
-            asked, damped = self.asked, self._damped
-            np.subtract(self._q_d, q, asked)
-            np.multiply(self.stiffness, asked, asked)
-            np.subtract(self._v_d, v, damped)
-            np.multiply(self._damping, damped, damped)
-            np.add(asked, damped, asked)
-            self._ask(np.add(asked, self._forward, asked))
+            self._ask(np.add(self._following(q, v), self._forward, self.asked))
         return self.tau
+
+    def _following(self, q: Array, v: Array) -> Array:
+        """Torques for errors of position and velocity."""
+        behind, slower = self._behind, self._slower
+        np.subtract(self._q_d, q, behind)
+        np.subtract(self._v_d, v, slower)
+        if self._frequency is not None:
+            w = self._frequency
+            return np.asarray(self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower))
+        np.multiply(self.stiffness, behind, behind)
+        np.multiply(self._damping, slower, slower)
+        return np.add(behind, slower, behind)
 
     def _ask(self, asked: Array) -> None:
         """Torques as far as the motors' limits let them; those of a command stay for its period."""

@@ -2,7 +2,8 @@
 
 Each joint of the chain is a body, the object is a free body, and a weld holds it in each hand
 (behind the grasp's passive joints, where there are some). Welds are springs: the loop opens by
-some tenths of a millimetre under load, as a real grasp does. Where a hand presses there is no weld
+some tenths of a millimetre under load, as a real grasp does; with spring hands it does by as much
+as their springs yield, which is not taken for an open loop. Where a hand presses there is no weld
 but a contact with friction, and nothing else holds the object.
 """
 
@@ -25,7 +26,7 @@ from coopqp.errors import InvalidValueError, MissingDependencyError
 from coopqp.plant import Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._hands import HandSignals
-from coopqp.plants._mjcf import OBJECT, Firmness, free_joints, mjcf
+from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_name, mjcf
 from coopqp.plants._servo import Servo
 from coopqp.state import State
 
@@ -64,7 +65,10 @@ class MujocoModel(DynamicModel):
             end_stops=settings.end_stops,
             mass=disturbance.object_mass,
             friction=disturbance.friction,
+            spring=settings.spring_hands,
         )
+        if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
+            raise InvalidValueError(f"plant mujoco: {fault}")
         self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._require_faces()
         self._open()
@@ -84,11 +88,21 @@ class MujocoModel(DynamicModel):
                     f"{1e3 * abs(overhang(hand, half)[0]):.1f} mm from the object's face; change "
                     "object.size, or the contact's position"
                 )
+            if hand.contact and self._firm.spring:
+                raise InvalidValueError(
+                    f"plant mujoco: {hand.arm} presses, and spring_hands are fastened to the "
+                    "object; use another grasp, or leave spring_hands out"
+                )
 
     def truth(self, state: State) -> State:
-        """Before noise; where hands press, the object is where it is, whatever the hands say."""
+        """Before noise; where hands press or yield, the object is where it is by itself."""
         told = super().truth(state)
-        if self._told_hands.pressing:
+        if self._yielding:
+            places = self._data.xpos[self._yielding]
+            yielded = told.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
+            told.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
+            told.update_drift()
+        if self._told_hands.pressing or self._yielding:
             told.p_WO[:] = self._data.xpos[self._object]
             told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
         return told
@@ -132,6 +146,8 @@ class MujocoModel(DynamicModel):
             if hand.contact
         }
         self._balls = list(_balls(chain))
+        yielding = held if self._firm.spring else ()
+        self._yielding = [self._model.body(hand_name(hand.arm)).id for hand in yielding]
         robots = [arm.name for arm in chain.robot.arms]
         self._held_by = [robots.index(hand.arm) for hand in held]
 
@@ -262,6 +278,8 @@ class Mujoco(Plant):
     """How the joints follow velocity commands."""
     end_stops: bool = True
     """Whether joints stop at their position limits, as stiff as the welds."""
+    spring_hands: SpringHand | None = None
+    """What yields between each arm and the object; nothing but the welds if omitted."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """At rest at the chain's start."""

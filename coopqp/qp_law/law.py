@@ -31,6 +31,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
+from coopqp.loop_observer import Squeezer
 from coopqp.qp import QP
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT, loop_rows, step_damping
@@ -57,6 +58,7 @@ class QPLaw(Law):
         problem: what to control.
         damping: cost of |v|^2.
         error_damping: c, share of the damping that rules out any overshoot.
+        squeezer: who presses by measured forces, if anybody does.
 
     Attributes:
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
@@ -67,15 +69,19 @@ class QPLaw(Law):
             soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
             "later pulls" what each later level pulled at the rows decided before it,
-            :attr:`LaterLevel.pull`.
+            :attr:`LaterLevel.pull`; and what the squeezer needs.
     """
 
     engine = "python"
 
     def __init__(
-        self, problem: ControlProblem, damping: float, error_damping: float = ERROR_DAMPING
+        self,
+        problem: ControlProblem,
+        damping: float,
+        error_damping: float = ERROR_DAMPING,
+        squeezer: Squeezer | None = None,
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, squeezer=squeezer)
         chain, start = problem.chain, State(problem.chain)
         self._error_damping, self._reach = error_damping, chain.reach
         self.bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
@@ -93,6 +99,7 @@ class QPLaw(Law):
         self.memory_sizes = {
             "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
             "missing": len(exact.scaled_names), "later pulls": len(self._later),
+            **(squeezer.memory_sizes if squeezer else {}),
         }  # fmt: skip
         self.levels = (self.first, *(later.level for later in self._later))
         self._fallback = Fallback(problem, start, damping, error_damping)

@@ -12,7 +12,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from coopqp.checked import taken_names
+from coopqp.closed_loop.admittance import unstated
 from coopqp.controller import TELL_APART, Controller, problem_faults
+from coopqp.controllers.qp import QPController
 from coopqp.errors import CoopqpError, Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
@@ -311,6 +313,13 @@ class _Reader:
             if task.of_forces and not scenario.plant.takes_torques:
                 words = f"asks '{task.name}' for a force, and this plant has none; use plant: "
                 self._fault(place, f"{words}rigid_body or mujoco")
+        self._check_stiffness(scenario)
+
+    def _check_stiffness(self, scenario: Scenario) -> None:
+        forces = [task.name for _, task, _ in placed_tasks(scenario) if task.of_forces]
+        for i, controller in enumerate(scenario.controllers.values()):
+            if forces and isinstance(controller, QPController) and not controller.admittance:
+                self._fault(["controllers", i], unstated(forces[0]))
 
     def _check_end(self, place: Location, task: Task, duration: float) -> None:
         try:

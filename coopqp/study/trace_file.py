@@ -209,7 +209,8 @@ def state_from_trace(
 ) -> State:
     """The state that a tick of a written trace decided from; the law's tick repeats it.
 
-    The gap is what the observer had made of the measured joints already, so it learns nothing more.
+    The gap is what the observer had made of the measured joints already, and who squeezes of the
+    forces, so neither adds to it.
 
     Args:
         path: of ``trace.csv``, or of a run in another format.
@@ -236,6 +237,8 @@ def state_from_trace(
             if row.tells("measured", joints):
                 state.q_measured = np.array(row.numbers("measured", joints, nan=True))
                 state.corrected = 0.0
+            if Status.FORCE_NOT_MEASURED.name not in row.causes.split("+"):
+                state.hand_wrench = np.zeros(6 * len(law.problem.chain.robot.arms))
             _read(row, "memory[", state.memory.numbers)
             _read_inputs(row, law, state)
         elif k == tick - 1:
@@ -254,7 +257,9 @@ def state_from_trace(
 def _read_inputs(row: _Row, law: Law, state: State) -> None:
     """What was made of the inputs, into a state."""
     problem, followed = law.problem, Followed()
-    for name, (kind, _) in wanted((*problem.tasks, *problem.secondary), law.start()).items():
+    for name, (kind, _) in wanted(
+        (*problem.tasks, *problem.wrenches, *problem.secondary), law.start()
+    ).items():
         if not any(key.startswith(f"followed[{name}].") and row.cells[key] for key in row.cells):
             continue
         followed[name] = Course(kind, kind.zero)

@@ -95,6 +95,7 @@ def _state(law: Law, look: Look) -> State:
     state.memory.numbers[:] = look.memory
     state.gap[:] = look.gap
     state.corrected, state.q_measured = look.corrected, look.measured
+    state.hand_wrench = look.hand_wrench
     for name, (kind, value, rate) in look.inputs.items():
         state.inputs[name] = Course(kind, value)
         state.inputs[name].rate[:] = rate

@@ -152,7 +152,7 @@ class Lane:
     def _begin(self, begun: BegunPhase) -> None:
         self.begun, self.plant = begun, GuardedPlant(begun.plant)
         problem, scenario = begun.problem, self._scenario
-        tasks = (*problem.tasks, *problem.secondary)
+        tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
         inputs = Inputs(scenario.inputs, tasks, begun.state, problem.dt)
         self.feed = HandFeed(scenario.inputs, inputs, self.since, self._hands)
         self._start_driving()

@@ -125,7 +125,7 @@ class LawFrame:
         held: where the object is, shape (7,).
         left: of each joint's half range what is left to its nearer limit; below 0 beyond it,
             shape (n,).
-        arrows: of the hands' forces, from and to, shape (., 2, 3) [m].
+        arrows: of the hands' forces, from and to, shape (., 2, 3) [m]. weight: of the object's.
         reached: whether all goals are within their tolerances.
         words: how far from its goals, and what is wrong.
         broken: what of it must not be, such as a joint past its limit; empty if nothing.
@@ -135,6 +135,7 @@ class LawFrame:
     held: Array
     left: Array
     arrows: Array
+    weight: Array
     reached: bool
     words: str
     broken: str
@@ -225,7 +226,7 @@ class Look:
     """An instant to explain.
 
     Attributes:
-        t, q, v, memory, gap, corrected, measured: of the state.
+        t, q, v, memory, gap, corrected, measured, hand_wrench: of the state.
         inputs: what is followed: kind, value, rate.
         targets: what inputs go to, by name.
         rests: whether the arms stand still.
@@ -238,6 +239,7 @@ class Look:
     gap: Array
     corrected: float
     measured: Array | None
+    hand_wrench: Array | None
     inputs: Mapping[str, tuple[Kind, Array, Array]]
     targets: Mapping[str, Array]
     rests: bool

@@ -202,9 +202,10 @@ def _legend(show: Show) -> str:
         (colors.css(colors.GOAL), "way to the goal"),
     ]
     if show.forces:
-        parts.append(
-            (colors.css(colors.FORCE), "what each hand presses with (above it), less the weight")
-        )
+        parts += [
+            (colors.css(colors.FORCE), "what each hand does to the object (above the hand)"),
+            (colors.css(colors.WEIGHT), "its weight (below it)"),
+        ]
     swatches = " ".join(
         f'<span style="white-space:nowrap;margin-right:0.6em"><span style="display:inline-block;'
         f"width:0.8em;height:0.8em;border-radius:2px;background:{color};border:1px solid #0003;"

@@ -10,8 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
+from coopqp.closed_loop.forces import squeezes
 from coopqp.mark import SolidMark, asked
 from coopqp.report.scene.bodies import robot_bodies, solid_body
+from coopqp.report.scene.forces import LEAST_FORCE, squeeze_words, weight
 from coopqp.report.scene.marks import Place
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
@@ -21,12 +23,13 @@ from coopqp.study.explanation.words import listed, size
 from coopqp.viewer.lane import Lane
 from coopqp.viewer.messages import LawFrame, Surface
 
-FORCES = "internal_wrench"
+FORCES = "hand_wrench"
 #: A joint that is beyond a limit by less is at it [rad, m].
 AT_LIMIT = 1e-4
-#: Forces are drawn as long as this share of the object, the longest of them, and not below [N].
-ARROW, LEAST_FORCE = 0.8, 1.0
-#: So far above the hands, in the object's longest edge: inside them nobody would see an arrow.
+#: The longest force is drawn as long as this share of the object.
+ARROW = 0.8
+#: So far above the hands, and the weight below the object, in its longest edge: inside them nobody
+#: would see an arrow.
 ABOVE = 0.6
 #: Corners of a circle.
 ROUND = 48
@@ -79,13 +82,15 @@ def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
     places = [pin.SE3ToXYZQUAT(_joint_pose(state, names, body.joint)) for body in bodies]
     left, broken = _left(state), _broken(lane, state)
     reached, words = _off(lane, state)
+    arrows, weight, squeeze = _forces(lane, state)
     return LawFrame(
         bodies=np.array(places).reshape(-1, 7),
         held=np.concatenate([state.p_WO, quaternion_of(state.R_WO)]),
         left=left,
-        arrows=_arrows(lane, state),
+        arrows=arrows,
+        weight=weight,
         reached=reached,
-        words=words,
+        words=", ".join(filter(None, (words, squeeze))),
         broken=broken,
     )
 
@@ -175,18 +180,25 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
     return reached, ", ".join(said)
 
 
-def _arrows(lane: Lane, state: State) -> Array:
-    """What each hand presses with, from above the hand on, shape (arms, 2, 3) [m]."""
-    wrenches = lane.plant.signals.get(FORCES)
-    if wrenches is None:
-        return np.zeros((0, 2, 3))
-    forces = wrenches.reshape(-1, 6)[:, :3]
-    longest = max(float(np.linalg.norm(forces, axis=1).max()), LEAST_FORCE)
+def _forces(lane: Lane, state: State) -> tuple[Array, Array, str]:
+    """What each hand does to the object, from above the hand on, shape (arms, 2, 3) [m].
+
+    And its weight, from below the object on, shape (1, 2, 3), and the squeeze in words; nothing
+    where the plant tells no forces.
+    """
+    wrenches, points = (lane.plant.signals.get(name) for name in (FORCES, "hand_point"))
+    if wrenches is None or points is None:
+        return np.zeros((0, 2, 3)), np.zeros((0, 2, 3)), ""
+    forces, down = wrenches.reshape(-1, 6)[:, :3], weight(lane.scenario)
+    longest = max(float(np.linalg.norm(forces, axis=1).max()), down, LEAST_FORCE)
     size = max(lane.scenario.held.size)
     scale = ARROW * size / longest
     hands = _hands(state, lane.scenario.chain.robot)
     hands[:, 2] += ABOVE * size
-    return np.stack([hands, hands + scale * forces], axis=1)
+    below = state.p_WO - [0.0, 0.0, ABOVE * size]
+    arrows = np.stack([hands, hands + scale * forces], axis=1)
+    words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
+    return arrows, np.array([[below, below - [0.0, 0.0, scale * down]]]), words
 
 
 def _hands(state: State, robot: RobotModel) -> Array:

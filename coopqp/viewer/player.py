@@ -219,6 +219,7 @@ class Player:
             gap=state.gap.copy(),
             corrected=state.corrected,
             measured=None if state.q_measured is None else state.q_measured.copy(),
+            hand_wrench=None if state.hand_wrench is None else state.hand_wrench.copy(),
             inputs=followed,
             targets=lane.targets(),
             rests=picture.speed(lane) < RESTS and _arrived(lane),

@@ -183,10 +183,13 @@ class _Law:
             f"/law{i}/object", color=colors.rgb(look.color), dimensions=show.size
         )
         size = max(show.size)
-        self._arrows = scene.add_arrows(
-            f"/law{i}/forces", np.zeros((1, 2, 3)), colors.FORCE,
-            shaft_radius=0.02 * size, head_radius=0.05 * size, head_length=0.1 * size,
-            visible=False,
+        self._arrows, self._weight = (
+            scene.add_arrows(
+                f"/law{i}/{name}", np.zeros((1, 2, 3)), color,
+                shaft_radius=0.02 * size, head_radius=0.05 * size, head_length=0.1 * size,
+                visible=False,
+            )
+            for name, color in (("forces", colors.FORCE), ("weight", colors.WEIGHT))
         )  # fmt: skip
         self._colors = [colors.LINK] * len(self._links)
         self._base, self._shown, self._draggable = colors.LINK, True, False
@@ -221,14 +224,17 @@ class _Law:
             color = colors.of_joint(left, self._base)
             if color != self._colors[k]:
                 self._colors[k] = self._links[k].color = color
-        self._draw_forces(drawn.arrows)
+        _point(self._arrows, drawn.arrows)
+        _point(self._weight, drawn.weight)
 
-    def _draw_forces(self, arrows: Array) -> None:
-        seen = len(arrows) > 0 and bool(np.abs(arrows[:, 1] - arrows[:, 0]).max() > STILL)
-        if seen:
-            self._arrows.points = arrows.astype(np.float32)
-        if self._arrows.visible != seen:
-            self._arrows.visible = seen
+
+def _point(node: Any, arrows: Array) -> None:
+    """Let arrows go from and to, shape (., 2, 3); none are seen where nothing has a length."""
+    seen = len(arrows) > 0 and bool(np.abs(arrows[:, 1] - arrows[:, 0]).max() > STILL)
+    if seen:
+        node.points = arrows.astype(np.float32)
+    if node.visible != seen:
+        node.visible = seen
 
 
 def _move(node: Any, pose: Array) -> None:

@@ -11,7 +11,7 @@ from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.errors import loop_errors, task_errors
 from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.hands import hands, load_shares
+from coopqp.report.figures.hands import hands, load_shares, squeeze_of_fastened
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures
 from coopqp.report.figures.limits import limit_figures
 from coopqp.report.figures.object import object_figures
@@ -152,11 +152,12 @@ def _torques(chart: Chart) -> Group:
         hint="Hatched: beyond what the motor can do.",
         words={
             "Internal force": "what the hands do to each other through the object: it squeezes "
-            "the object and does not move it."
+            "the object and does not move it.",
+            "Squeeze": "its part along the line between two hands: above zero they press.",
         }
         if forces(chart)
         else {},
-        figures=forces(chart),
+        figures=[*squeeze_of_fastened(chart), *forces(chart)],
         folded=torques(chart),
         more="Torque of each motor",
     )

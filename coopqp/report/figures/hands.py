@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_loop.forces import squeezes
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
@@ -16,26 +17,45 @@ MOST_USE = 1.5
 
 def hands(chart: Chart) -> list[Figure]:
     """Normal force, friction and load share by hand, slip; none where no hand presses."""
-    told = {n: t for n, t in chart.traces.items() if "normal_force" in t.signals}
+    pressing = {n: t for n, t in chart.traces.items() if "normal_force" in t.signals}
     figures = []
     arms = [arm.name for arm in chart.chain.robot.arms]
-    for i, arm in enumerate(arms) if told else ():
-        figures.append(chart.plain(f"Normal force of {arm}", "N", _of(told, "normal_force", i)))
-        figures.append(_friction(chart, arm, _of(told, "friction_use", i)))
-    if told:
-        slip = {n: 1e3 * t.signals["slip"].max(axis=1) for n, t in told.items()}
+    for i, arm in enumerate(arms) if pressing else ():
+        normal, use = (_of(pressing, name, i) for name in ("normal_force", "friction_use"))
+        figures.append(chart.plain(f"Normal force of {arm}", "N", normal))
+        figures.append(_friction(chart, arm, use))
+    if pressing:
+        slip = {n: 1e3 * t.signals["slip"].max(axis=1) for n, t in pressing.items()}
         figures.append(chart.plain("Slip along the hands, largest", "mm", slip))
     return figures
 
 
+def squeeze_of_fastened(chart: Chart) -> list[Figure]:
+    """Between two hands that are fastened; none elsewhere. Of those that press: their normals."""
+    lines = {}
+    for name, trace in chart.traces.items():
+        if "normal_force" in trace.signals or "hand_wrench" not in trace.signals:
+            continue
+        told = (
+            trace.signals[signal].reshape(trace.ticks, len(chart.chain.robot.arms), -1)
+            for signal in ("hand_point", "hand_wrench")
+        )
+        found = [squeezes(p, h) for p, h in zip(*told, strict=True)]
+        if found and all(len(pairs) == 1 for pairs in found):
+            lines[name] = np.array(found)[:, 0]
+    return [chart.plain("Squeeze between the hands", "N", lines)] if lines else []
+
+
 def load_shares(chart: Chart) -> list[Figure]:
     """Which part of the lift each arm brings; none where no plant tells forces."""
-    told = {n: t for n, t in chart.traces.items() if "hand_wrench" in t.signals and t.ticks}
+    telling = {n: t for n, t in chart.traces.items() if "hand_wrench" in t.signals and t.ticks}
     arms = [arm.name for arm in chart.chain.robot.arms]
     return [
-        chart.plain(f"Share of the load on {arm}", "1", {n: _share(t, i) for n, t in told.items()})
+        chart.plain(
+            f"Share of the load on {arm}", "1", {n: _share(t, i) for n, t in telling.items()}
+        )
         for i, arm in enumerate(arms)
-        if told
+        if telling
     ]
 
 
@@ -47,8 +67,8 @@ def _share(trace: Trace, i: int) -> Array:
     return np.asarray(share, float)
 
 
-def _of(told: dict[str, Trace], signal: str, i: int) -> dict[str, Array]:
-    return {name: trace.signals[signal][:, i] for name, trace in told.items()}
+def _of(traces: dict[str, Trace], signal: str, i: int) -> dict[str, Array]:
+    return {name: trace.signals[signal][:, i] for name, trace in traces.items()}
 
 
 def _friction(chart: Chart, arm: str, lines: dict[str, Array]) -> Figure:

@@ -6,7 +6,7 @@
   const [playButton, slider, clock, looksButton, resetButton] =
     ["play", "frame", "clock", "looks", "reset"].map((id) => document.getElementById(id));
   const camera = sceneCamera(scene.view);
-  const LINE = "#3a86b0", WALL_EDGE = "#9c4f7c", AXES = ["#c0392b", "#1e8449", "#1f5fa8"];
+  const LINE = "#3a86b0", FORCE = "#c2187f", WEIGHT = "#333", WALL_EDGE = "#9c4f7c", AXES = ["#c0392b", "#1e8449", "#1f5fa8"];
   const INSIDE = 0, AT = 1;
   const TRAIL = 30; // frames; of a law that loses its way more would hide the arms
   const MARK = { at: "#E69F00", beyond: "#C1121F", floor: "#dfe3e7" };
@@ -179,15 +179,15 @@
     stroke(pen, color);
   }
 
-  function arrow(brush, start, way) {
+  function arrow(brush, start, way, color = LINE) {
     const end = add(start, way);
-    line(brush, [start, end]);
+    line(brush, [start, end], color);
     const [[a, b], [x, y]] = [brush.at(start), brush.at(end)], size = Math.hypot(x - a, y - b) || 1;
     const [c, s] = [(9 * (x - a)) / size, (9 * (y - b)) / size];
     brush.pen.beginPath();
     brush.pen.moveTo(x - c - s / 2, y - s + c / 2); brush.pen.lineTo(x, y);
     brush.pen.lineTo(x - c + s / 2, y - s - c / 2);
-    stroke(brush.pen, LINE);
+    stroke(brush.pen, color);
   }
 
   function circle(brush, mark) {
@@ -240,6 +240,16 @@
     each(scene.goals, (mark) => target(brush, mark));
   }
 
+  // What hands do to the object ends where they touch it; the weight begins in its centre of mass.
+  function drawForces(brush, { forces }) {
+    if (!forces) return;
+    const paint = (values, color) => {
+      if (values.slice(3).some((x) => x)) arrow(brush, values.slice(0, 3), values.slice(3), color);
+    };
+    paint(forces.weight[frame], WEIGHT);
+    forces.hands[frame].forEach((values) => paint(values, FORCE));
+  }
+
   function trail({ pen, path }, { first, points }, color) {
     const shown = frame - first + 1;
     if (shown < 1) return;
@@ -277,6 +287,7 @@
     run.arms.forEach((arm, i) => label(brush, arm, ARMS[i % ARMS.length]));
     run.tracked.forEach((way) => trail(brush, way, run.color));
     drawMarks(brush, run);
+    drawForces(brush, run);
     triad(brush);
   }
 
@@ -351,6 +362,8 @@
     axes: [...scene.poses, ...scene.orientations, ...panes.flatMap(({ run }) => run.relatives)],
     posture: panes.flatMap(({ run }) => run.postures),
     trail: scene.controllers.flatMap((run) => run.tracked),
+    force: scene.controllers.filter((run) => run.forces),
+    weight: scene.controllers.filter((run) => run.forces),
   };
   for (const [name, marks] of Object.entries(shown))
     document.getElementById(`${name}-key`).hidden = !marks.length;

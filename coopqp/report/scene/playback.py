@@ -14,11 +14,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
+from coopqp.closed_loop.forces import squeezes
 from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
 from coopqp.report.scene.carried import carried
+from coopqp.report.scene.forces import arrows, squeeze_words, told
 from coopqp.report.scene.marks import SOLID, as_json, in_view, short, shown_marks
 from coopqp.report.scene.view import view
 from coopqp.report.style import styles
@@ -59,6 +61,7 @@ def scene(comparison: Comparison) -> Json:
                 "name": name,
                 "color": looks[name].color,
                 **_motion(trace, scenario, frames),
+                "forces": arrows(trace, scenario, frames),
                 "poses": [
                     short(np.concatenate([np.zeros(0), *map(pin.SE3ToXYZQUAT, places)]))
                     for places in body_places(robot, moving, trace, frames)
@@ -158,5 +161,7 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
         left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
         if left:
             lines.append(f"limit margin {', '.join(left)}")
+        if (now := told(trace, int(k))) and (words := squeeze_words(squeezes(*now))):
+            lines.append(words)
         texts.append(lines)
     return texts

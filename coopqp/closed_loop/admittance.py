@@ -1,0 +1,226 @@
+"""Squeeze of arms that take positions or velocities, by admittance on their relative motion.
+
+With e the direction from one hand to the other, the hands approach each other along it at
+
+    v = g (F_wanted - F),   |v| <= most_speed
+
+F is the measured squeeze. Force follows way, so that this integrates the force's error: none is
+left at rest, whatever the stiffness is. It enters through the loop correction, J_c v = -kappa (e_c
+- gap): along e the gap is where the hands have been told to go, gap' = v, and in all other
+directions it is the model's error (:mod:`coopqp.loop_observer`), which is blind along e. It would
+take the squeeze away otherwise.
+
+With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
+that are d ticks late, F' = k v is stable where
+
+    g k dt < 2 sin(pi / (2 (2 d + 1)))      2, 1, 0.618, 0.445 for d = 0, 1, 2, 3
+
+and rings below that. The default gain is
+
+    g = c / (k_most (T + (d + 1) dt + 1/kappa - dt)),   c = 0.2
+
+with the servos' lag T. It does not overshoot from the stiffest hands down to any softer ones, which
+are only slower; hands that are nine times as stiff as stated are still stable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from coopqp.checked import NonNegative, Positive, spec
+from coopqp.closed_loop.hands import hands, points
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.controller import ControlProblem
+from coopqp.errors import InvalidValueError
+from coopqp.state import State
+from coopqp.task import Task
+
+#: Share c of the gain with which hands as stiff as stated close in on the wanted force in one lag.
+CAUTION = 0.2
+#: Name in the memory of a law: where e was in the last tick, shape (3,).
+ALONG = "squeezes along"
+
+
+@spec
+class Admittance:
+    """How arms that take positions come to the squeeze that is wanted, by measured forces."""
+
+    stiffness: Positive
+    """Of both hands and their servos in series, at most [N/m]; what yields least counts."""
+    lag: NonNegative = 0.0
+    """Time by which the servos follow late, T [s]."""
+    delay: Annotated[int, Field(ge=0, le=1000)] = 1
+    """Ticks between a measured force and the motion that answers it."""
+    gain: Positive | None = None
+    """Closing speed for a missing newton, g [m/(s N)]; from the stiffness if omitted."""
+    most_speed: Positive = 0.05
+    """How fast the hands may approach each other, or part, for it [m/s]."""
+    most_way: Positive = 0.1
+    """How far they may be told to approach each other beyond what the model says [m]."""
+
+    def gain_of(self, dt: float, kappa: float) -> float:
+        """The gain [m/(s N)], as given or by default.
+
+        Args:
+            dt: control period [s].
+            kappa: gain of the drift correction, through which it enters [1/s].
+        """
+        if self.gain is not None:
+            return self.gain
+        return CAUTION / (self.stiffness * (self.lag + self.delay * dt + 1.0 / kappa))
+
+
+def stability_limit(delay: int) -> float:
+    """Least g k dt with which F[n+1] = F[n] + g k dt (F_wanted - F[n - delay]) swings for ever.
+
+    Args:
+        delay: d [ticks].
+    """
+    return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
+
+
+class Squeezer:
+    """Moves the gap of a loop so that two hands squeeze as they are asked to.
+
+    Args:
+        problem: of which ``wrenches`` is one task that asks for a squeeze.
+        settings: of the admittance.
+
+    Attributes:
+        along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
+        gain: g [m/(s N)].
+        memory_sizes: what a law must remember for it.
+
+    Raises:
+        InvalidValueError: what is asked for cannot be done by admittance, or the gain is beyond
+            what is stable with the stated stiffness.
+    """
+
+    def __init__(self, problem: ControlProblem, settings: Admittance) -> None:
+        _check_tasks(problem.wrenches)
+        chain, dt = problem.chain, problem.dt
+        if chain.holding != 2:
+            raise InvalidValueError(
+                f"admittance: squeezes between two hands, and {chain.holding} hold the object"
+            )
+        if not problem.kappa > 0.0:
+            raise InvalidValueError(
+                "admittance: the squeeze enters through the loop correction, and kappa is 0; "
+                f"leave kappa out, or give up to 1/dt = {1.0 / dt:g} 1/s"
+            )
+        self.gain, self._settings, self._dt = settings.gain_of(dt, problem.kappa), settings, dt
+        if fault := _gain_fault(settings, self.gain, dt):
+            raise InvalidValueError(fault)
+        self._hands = hands(chain)
+        robot = [arm.name for arm in chain.robot.arms]
+        self._told = np.array([robot.index(hand.arm) for hand in self._hands])
+        self._arms = len(robot)
+        self._asked = WrenchStack(problem.wrenches, State(chain))
+        self.along = np.zeros(6 * (len(chain.arms) - 1))
+        self.memory_sizes: Mapping[str, int] = {ALONG: 3}
+
+    def update(self, state: State) -> bool:
+        """Move the gap by what the hands are to approach each other in this tick.
+
+        Args:
+            state: with its kinematics up to date; ``gap`` and memory are written.
+
+        Returns:
+            Whether the force was measured; the hands stay as they are where it was not.
+        """
+        p = points(self._hands, state.p_WO, state.R_WO)
+        e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
+        before, gap = state.memory[ALONG], state.gap[:3]
+        self.along[:3] = e
+        missing = self._missing(state)
+        if state.corrected < 1.0:
+            return math.isfinite(missing)
+        if before.any():  # the squeeze turns with the object
+            gap += before.dot(gap) * (e - before)
+        before[:] = e
+        if not math.isfinite(missing):
+            return False
+        most, way = self._settings.most_speed, -e.dot(gap)
+        there = way + self._dt * min(max(self.gain * missing, -most), most)
+        bound = max(self._settings.most_way, abs(way))
+        gap -= (min(max(there, -bound), bound) - way) * e
+        state.update_drift()
+        return True
+
+    def _missing(self, state: State) -> float:
+        """F_wanted - F [N]; NaN where nobody says what the force is."""
+        self._asked.update(state)
+        found = state.hand_wrench
+        if found is None or np.shape(found) != (6 * self._arms,):
+            return math.nan
+        return -float(self._asked.error(found.reshape(-1, 6)[self._told])[0])
+
+
+def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer | None:
+    """What squeezes; None where no force is asked for.
+
+    Args:
+        problem: to be controlled.
+        settings: None where nobody has stated a stiffness.
+
+    Raises:
+        InvalidValueError: a force is asked for, and no stiffness is stated; as :class:`Squeezer`.
+    """
+    if not problem.wrenches:
+        return None
+    if settings is None:
+        raise InvalidValueError(unstated(problem.wrenches[0].name))
+    return Squeezer(problem, settings)
+
+
+def unstated(task: str) -> str:
+    """What to do where a force is asked for and nobody has stated a stiffness.
+
+    Args:
+        task: its name.
+    """
+    return (
+        f"'{task}' asks arms that take velocities for a force; state how stiff hands and servos "
+        "are together at most [N/m], such as qp: {admittance: {stiffness: 10000}}, or leave the "
+        "task out"
+    )
+
+
+def _check_tasks(tasks: Sequence[Task]) -> None:
+    """Refuse what is no squeeze.
+
+    Raises:
+        InvalidValueError: that is so.
+    """
+    if len(tasks) != 1:
+        names = ", ".join(f"'{task.name}'" for task in tasks)
+        raise InvalidValueError(f"admittance: brings about one squeeze, and {names} ask for forces")
+    (task,) = tasks
+    if getattr(task, "components", ()) != ("squeeze",):
+        raise InvalidValueError(
+            f"admittance: '{task.name}' asks for more than a squeeze; leave the other components "
+            "out, or use torque_qp"
+        )
+    if task.mode == "hard":
+        raise InvalidValueError(
+            f"admittance: '{task.name}' is hard, but the squeeze is reached in time and not at "
+            "once; leave mode out"
+        )
+
+
+def _gain_fault(settings: Admittance, gain: float, dt: float) -> str:
+    """What is wrong with a gain; empty if nothing is."""
+    reach, limit = gain * settings.stiffness * dt, stability_limit(settings.delay)
+    if reach < limit:
+        return ""
+    most = limit / (settings.stiffness * dt)
+    return (
+        f"admittance.gain: found {gain:g} m/(s N), with which {settings.stiffness:g} N/m and "
+        f"{settings.delay} ticks of delay swing ever harder; needs less than {most:.3g}, or leave "
+        "it out"
+    )

@@ -1,0 +1,223 @@
+"""Admittance without a plant: its limits, its gain, one tick of it, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from laws import DT, problem
+from scipy.optimize import brentq
+
+import coopqp
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.admittance import Admittance, stability_limit
+from coopqp.closed_loop.hands import hands, points
+from coopqp.controller import Law
+from coopqp.controllers import QPController
+from coopqp.errors import InvalidValueError
+from coopqp.plant import PlantModel
+from coopqp.plants import RigidBody
+from coopqp.solver import Status
+from coopqp.state import State
+from coopqp.tasks import InternalWrench, PointOnPoint
+
+WANTED, STIFF = 10.0, 1e4  # [N], [N/m]
+SETTINGS = Admittance(stiffness=STIFF, lag=0.01, delay=1)
+
+
+def law_of(chain: ClosedChain, engine: Any = "python", **settings: Any) -> Law:
+    """It keeps the object where it is and squeezes it."""
+    x, y, z = chain.start_position
+    asked = problem(chain, PointOnPoint(goal=(x, y, z)), wrenches=[InternalWrench(squeeze=WANTED)])
+    pressed = replace(SETTINGS, **settings)
+    return QPController(engine=engine, admittance=pressed).build(asked)
+
+
+def line(state: State) -> Array:
+    """From the first hand to the second."""
+    p = points(hands(state.chain), state.p_WO, state.R_WO)
+    return np.asarray((p[1] - p[0]) / np.linalg.norm(p[1] - p[0]), float)
+
+
+def closing(law: Law, state: State) -> Array:
+    """Velocity with which the last command brings the second hand to the first."""
+    return -np.asarray(state.J_rel[:3] @ law.command.v, float)
+
+
+def squeezed(chain: ClosedChain, newtons: float) -> Array:
+    """What force sensors say where the hands press so hard against each other."""
+    e = line(State(chain))
+    told = np.zeros((len(chain.robot.arms), 6))
+    robot = [arm.name for arm in chain.robot.arms]
+    for hand, sign in zip(hands(chain), (1.0, -1.0), strict=True):
+        told[robot.index(hand.arm), :3] = sign * newtons * e
+    return told.ravel()
+
+
+def radius(reach: float, delay: int) -> float:
+    """Largest eigenvalue of F[n+1] = F[n] - g k dt F[n - delay]."""
+    shift = np.eye(delay + 1, k=-1)
+    shift[0, 0] += 1.0
+    shift[0, delay] -= reach
+    return float(np.abs(np.linalg.eigvals(shift)).max())
+
+
+@pytest.mark.parametrize(
+    ("delay", "limit"), [(0, 2.0), (1, 1.0), (2, 0.618), (3, 0.445), (7, None)]
+)
+def test_the_limit_is_where_an_eigenvalue_leaves_the_unit_circle(
+    delay: int, limit: float | None
+) -> None:
+    found = brentq(lambda reach: radius(reach, delay) - 1.0, 0.05, 3.0, xtol=1e-12)
+    assert stability_limit(delay) == pytest.approx(found, rel=1e-6)
+    assert limit is None or found == pytest.approx(limit, abs=5e-4)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.005, 0.03])
+@pytest.mark.parametrize("delay", [0, 1, 2, 5])
+@pytest.mark.parametrize("softer", [1.0, 3.0, 10.0])
+def test_the_default_gain_does_not_overshoot(lag: float, delay: int, softer: float) -> None:
+    """Of a spring behind a servo of first order, in a model that is not the loop."""
+    gain = Admittance(stiffness=STIFF, lag=lag, delay=delay).gain_of(DT, 1.0 / DT)
+    kept = np.exp(-DT / lag) if lag else 0.0  # of the servo's distance, in a tick
+    force = told = way = 0.0
+    late = [0.0] * delay
+    most = 0.0
+    for _ in range(int(20.0 * softer * (lag + (delay + 1) * DT) / DT)):
+        late.append(gain * (WANTED - force))
+        told += DT * late.pop(0)
+        way = told + kept * (way - told)
+        force = STIFF / softer * way
+        most = max(most, force)
+    assert most <= 1.0001 * WANTED
+    assert force == pytest.approx(WANTED, rel=0.02)
+
+
+@pytest.mark.parametrize("force", [0.0, 4.0, 10.0, 25.0])
+def test_hands_approach_as_fast_as_force_is_missing(chain: ClosedChain, force: float) -> None:
+    law = law_of(chain)
+    state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, force))
+    assert law.tick(state).causes == (Status.OPTIMAL,)
+    gain = 0.2 / (STIFF * (0.01 + 2.0 * DT))
+    assert closing(law, state) == pytest.approx(gain * (WANTED - force) * line(state), abs=1e-9)
+
+
+def test_they_approach_no_faster_and_no_farther_than_they_may(chain: ClosedChain) -> None:
+    law = law_of(chain, gain=1e-3, stiffness=1e3, most_speed=2e-3, most_way=5e-5)
+    state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
+    for way in (2e-5, 4e-5, 5e-5, 5e-5):
+        state.advance(law.tick(state).v, DT)
+        assert -line(state) @ state.gap[:3] == pytest.approx(way, rel=1e-3)
+
+
+@pytest.mark.parametrize("lost", [None, np.full(12, np.nan), np.zeros(6)])
+def test_a_lost_force_stops_the_hands_where_they_are(
+    chain: ClosedChain, lost: Array | None
+) -> None:
+    law = law_of(chain)
+    state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
+    state.advance(law.tick(state).v, DT)
+    before = state.gap.copy()
+    state.q_measured, state.hand_wrench = state.q.copy(), lost
+    assert law.tick(state).causes == (Status.FORCE_NOT_MEASURED,)
+    assert closing(law, state) == pytest.approx(np.zeros(3), abs=1e-5)  # of 3 mm/s before
+    assert state.gap == pytest.approx(before, abs=1e-9)
+    state.hand_wrench = squeezed(chain, 0.0)
+    assert law.tick(state).causes == (Status.OPTIMAL,)
+    assert line(state) @ closing(law, state) > 1e-3
+
+
+def test_what_is_measured_teaches_nothing_along_the_squeeze(chain: ClosedChain) -> None:
+    """Across it the gap follows the measured joints, as it does without a squeeze."""
+    law = law_of(chain)
+    state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, WANTED))
+    e, begun = line(state), state.gap.copy()
+    state.q_measured = chain.q_start + 0.01
+    law.tick(state)
+    other = State(chain, chain.q_start + 0.01)
+    learnt, seen = state.gap - begun, other.loop_error - begun
+    assert e @ learnt[:3] == pytest.approx(0.0, abs=1e-12)
+    across = np.eye(3) - np.outer(e, e)
+    assert learnt[:3] == pytest.approx(across @ seen[:3] * DT / 0.15, abs=1e-9)
+    assert learnt[3:] == pytest.approx(seen[3:] * DT / 0.15, abs=1e-9)
+    assert np.abs(learnt).max() > 1e-6
+
+
+def test_the_squeeze_turns_with_the_object(chain: ClosedChain) -> None:
+    law = law_of(chain)
+    state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, WANTED))
+    state.gap[:3] = -0.004 * line(state)
+    law.tick(state)
+    old = line(state)
+    turned = {"right": [0.7, -0.1, 1.2, 0.9, 0.1], "left": [0.7, 0.3, -1.2, -0.9, -0.1]}
+    state.q[:] = chain.robot.configuration(turned)
+    state.update()
+    state.q_measured, state.hand_wrench = state.q.copy(), None
+    law.tick(state)
+    assert line(state) @ old < 0.999
+    assert state.gap[:3] == pytest.approx(-0.004 * line(state), abs=1e-5)
+
+
+def test_the_kernel_decides_the_same(chain: ClosedChain) -> None:
+    found = []
+    for engine in ("python", "auto"):
+        law = law_of(chain, engine)
+        state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
+        for _ in range(5):
+            command = law.tick(state)
+            state.advance(command.v, DT)
+            state.q_measured = state.q.copy()
+        found.append((state.q.copy(), state.gap.copy()))
+    assert found[0][0] == pytest.approx(found[1][0], abs=1e-8)
+    assert found[0][1] == pytest.approx(found[1][1], abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("wrench", "changed", "words"),
+    [
+        ({"squeeze": 5.0, "twist": 0.0}, {}, "asks for more than a squeeze"),
+        ({"shear_up": 5.0}, {}, "asks for more than a squeeze"),
+        ({"squeeze": 5.0, "mode": "hard"}, {}, "reached in time and not at once"),
+        ({"squeeze": 5.0}, {"kappa": 0.0}, "kappa is 0"),
+    ],
+)
+def test_what_admittance_cannot_do_is_refused(
+    wrench: dict[str, Any], changed: dict[str, Any], words: str, chain: ClosedChain
+) -> None:
+    asked = problem(chain, wrenches=[InternalWrench(**wrench)], **changed)
+    with pytest.raises(InvalidValueError, match=words):
+        QPController(admittance=SETTINGS).build(asked)
+
+
+def test_a_force_without_a_stated_stiffness_is_refused(chain: ClosedChain) -> None:
+    asked = problem(chain, wrenches=[InternalWrench(squeeze=5.0)])
+    with pytest.raises(InvalidValueError, match="state how stiff hands and servos are"):
+        QPController().build(asked)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_gain_beyond_the_limit_is_refused(delay: int, chain: ClosedChain) -> None:
+    asked = problem(chain, wrenches=[InternalWrench(squeeze=5.0)])
+    most = stability_limit(delay) / (STIFF * DT)
+    for share in (0.99, 1.01):
+        settings = Admittance(stiffness=STIFF, delay=delay, gain=share * most)
+        if share < 1.0:
+            QPController(admittance=settings).build(asked)
+            continue
+        with pytest.raises(InvalidValueError, match="swing ever harder"):
+            QPController(admittance=settings).build(asked)
+
+
+def test_a_plant_that_tells_no_forces_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = replace(
+        coopqp.load("point_on_point"),
+        tasks=(InternalWrench(squeeze=5.0),),
+        controllers={"qp": QPController(admittance=SETTINGS)},
+        plant=RigidBody(),
+    )
+    monkeypatch.setattr(PlantModel, "hand_wrench", None)
+    with pytest.raises(InvalidValueError, match="this plant tells none"):
+        coopqp.run(scenario, controller="qp")
