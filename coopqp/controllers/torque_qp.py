@@ -8,7 +8,7 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety              hands that press       (hard)
+                h_i in its cone, friction over safety, also at the tick's end, ``_held_torques``
 
 h are the wrenches of the hands on the object, and h_int what of them is internal and not asked for
 (``_hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority are met in what
@@ -36,6 +36,7 @@ from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._force_checks import require_forces
+from coopqp.controllers._held_torques import HeldTorques
 from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
@@ -52,7 +53,7 @@ LEAST_TICKS = 4
 
 
 class TorqueQpLaw(Law):
-    """The QPs of one problem; memory: that of ReferenceModel.
+    """The QPs of one problem; memory: those of ReferenceModel and HeldTorques.
 
     Attributes:
         settings: as given.
@@ -81,7 +82,8 @@ class TorqueQpLaw(Law):
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._gains = level.gains
         self._model = ReferenceModel(level.gains, problem.dt)
-        self.memory_sizes = self._model.memory_sizes
+        self._held = HeldTorques(self.hands, self.layout)
+        self.memory_sizes = {**self._model.memory_sizes, **self._held.memory_sizes}
 
     @property
     def qp(self) -> QP:
@@ -101,6 +103,7 @@ class TorqueQpLaw(Law):
         command.say(*causes)
         assert command.tau is not None
         command.tau[:] = 0.0
+        self._held.remember(state, x)
         if x is not None:
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
@@ -118,6 +121,7 @@ class TorqueQpLaw(Law):
         self.wrenches.update(state)
         self._bounds.update(state)
         self._fill(0, state, None)
+        self._held.foresee(state, self.qp)
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
         self.programs[number].assemble(
@@ -183,6 +187,7 @@ class TorqueQpLaw(Law):
     def hold_still(self, state: State) -> None:
         """Hold the weight and brake."""
         assert self.command.tau is not None
+        self._held.remember(state, None)
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
 

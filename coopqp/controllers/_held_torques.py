@@ -1,0 +1,83 @@
+"""What hands that press come to while the torques of a tick are held and the arms move on.
+
+The torque QP decides on wrenches at a tick's beginning. By its end gravity and inertia are those of
+the next pose, and the wrenches h of the hands have become h + d, by little of what the arms weigh,
+which can be much of what a light object needs. Cones keep both:
+
+    C h <= most,   C (h + d) <= most
+
+d is what became of the last answer: in the dynamics of this instant, with the torques of the tick
+before, the least change of its accelerations and wrenches. A motion that goes on makes it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.closed_loop.saddle import Saddle
+from coopqp.controllers._hand_wrenches import HandWrenches
+from coopqp.controllers._torque_program import Layout
+from coopqp.qp import QP
+from coopqp.rank import least_squares
+from coopqp.state import State
+
+
+class HeldTorques:
+    """Of one problem; memory: "answer", with the wrenches in the contacts' axes; zero for none.
+
+    Args:
+        hands: their cones.
+        layout: of the QP.
+    """
+
+    def __init__(self, hands: HandWrenches, layout: Layout) -> None:
+        self._hands, self._layout = hands, layout
+        self._change = np.r_[layout.a, layout.h]
+        square = layout.common == layout.n + hands.size
+        self._saddle = Saddle(layout.n, hands.size) if square else None
+        size = layout.h.stop if hands.pressing else 0
+        self.memory_sizes: Mapping[str, int] = {"answer": size} if size else {}
+
+    def foresee(self, state: State, qp: QP) -> None:
+        """Keep cones at the end of the tick as well.
+
+        Args:
+            state: of this tick.
+            qp: with the dynamics of this instant; its cones are written, as are ``hands.most``.
+        """
+        hands, layout = self._hands, self._layout
+        if not hands.pressing:
+            return
+        answer = state.memory["answer"].copy()
+        hands.most[:] = hands.stated
+        if answer.any():
+            answer[layout.h] = _turned(answer[layout.h], hands.turned.transpose(0, 2, 1))
+            A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common]
+            change = self._least(A, b - A @ answer)
+            hands.most -= hands.in_cone * np.maximum(hands.cones @ change[layout.n :], 0.0)
+        qp.h[layout.cones] = hands.most
+
+    def _least(self, A: Array, right: Array) -> Array:
+        """Least accelerations and wrenches with that effect; as a rule they are the only ones."""
+        n, layout, saddle = self._layout.n, self._layout, self._saddle
+        if saddle is None:
+            return least_squares(A[:, self._change], right)
+        saddle.top[:], saddle.right[:] = A[:n, layout.a], A[:n, layout.h]
+        saddle.left[:], saddle.corner[:] = A[n:, layout.a], A[n:, layout.h]
+        return saddle.solve(right)[0]
+
+    def remember(self, state: State, x: Array | None) -> None:
+        """Take an answer for what is held from now on; None where other torques are."""
+        if not self._hands.pressing:
+            return
+        answer, h = state.memory["answer"], self._layout.h
+        answer[:] = 0.0 if x is None else x[: h.stop]
+        answer[h] = _turned(answer[h], self._hands.turned)
+
+
+def _turned(h: Array, R: Array) -> Array:
+    """Wrenches of hands in other axes, shape (6 N,)."""
+    return np.asarray(h.reshape(-1, 2, 3) @ R.transpose(0, 2, 1)).ravel()
