@@ -17,6 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.saddle import Saddle
 from coopqp.controllers._hand_wrenches import HandWrenches
 from coopqp.controllers._torque_program import Layout
@@ -26,20 +27,22 @@ from coopqp.state import State
 
 
 class HeldTorques:
-    """Of one problem; memory: "answer", with the wrenches in the contacts' axes; zero for none.
+    """Of one problem; memory: the "answer", with the wrenches in the contacts' axes, zero for none,
+    and "back", with what acceleration it closes open loops.
 
     Args:
         hands: their cones.
         layout: of the QP.
+        dynamics: of the chain.
     """
 
-    def __init__(self, hands: HandWrenches, layout: Layout) -> None:
-        self._hands, self._layout = hands, layout
-        self._change = np.r_[layout.a, layout.h]
+    def __init__(self, hands: HandWrenches, layout: Layout, dynamics: ClosedLoopDynamics) -> None:
+        self._hands, self._layout, self._dynamics = hands, layout, dynamics
+        self._loops = slice(layout.common - layout.m, layout.common)
         square = layout.common == layout.n + hands.size
         self._saddle = Saddle(layout.n, hands.size) if square else None
-        size = layout.h.stop if hands.pressing else 0
-        self.memory_sizes: Mapping[str, int] = {"answer": size} if size else {}
+        sizes = {"answer": layout.h.stop, "back": layout.m}
+        self.memory_sizes: Mapping[str, int] = sizes if hands.pressing else {}
 
     def foresee(self, state: State, qp: QP) -> None:
         """Keep cones at the end of the tick as well.
@@ -55,27 +58,30 @@ class HeldTorques:
         hands.most[:] = hands.stated
         if answer.any():
             answer[layout.h] = _turned(answer[layout.h], hands.turned.transpose(0, 2, 1))
-            A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common]
+            A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common].copy()
+            # What is seen of the loops since then is no part of what the arms' motion does.
+            b[self._loops] = -self._dynamics.drift - state.memory["back"]
             change = self._least(A, b - A @ answer)
-            hands.most -= hands.in_cone * np.maximum(hands.cones @ change[layout.n :], 0.0)
+            hands.most -= hands.in_cone * np.maximum(hands.cones @ change, 0.0)
         qp.h[layout.cones] = hands.most
 
     def _least(self, A: Array, right: Array) -> Array:
-        """Least accelerations and wrenches with that effect; as a rule they are the only ones."""
-        n, layout, saddle = self._layout.n, self._layout, self._saddle
+        """The wrenches of the least change with that effect; as a rule it is the only one."""
+        layout, n, saddle = self._layout, self._layout.n, self._saddle
         if saddle is None:
-            return least_squares(A[:, self._change], right)
+            return least_squares(np.hstack([A[:, layout.a], A[:, layout.h]]), right)[n:]
         saddle.top[:], saddle.right[:] = A[:n, layout.a], A[:n, layout.h]
         saddle.left[:], saddle.corner[:] = A[n:, layout.a], A[n:, layout.h]
-        return saddle.solve(right)[0]
+        return np.asarray(saddle.solve(right)[0][n:])
 
-    def remember(self, state: State, x: Array | None) -> None:
+    def remember(self, state: State, qp: QP, x: Array | None) -> None:
         """Take an answer for what is held from now on; None where other torques are."""
         if not self._hands.pressing:
             return
         answer, h = state.memory["answer"], self._layout.h
         answer[:] = 0.0 if x is None else x[: h.stop]
         answer[h] = _turned(answer[h], self._hands.turned)
+        state.memory["back"][:] = -self._dynamics.drift - qp.b[self._loops]
 
 
 def _turned(h: Array, R: Array) -> Array:

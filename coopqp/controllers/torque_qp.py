@@ -82,7 +82,7 @@ class TorqueQpLaw(Law):
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._gains = level.gains
         self._model = ReferenceModel(level.gains, problem.dt)
-        self._held = HeldTorques(self.hands, self.layout)
+        self._held = HeldTorques(self.hands, self.layout, dynamics)
         self.memory_sizes = {**self._model.memory_sizes, **self._held.memory_sizes}
 
     @property
@@ -103,7 +103,7 @@ class TorqueQpLaw(Law):
         command.say(*causes)
         assert command.tau is not None
         command.tau[:] = 0.0
-        self._held.remember(state, x)
+        self._held.remember(state, self.qp, x)
         if x is not None:
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
@@ -187,7 +187,7 @@ class TorqueQpLaw(Law):
     def hold_still(self, state: State) -> None:
         """Hold the weight and brake."""
         assert self.command.tau is not None
-        self._held.remember(state, None)
+        self._held.remember(state, self.qp, None)
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
 
