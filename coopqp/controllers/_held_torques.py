@@ -2,9 +2,9 @@
 
 The torque QP decides on wrenches at a tick's beginning. By its end gravity and inertia are those of
 the next pose, and the wrenches h of the hands have become h + d, by little of what the arms weigh,
-which can be much of what a light object needs. Cones keep both:
+which can be much of what a light object needs. Cones keep both, with as much again for what changes d:
 
-    C h <= most,   C (h + d) <= most
+    C h <= most,   C (h + 2 d) <= most
 
 d is what became of the last answer: in the dynamics of this instant, with the torques of the tick
 before, the least change of its accelerations and wrenches. A motion that goes on makes it again.
@@ -24,6 +24,9 @@ from coopqp.controllers._torque_program import Layout
 from coopqp.qp import QP
 from coopqp.rank import least_squares
 from coopqp.state import State
+
+#: Changes that cones keep: that of a tick, and as much again, because no two ticks are the same.
+AHEAD = 2.0
 
 
 class HeldTorques:
@@ -62,7 +65,7 @@ class HeldTorques:
             # What is seen of the loops since then is no part of what the arms' motion does.
             b[self._loops] = -self._dynamics.drift - state.memory["back"]
             change = self._least(A, b - A @ answer)
-            hands.most -= hands.in_cone * np.maximum(hands.cones @ change, 0.0)
+            hands.most -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
         qp.h[layout.cones] = hands.most
 
     def _least(self, A: Array, right: Array) -> Array:
