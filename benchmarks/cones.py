@@ -2,11 +2,11 @@
 
 python benchmarks/cones.py             # 500 ticks of press_and_lift, with pads and a fingertip
 
-Pads bear a force at each corner that is counted on, |f_t| <= m f_z, and fingertips one force with the
-same cone. All else is the first level's program as the law filled it; nothing is foreseen of the
-tick, and what tilts pads keeps its rows. A round cone with cos(pi / edges) of the friction lies inside
-the linear one, and that inside the round one with all of it; so the cost lies between the costs of
-these two. A pad's square has four edges. Of the yaw that corners in round cones bear,
+Pads bear a force at each corner that is counted on, |f_t| <= m f_z, and fingertips one force with
+the same cone. All else is the first level's program as the law filled it; nothing is foreseen of
+the tick, and what tilts pads keeps its rows. A round cone with cos(pi / edges) of the friction lies
+inside the linear one, and that inside the round one with all of it; so the cost lies between the
+costs of these two. A pad's square has four edges. Of the yaw that corners in round cones bear,
 m f_z sqrt(X^2 + Y^2), a soft pad bears the share ``torsion``.
 """
 

@@ -28,7 +28,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
 DOWN = (0.0, 0.0, -1.0)
-PUSHES = (10.0, 15.0, 20.0, 25.0, 30.0)  # [N]
+PUSHES = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)  # [N]
 FRICTIONS = (0.9, 0.8, 0.7, 0.6, 0.5)  # times the modelled one
 #: Equal shares of force and torque, virtual bodies of almost no inertia, the pseudoinverse.
 SPLITS = ("walker", "virtual_inertia", "minimum_norm")

@@ -2,7 +2,7 @@
 
 The torque QP decides on wrenches at a tick's beginning. By its end gravity and inertia are those of
 the next pose, and the wrenches h of the hands have become h + d, by little of what the arms weigh,
-which can be much of what a light object needs. Cones keep both, with as much again for what changes d:
+which can be much of what a light object needs. Cones keep both, twice for what changes d:
 
     C h <= most,   C (h + 2 d) <= most
 
@@ -30,8 +30,10 @@ AHEAD = 2.0
 
 
 class HeldTorques:
-    """Of one problem; memory: the "answer", with the wrenches in the contacts' axes, zero for none,
-    and "back", with what acceleration it closes open loops.
+    """Of one problem.
+
+    Memory: the "answer", with wrenches in the contacts' axes, zero for none, and "back", with which
+    acceleration it closes open loops.
 
     Args:
         hands: their cones.

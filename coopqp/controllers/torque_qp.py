@@ -36,8 +36,8 @@ from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._force_checks import require_forces
-from coopqp.controllers._held_torques import HeldTorques
 from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
+from coopqp.controllers._held_torques import HeldTorques
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
 from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom

@@ -29,7 +29,7 @@ class SurfaceContact(Grasp):
     friction: Positive = 0.5
     """Coefficient between pad and object."""
     least: NonNegative = 1.0
-    """Normal force with which it is to press at least [N]."""
+    """Normal force with which it is to press at least; what tilts it counts on the rest [N]."""
     most: Positive | None = None
     """Normal force that the object, or the hand, stands [N]; any if omitted."""
     torsion: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0

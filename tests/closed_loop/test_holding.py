@@ -134,7 +134,7 @@ def test_the_hardest_squeeze_is_that_of_forces_at_the_corners_that_are_counted_o
 
 
 def test_naos_hinges_bear_no_torque_of_the_weight_either() -> None:
-    """20.1 N; 17.0 N where hinges are freed of what is internal alone, and Walker's share is not."""
+    """20.1 N; 17.0 N where what is internal alone is free of them, and Walker's share is not."""
     chain = coopqp.load("passive_grasp_pose").chain
     hold = StaticHold(chain)
     row = section(*hold.points).rows[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from laws import problem
 from pads import pressing
 
@@ -24,11 +23,11 @@ from coopqp.tasks import PointOnPoint
 TICKS = 40
 
 
-def in_contacts(law: TorqueQpLaw, h: Array, state: State) -> Array:
-    """Wrenches of the hands in the contacts' axes, one after the other."""
-    turned = into_contacts(law.hands.hands, state.R_WO)
-    pairs = h.reshape(2, 2, 3)
-    return np.concatenate([(R @ pair.T).T.ravel() for R, pair in zip(turned, pairs, strict=True)])
+def turned(law: TorqueQpLaw, h: Array, state: State, *, back: bool = False) -> Array:
+    """Wrenches of the hands from world axes into those of the contacts, or back."""
+    axes = into_contacts(law.hands.hands, state.R_WO)
+    pairs = zip(axes.transpose(0, 2, 1) if back else axes, h.reshape(2, 2, 3), strict=True)
+    return np.concatenate([[*R @ force, *R @ torque] for R, (force, torque) in pairs])
 
 
 def lively(chain: ClosedChain, half: float) -> TorqueQpLaw:
@@ -49,22 +48,23 @@ def test_the_end_of_a_tick_is_foreseen_as_it_was(chain: ClosedChain) -> None:
     for command, _ in drive(law, plant, state, TICKS):
         hands = law.hands
         if before is not None:
-            did = plant.signals["hand_wrench"]
-            change = in_contacts(law, did, state) - before
-            turned = np.concatenate(
-                [
-                    (R.T @ part.T).T.ravel()
-                    for R, part in zip(
-                        into_contacts(hands.hands, state.R_WO),
-                        change.reshape(2, 2, 3),
-                        strict=True,
-                    )
-                ]
-            )
+            came_to = turned(law, plant.signals["hand_wrench"], state)
+            change = turned(law, came_to - before, state, back=True)
+            rows = hands.in_cone * np.maximum(hands.cones @ change, 0.0)
             foreseen = (hands.stated - hands.most) / AHEAD
-            rows = hands.in_cone * np.maximum(hands.cones @ turned, 0.0)
             assert np.allclose(foreseen, rows, atol=1e-5)
             moved = max(moved, float(foreseen.max()))
         assert command.causes == (Status.OPTIMAL,)
-        before = in_contacts(law, law.solution.v[law.layout.h], state)
+        before = turned(law, law.solution.v[law.layout.h], state)
     assert moved > 0.01  # it matters [N]
+
+
+def test_after_other_torques_nothing_is_foreseen(chain: ClosedChain) -> None:
+    law = lively(chain, 0.02)
+    state = law.start()
+    law.tick(state)
+    assert state.memory["answer"].any()
+    law.hold_still(state)
+    assert not state.memory["answer"].any()
+    law.tick(state)
+    assert np.array_equal(law.hands.most, law.hands.stated)
