@@ -2,14 +2,17 @@
 
 python benchmarks/cones.py             # 500 ticks of press_and_lift, with pads and a fingertip
 
-Pads bear a force at each corner, |f_t| <= m f_z, and fingertips one force with the same cone. All
-else is the first level's program as the law filled it. A round cone with cos(pi / edges) of the
-friction lies inside the linear one, and that inside the round one with all of it; so the cost lies
-between the costs of these two. A pad's square has four edges.
+Pads bear a force at each corner that is counted on, |f_t| <= m f_z, and fingertips one force with
+the same cone. All else is the first level's program as the law filled it; nothing is foreseen of
+the tick, and what tilts pads keeps its rows. A round cone with cos(pi / edges) of the friction lies
+inside the linear one, and that inside the round one with all of it; so the cost lies between the
+costs of these two. A pad's square has four edges. Of the yaw that corners in round cones bear,
+m f_z sqrt(X^2 + Y^2), a soft pad bears the share ``torsion``.
 """
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -54,23 +57,25 @@ def round_cost(law: TorqueQpLaw, state: State, *, narrow: bool = False) -> float
         narrow: whether with as much less friction as the linear cones lose at worst.
     """
     qp, layout, safety = law.qp, law.layout, law.settings.safety
-    corners = [_corners(hand.contact) for hand in law.hands.hands if hand.contact]
+    pads = [hand.contact and hand.contact.counted_on for hand in law.hands.hands]
+    corners = [_corners(pad) for pad in pads if pad]
     n, extra = len(qp.q), 3 * sum(len(places) for places in corners)
     A, b, cones = _linear(law, n + extra)
     turned, at = into_contacts(law.hands.hands, state.R_WO), n
     places = iter(corners)
-    for i, hand in enumerate(law.hands.hands):
-        if not hand.contact:
+    for i, pad in enumerate(pads):
+        if not pad:
             continue
-        share = (worst_share(hand.contact) if narrow else 1.0) / safety
-        at, sums, rounds, kinds = _one(hand.contact, next(places), share, at, n + extra)
+        share = (worst_share(pad) if narrow else 1.0) / safety
+        at, sums, rounds, kinds = _one(pad, next(places), share, at, n + extra)
+        yaw = _yaw(pad, share, sums)
         start = layout.h.start + 6 * i
         sums[:3, start : start + 3] = -turned[i]
         if len(sums) > 3:
             sums[3:, start + 3 : start + 6] = -turned[i]
-        A += [sums, *rounds.reshape(len(kinds), 3, -1)]
-        b += [np.zeros(len(sums)), *np.zeros((len(kinds), 3))]
-        cones += [clarabel.ZeroConeT(len(sums)), *kinds]
+        A += [sums, yaw, *rounds.reshape(len(kinds), 3, -1)]
+        b += [np.zeros(len(sums)), np.zeros(len(yaw)), *np.zeros((len(kinds), 3))]
+        cones += [clarabel.ZeroConeT(len(sums)), clarabel.NonnegativeConeT(len(yaw)), *kinds]
     return _solved(law, A, b, cones)
 
 
@@ -140,6 +145,15 @@ def _one(
     return at, sums, rounds, [clarabel.SecondOrderConeT(3) for _ in places]
 
 
+def _yaw(contact: Contact, share: float, sums: Array) -> Array:
+    """Rows <= 0 on the yaw of a pad that bears less of it than its corners would."""
+    torsion = getattr(contact, "torsion", 1.0)
+    if torsion == 1.0:
+        return np.zeros((0, sums.shape[1]))
+    most = torsion * share * contact.friction * float(np.hypot(*contact.half_lengths))
+    return np.vstack([sums[5] - most * sums[2], -sums[5] - most * sums[2]])
+
+
 def worst_share(contact: Contact) -> float:
     """Share of the friction whose round cone lies inside the linear one: of a pad's square 71 %."""
     return float(np.cos(np.pi / getattr(contact, "edges", 4)))
@@ -179,7 +193,7 @@ class Costs:
 
 
 def costs(law: TorqueQpLaw, state: State) -> Costs:
-    """Of the law's last program."""
+    """Of the law's last program, of a tick without another before it."""
     A, b, cones = _linear(law, len(law.qp.q))
     return Costs(
         cost(law.qp, law.solution.v), round_cost(law, state),
@@ -188,11 +202,18 @@ def costs(law: TorqueQpLaw, state: State) -> Costs:
 
 
 def drawn(law: TorqueQpLaw, plant: PlantModel, every: int, count: int) -> Iterator[Costs]:
-    """Costs of every so many ticks of a run, of those that gave nothing up."""
-    state = law.start()
-    for i, (command, _) in enumerate(drive(law, plant, state, every * count)):
-        if i % every == 0 and command.causes == (Status.OPTIMAL,):
-            yield costs(law, state)
+    """Costs of every so many ticks of a run, of those that gave nothing up.
+
+    A second law decides them anew, as if nothing had been before.
+    """
+    anew, state = law.settings.build(law.problem), law.start()
+    assert isinstance(anew, TorqueQpLaw)
+    for i, _ in enumerate(drive(law, plant, state, every * count)):
+        if i % every == 0:
+            alone = copy.deepcopy(state)
+            alone.memory["answer"][:] = 0.0
+            if anew.tick(alone).causes == (Status.OPTIMAL,):
+                yield costs(anew, alone)
 
 
 def main() -> None:
@@ -200,7 +221,12 @@ def main() -> None:
     assert isinstance(scenario.grasps, Mapping)
     pose = scenario.grasps["left/arm"].object_in_hand
     tip = {**scenario.grasps, "left/arm": PointContact(object_in_hand=pose)}
-    kinds = {"two pads": scenario, "a fingertip and a pad": replace(scenario, grasps=tip)}
+    soft = {arm: replace(grasp, torsion=0.5) for arm, grasp in scenario.grasps.items()}
+    kinds = {
+        "two pads": scenario,
+        "two soft pads, torsion 0.5": replace(scenario, grasps=soft),
+        "a fingertip and a pad": replace(scenario, grasps=tip),
+    }
     print("| held by | ticks | between | loss mean [%] | worst [%] | allowed mean [%] |")
     print("|---|---|---|---|---|---|")
     for kind, held in kinds.items():

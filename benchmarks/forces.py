@@ -1,19 +1,22 @@
 """Which push and which friction lose the box of press_and_lift, and what cones cost a tick.
 
-python benchmarks/forces.py            # the tables of docs/forces.md, some minutes
-python benchmarks/forces.py --speed    # the ratio alone
+python benchmarks/forces.py              # the tables of docs/forces.md, some minutes
+python benchmarks/forces.py --baselines  # formulas without and with a fixed squeeze, some minutes
+python benchmarks/forces.py --speed      # the ratio alone
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from dataclasses import replace
 
 import numpy as np
 
 import coopqp
 from coopqp.closed_chain import ClosedChain
-from coopqp.controllers import TorqueQp
+from coopqp.controller import Controller
+from coopqp.controllers import PassiveGraspPid, TorqueQp, WrenchSplit
 from coopqp.disturbance import Disturbance, Push
 from coopqp.grasps import Rigid
 from coopqp.metrics.friction_margin import FrictionMargin
@@ -25,8 +28,11 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
 DOWN = (0.0, 0.0, -1.0)
-PUSHES = (10.0, 15.0, 20.0, 25.0, 30.0)  # [N]
+PUSHES = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)  # [N]
 FRICTIONS = (0.9, 0.8, 0.7, 0.6, 0.5)  # times the modelled one
+#: Equal shares of force and torque, virtual bodies of almost no inertia, the pseudoinverse.
+SPLITS = ("walker", "virtual_inertia", "minimum_norm")
+SQUEEZES = (0.0, 22.0, 25.0, 30.0, 41.6)  # [N]
 TICKS = 300
 
 
@@ -56,6 +62,21 @@ def tables() -> None:
         print(line(f"{friction:g}", ran(scenario, 10.0, friction)))
 
 
+def baselines() -> None:
+    """Formulas that know no friction, and the PID, beside the QP: in the story of the scenario."""
+    scenario = coopqp.load("press_and_lift")
+    print("| law | squeeze [N] | | friction unused [%] | slip [mm] |\n|---|---|---|---|---|")
+    print(line("torque_qp | its own", coopqp.run(scenario, controller="torque_qp")))
+    print(line("passive_grasp_pid | none", beside(scenario, PassiveGraspPid(level="kinematic"))))
+    for split, squeeze in itertools.product(SPLITS, SQUEEZES):
+        trace = beside(scenario, WrenchSplit(split=split, squeeze=squeeze))
+        print(line(f"{split} | {squeeze:g}", trace))
+
+
+def beside(scenario: Scenario, settings: Controller) -> Trace:
+    return coopqp.run(replace(scenario, controllers={"beside": settings}), controller="beside")
+
+
 def tick(chain: ClosedChain, scenario: Scenario) -> float:
     """Median time of a tick on rigid bodies [us]."""
     problem = scenario.problem(chain=chain)
@@ -76,7 +97,12 @@ def speed() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--speed", action="store_true")
-    if not parser.parse_args().speed:
+    parser.add_argument("--baselines", action="store_true")
+    asked = parser.parse_args()
+    if asked.baselines:
+        baselines()
+        return
+    if not asked.speed:
         tables()
     speed()
 

@@ -11,7 +11,7 @@ so that what it allows friction bears; the outer one around it, so that what it 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,9 @@ from coopqp.checked import Array
 
 #: Friction is counted on over this where nothing else is said.
 SAFETY = 1.5
+#: Share of a pad's half-lengths that is counted on where nothing else is said: beyond its edge no
+#: friction holds, and torques are held for a tick in which the arms move on.
+REACH = 0.95
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6
 
@@ -32,7 +35,7 @@ class ForceRows:
     Attributes:
         rows: shape (r, 6).
         most: shape (r,) [N].
-        labels: such as "friction[3]", "least" and "most".
+        labels: such as "friction[3]", "edge[2]", "least" and "most".
     """
 
     rows: Array
@@ -48,6 +51,7 @@ class Contact(ABC):
         placement: pose of the contact frame in the hand's tip frame, a pinocchio SE3.
         friction: coefficient mu.
         half_lengths: of the pad along the frame's x and y [m]; zero for a point.
+        reach: share of the half-lengths that is counted on; what holds is the whole pad.
         least: normal force with which a hand is to press at least [N].
         most: normal force that hand and object stand [N].
     """
@@ -55,6 +59,7 @@ class Contact(ABC):
     placement: Any
     friction: float
     half_lengths: tuple[float, float] = (0.0, 0.0)
+    reach: float = 1.0
     least: float = 0.0
     most: float = np.inf
 
@@ -89,16 +94,25 @@ class Contact(ABC):
         Args:
             safety: friction is counted on over this.
         """
-        cone = self.rows(self.friction / safety)
+        cone = self.counted_on.rows(self.friction / safety)
+        # Rows without friction say where the normal force is: beyond the edge nothing helps.
+        tilts = ~cone[:, [0, 1, 5]].any(axis=1)
+        kinds = np.where(tilts, "edge", "friction")
         normal = np.zeros((2, 6))
         normal[:, 2] = -1.0, 1.0
         bounds, labels = [-self.least, self.most], ["least", "most"]
         ends = 1 if np.isinf(self.most) else 2
         return ForceRows(
             np.vstack([cone, normal[:ends]]),
-            np.array([0.0] * len(cone) + bounds[:ends]),
-            tuple([f"friction[{i}]" for i in range(len(cone))] + labels[:ends]),
+            np.concatenate([self.least * cone[:, 2] * tilts, bounds[:ends]]),
+            tuple([f"{kind}[{i}]" for i, kind in enumerate(kinds)] + labels[:ends]),
         )
+
+    @property
+    def counted_on(self) -> Contact:
+        """The contact with the pad that is counted on, about the same middle."""
+        X, Y = self.half_lengths
+        return replace(self, half_lengths=(self.reach * X, self.reach * Y), reach=1.0)
 
     def use(self, wrench: ArrayLike, friction: float) -> float:
         """How much of the inner cone a wrench uses: 0 pure squeeze, 1 its edge; inf without one.

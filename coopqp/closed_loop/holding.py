@@ -29,6 +29,10 @@ from coopqp.closed_loop.screw import LENGTH
 IDLE = 1e-6
 #: Loads are told up to this many times the object's weight.
 MOST_LOAD = 100.0
+#: What rows of a contact are called.
+WORDS = {
+    "friction": "friction", "edge": "pad's edge", "least": "least force", "most": "most force",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class StaticHold:
             into[:, 6 * i : 6 * i + 6] = np.kron(np.eye(2), R)
             kept = hand.contact.force_rows(safety)
             for row, most, label in zip(kept.rows, kept.most, kept.labels, strict=True):
-                what = "friction" if label.startswith("friction") else f"{label} force"
+                what = WORDS[label.partition("[")[0]]
                 self._bound(f"{what} of {hand.arm}", row @ into, float(most))
 
     def _bound(self, name: str, row: Array, most: float) -> None:

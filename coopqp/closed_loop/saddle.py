@@ -15,16 +15,20 @@ SINGULAR = 1e-12
 
 
 class Saddle:
-    """A matrix [top right; left 0], factored by LAPACK without leaving preallocated arrays.
+    """A matrix [top right; left corner], factored by LAPACK without leaving preallocated arrays.
 
     Args:
         n: rows of top. m: rows of left.
+
+    Attributes:
+        corner: zero until it is written, shape (m, m), as are the others.
     """
 
     def __init__(self, n: int, m: int) -> None:
         self._K = np.zeros((n + m, n + m), order="F")
         self._flat = self._K.reshape(-1, order="F")
         self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
+        self.corner = self._K[n:, n:]
 
     def solve(self, rhs: Array) -> tuple[Array, bool]:
         """Solution, and whether the matrix is singular, so that it is one of least squares."""

@@ -60,9 +60,12 @@ class HandWrenches:
         cone_rows: rows of the cones.
         pressing: whether any hand holds by contact.
         points: of the hands as of the last update, shape (N, 3) [m].
+        turned: R_CW of each hand where any presses, likewise, shape (N, 3, 3).
         G: grasp matrix, shape (6, 6 N).
         feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
-        cones: shape (c, 6 N), and most: cones @ h <= most, shape (c,).
+        cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
+        most: what is kept of that now, shape (c,); see ``_held_torques``.
+        in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
         split: of this instant.
 
     Raises:
@@ -87,6 +90,7 @@ class HandWrenches:
         self.shares = _shares(chain, shares)
         self._prepare_cones(safety)
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
+        self.turned = np.zeros((N, 3, 3))
         self.feels = np.zeros((chain.n, 6 * N))
         metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
         self._metric = metric
@@ -109,7 +113,10 @@ class HandWrenches:
             Row(name=f"contact[{arm}].{label}", kind="hand", owner=arm, unit="N")
             for arm, label in names
         )
-        self.most = np.concatenate([*most, np.zeros(0)])
+        self.stated = np.concatenate([*most, np.zeros(0)])
+        self.most = self.stated.copy()
+        of_force = [label in ("least", "most") for _, label in names]
+        self.in_cone = 1.0 - np.array(of_force, float)
         self.cones = np.zeros((len(self.most), self.size))
 
     def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
@@ -126,11 +133,11 @@ class HandWrenches:
             part = slice(6 * i, 6 * i + 6)
             self.feels[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
         if self.pressing:
-            turned, at = into_contacts(self.hands, state.R_WO), 0
+            self.turned[:], at = into_contacts(self.hands, state.R_WO), 0
             for i, rows in self._local:
                 to = slice(at, at + len(rows))
-                self.cones[to, 6 * i : 6 * i + 3] = rows[:, :3] @ turned[i]
-                self.cones[to, 6 * i + 3 : 6 * i + 6] = rows[:, 3:] @ turned[i]
+                self.cones[to, 6 * i : 6 * i + 3] = rows[:, :3] @ self.turned[i]
+                self.cones[to, 6 * i + 3 : 6 * i + 6] = rows[:, 3:] @ self.turned[i]
                 at += len(rows)
         if self._by_motors:
             self.shares[:] = self._reserves(state, dynamics)

@@ -8,7 +8,7 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety              hands that press       (hard)
+                h_i in its cone, friction over safety, also at the tick's end, ``_held_torques``
 
 h are the wrenches of the hands on the object, and h_int what of them is internal and not asked for
 (``_hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority are met in what
@@ -40,6 +40,7 @@ from coopqp.contact import SAFETY
 from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._force_checks import require_forces
 from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
+from coopqp.controllers._held_torques import HeldTorques
 from coopqp.controllers._impedances import Impedances, require_impedances
 from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
 from coopqp.controllers._reference_model import ReferenceModel
@@ -56,7 +57,7 @@ LEAST_TICKS = 4
 
 
 class TorqueQpLaw(Law):
-    """The QPs of one problem; memory: that of ReferenceModel.
+    """The QPs of one problem; memory: those of ReferenceModel and HeldTorques.
 
     Attributes:
         settings: as given.
@@ -90,8 +91,9 @@ class TorqueQpLaw(Law):
         self._model = ReferenceModel(level.gains[self._followed], problem.dt)
         self._pull = settings.integral * level.gains[self._followed]
         self._pushes = settings.observer(dynamics, problem.dt)
+        self._held = HeldTorques(self.hands, self.layout, dynamics)
         seen = self._pushes.memory_sizes if self._pushes else {}
-        self.memory_sizes = self._model.memory_sizes | seen
+        self.memory_sizes = {**self._model.memory_sizes, **self._held.memory_sizes, **seen}
 
     @property
     def qp(self) -> QP:
@@ -111,6 +113,7 @@ class TorqueQpLaw(Law):
         command.say(*causes)
         assert command.tau is not None
         command.tau[:] = 0.0
+        self._held.remember(state, self.qp, x)
         if x is not None:
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
@@ -132,6 +135,7 @@ class TorqueQpLaw(Law):
         self._bounds.update(state)
         self._wrench = self._pushed(state)
         self._fill(0, state, None)
+        self._held.foresee(state, self.qp)
 
     def _pushed(self, state: State) -> Array | None:
         """Of the surroundings on the object, as far as somebody knows."""
@@ -213,6 +217,7 @@ class TorqueQpLaw(Law):
     def hold_still(self, state: State) -> None:
         """Hold the weight and brake."""
         assert self.command.tau is not None
+        self._held.remember(state, self.qp, None)
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)

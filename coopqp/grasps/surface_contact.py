@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.contact import Contact
+from coopqp.contact import REACH, Contact
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps._pad import Pad
 from coopqp.grasps._placed import check_range, placed
@@ -29,11 +29,13 @@ class SurfaceContact(Grasp):
     friction: Positive = 0.5
     """Coefficient between pad and object."""
     least: NonNegative = 1.0
-    """Normal force with which it is to press at least [N]."""
+    """Normal force with which it is to press at least; what tilts it counts on the rest [N]."""
     most: Positive | None = None
     """Normal force that the object, or the hand, stands [N]; any if omitted."""
     torsion: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Share of the corners' yaw that it bears: 1 hard and level, about 0.5 soft."""
+    reach: Annotated[float, Field(gt=0.0, le=1.0)] = REACH
+    """Share of the half-lengths that controllers count on, so that pressure keeps off the edge."""
 
     def __post_init__(self) -> None:
         check_range(self.least, self.most)
@@ -51,6 +53,7 @@ class SurfaceContact(Grasp):
             placement=placement,
             friction=self.friction,
             half_lengths=self.half_lengths,
+            reach=self.reach,
             least=self.least,
             most=math.inf if self.most is None else self.most,
             torsion=self.torsion,

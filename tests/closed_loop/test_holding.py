@@ -6,20 +6,27 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from pads import pressing, scenario_pads
 from scenario_files import HEAD, LOADABLE, PHASES, TAIL, write
+from scipy.linalg import block_diag
+from scipy.optimize import linprog
 
 import coopqp
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.forces import contact_faults, contact_notes, forces
+from coopqp.closed_loop.grasp_matrix import grasp_matrix, walker
 from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.section import section
+from coopqp.contact import Contact
 from coopqp.errors import ScenarioError
 
 G = 9.81  # [m/s2]
 
-#: Scenario, mass [kg], half-lengths [m]: least and most squeeze [N]; None where it falls.
+#: Scenario, mass [kg], half-lengths [m]: least and most squeeze [N] with whole pads; None where it
+#: falls.
 PADS = [
     ("point_on_point", 0.2, 0.02, (4.16, 12.1)),
     ("point_on_point", 0.5, 0.02, (10.4, 11.6)),
@@ -37,7 +44,7 @@ def test_the_range_of_squeeze_of_the_notes(
 ) -> None:
     if name not in LOADABLE:
         pytest.skip("needs coopqp[robots]")
-    found = forces(scenario_pads(name, mass, half))
+    found = forces(scenario_pads(name, mass, half, reach=1.0, least=0.0))
     (between,) = found.squeezes
     if squeeze is None:
         assert between.least is between.most is None
@@ -50,6 +57,98 @@ def test_the_range_of_squeeze_of_the_notes(
     assert between.most.value == pytest.approx(squeeze[1], rel=5e-3)
     assert {*between.least.by} == {f"friction of {arm}" for arm in found.contacts}
     assert any(name.startswith("motor") for name in between.most.by)
+
+
+def at_corners(pad: Contact) -> tuple[Array, Array, Array]:
+    """Wrench of forces at the corners that are counted on, (6, 12); rows <= most that they keep."""
+    X, Y = (pad.reach * x for x in pad.half_lengths)
+    m = pad.friction / 1.5 / math.sqrt(2.0)
+    places = [(X, Y), (X, -Y), (-X, Y), (-X, -Y)]
+    does = np.hstack([np.vstack([np.eye(3), pin.skew(np.array([*p, 0.0]))]) for p in places])
+    square = np.array([[1, 0, -m], [-1, 0, -m], [0, 1, -m], [0, -1, -m]])
+    _, _, fz, tx, ty, _ = does
+    tilts = [tx - Y * fz, -tx - Y * fz, ty - X * fz, -ty - X * fz]
+    rows = np.vstack([np.kron(np.eye(4), square), *tilts, -fz])
+    return does, rows, -pad.least * np.array([0.0] * 16 + [Y, Y, X, X, 1.0])
+
+
+def squeezed(chain: ClosedChain, hinged: Array | None = None) -> float:
+    """The hardest squeeze by another program: torques, and forces at corners or whole wrenches.
+
+    By pinocchio's Jacobians of the tips, which are the contacts' origins here.
+
+    Args:
+        chain: two hands.
+        hinged: torques of the hands at passive joints; as gravity asks if omitted.
+    """
+    model, q, n = chain.model, chain.q_start, chain.n
+    data, motors = model.createData(), [i for i in range(n) if i not in chain.passive]
+    pin.computeJointJacobians(model, data, q)
+    pin.framesForwardKinematics(model, data, q)
+    tips = [data.oMf[model.getFrameId(arm.tip)].copy() for arm in chain.arms]
+    way = tips[1].translation - tips[0].translation
+    columns, cost = [np.vstack([np.eye(n)[:, motors], np.zeros((6, len(motors)))])], []
+    kept: list[Array] = []
+    most: list[Array] = []
+    for frame, tip, arm, sign in zip(chain.frames, tips, chain.arms, (1.0, -1.0), strict=True):
+        does, pad = np.eye(6), chain.grasps[arm.name].contact
+        if pad:
+            local, rows, right = at_corners(pad)
+            does = np.kron(np.eye(2), tip.rotation @ pad.placement.rotation) @ local
+            kept, most = [*kept, rows], [*most, right]
+        J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        J[:3] -= pin.skew(tip.translation - data.oMf[frame].translation) @ J[3:]
+        to_origin = np.eye(6)
+        to_origin[3:, :3] = pin.skew(tip.translation - chain.object_pose(q).translation)
+        columns.append(np.vstack([-J.T @ does, to_origin @ does]))
+        cost.append(-0.5 * sign * way / np.linalg.norm(way) @ does[:3])
+    weight = [0.0, 0.0, chain.held.mass * G, 0.0, 0.0, 0.0]
+    effort, k = model.effortLimit[motors], len(motors)
+    own = pin.computeGeneralizedGravity(model, model.createData(), q)
+    if hinged is not None:
+        own[chain.passive] = -hinged
+    limits = block_diag(np.zeros((0, k)), *kept), np.concatenate([*most, np.zeros(0)])
+    found = linprog(
+        np.concatenate([np.zeros(k), *cost]),
+        A_ub=limits[0] if kept else None, b_ub=limits[1] if kept else None,
+        A_eq=np.hstack(columns), b_eq=np.concatenate([own, weight]),
+        bounds=[(-x, x) for x in effort] + [(None, None)] * sum(map(len, cost)), method="highs",
+    )  # fmt: skip
+    assert found.status == 0
+    return -float(found.fun)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass", "half"), [("point_on_point", 0.2, 0.02), ("two_pandas", 2.0, 0.03)]
+)
+@pytest.mark.parametrize("reach", [1.0, 0.95, 0.5])
+def test_the_hardest_squeeze_is_that_of_forces_at_the_corners_that_are_counted_on(
+    name: str, mass: float, half: float, reach: float
+) -> None:
+    if name not in LOADABLE:
+        pytest.skip("needs coopqp[robots]")
+    chain = scenario_pads(name, mass, half, reach=reach)
+    (between,) = forces(chain).squeezes
+    assert between.most
+    assert between.most.value == pytest.approx(squeezed(chain), rel=1e-6)
+
+
+def test_naos_hinges_bear_no_torque_of_the_weight_either() -> None:
+    """20.1 N; 17.0 N where what is internal alone is free of them, and Walker's share is not."""
+    chain = coopqp.load("passive_grasp_pose").chain
+    hold = StaticHold(chain)
+    row = section(*hold.points).rows[0]
+    most = hold.extreme(row, 1.0)
+    assert most
+    assert most.value == pytest.approx(squeezed(chain), rel=1e-6)
+    assert most.value == pytest.approx(20.1, abs=0.05)
+    assert set(most.by) == {"motor RWristYaw", "motor LWristYaw"}
+    origin = chain.object_pose(chain.q_start).translation
+    carried = walker(hold.points, origin, np.array([0.5, 0.5])).X @ hold.weight
+    J, at = chain.object_jacobians(chain.q_start), grasp_matrix(hold.points, origin)
+    hinges = np.hstack([J[i].T @ at[:, 6 * i : 6 * i + 6] for i in range(2)])[chain.passive]
+    assert np.abs(hinges @ carried).max() > 0.01  # no hinge bears that [N m]
+    assert squeezed(chain, hinges @ carried) == pytest.approx(17.0, abs=0.05)
 
 
 def test_the_least_squeeze_is_the_closed_form(chain: ClosedChain) -> None:

@@ -50,12 +50,12 @@ def law_of(chain: ClosedChain) -> TorqueQpLaw:
     return law
 
 
-@pytest.mark.parametrize("point", [False, True])
+@pytest.mark.parametrize(("point", "torsion"), [(False, 1.0), (False, 0.5), (True, 1.0)])
 def test_the_cost_lies_between_those_of_round_cones(
-    bench: Any, chain: ClosedChain, point: bool
+    bench: Any, chain: ClosedChain, point: bool, torsion: float
 ) -> None:
     """Round cones with all of the friction cost less, and those inside the linear ones more."""
-    held = pressing(chain, 0.2, 0.02)
+    held = pressing(chain, 0.2, 0.02, torsion=torsion)
     held = fingertip(held) if point else held
     law, compared, dear = law_of(held), 0, 0
     for q, v in closed_states(held, STATES):

@@ -114,6 +114,24 @@ def test_a_soft_pad_bears_less_yaw() -> None:
     assert not (soft.rows(0.5) @ yaw <= 0.0).all()
 
 
+def test_what_tilts_a_pad_is_counted_on_short_of_its_edge() -> None:
+    """|t_x| <= reach Y (f_z - least), while all of the pad bears |t_x| <= Y f_z."""
+    pad = pad_of(SurfaceContact(half_lengths=(0.02, 0.05), reach=0.9, least=2.0))
+    kept = pad.force_rows(1.5)
+    for axis, half in ((3, 0.05), (4, 0.02)):
+        for share, counted_on in ((0.999, True), (1.001, False)):
+            w = np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])
+            w[axis] = -share * 0.9 * half * (10.0 - 2.0)
+            assert (kept.rows @ w <= kept.most).all() == counted_on
+            w[axis] = share * half * 10.0
+            assert pad.holds(w, 0.5) == counted_on
+    left = [label for label in kept.labels if label.startswith("edge")]
+    assert len(left) == 4
+    # Without tilt, friction and normal force are what they are on the whole pad.
+    w = np.array([0.0, 0.999 * 10.0 * 0.5 / 1.5 / math.sqrt(2.0), 10.0, 0.0, 0.0, 0.0])
+    assert (kept.rows @ w <= kept.most).all()
+
+
 @pytest.mark.parametrize(
     ("edges", "worst"), [(4, 0.707), (6, 0.866), (8, 0.924), (12, 0.966), (16, 0.981)]
 )
