@@ -53,6 +53,31 @@ def groups(problem: ControlProblem) -> list[list[Task]]:
     return [*first_alone, *main, *later]
 
 
+def deciding(problem: ControlProblem) -> list[list[Task]]:
+    """The :func:`groups` that have anything left to decide: none after all joints are decided.
+
+    Ranks are taken only where the number of rows does not tell.
+    """
+    chain, found = problem.chain, list[list[Task]]()
+    exact = [task for task in problem.tasks if task.mode != "soft"]
+    for group in groups(problem):
+        before = [*exact, *(task for earlier in found for task in earlier)]
+        if found and _all_decided(chain, before):
+            break
+        found.append(group)
+    return found
+
+
+def _all_decided(chain: ClosedChain, tasks: Sequence[Task]) -> bool:
+    """Whether the loops and these tasks leave no joint free."""
+    if any(task.joint_space and task.all_joints for task in tasks):
+        return True
+    rows = len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks)
+    if rows < chain.n:
+        return False
+    return Decided(chain, [TaskStack(tasks, State(chain))]).rank == chain.n
+
+
 class LaterLevel:
     """A level after the first.
 
@@ -65,7 +90,6 @@ class LaterLevel:
         damping: cost of |v|^2.
 
     Attributes:
-        nothing_free: whether the levels before it decide all joints.
         level: its QP.
         pull: sum of |y| L / sigma over the decided rows in the last tick, of the cost without its
             damping.
@@ -82,9 +106,9 @@ class LaterLevel:
     ) -> None:
         stacks = (*before, exact.hard, exact.scaled)
         self._decided = Decided(problem.chain, stacks)
-        rank = self._decided.rank
-        self.nothing_free = rank == problem.chain.n
-        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(rank))
+        rows = tuple(
+            Row(name=f"decided[{i}]", kind="decided") for i in range(self._decided.rank)
+        )
         self.level = Level(problem, tasks, rows, bounds, damping)
         self.pull = 0.0
 

@@ -105,7 +105,7 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 
 
 def _run(drawn: Draw, seed: int) -> Rollout:
-    law = LAW.build(drawn.problem)
+    law = LAW.build(drawn.problem, prepared=False)
     state = law.start()
     record = record_of(drawn.problem)
     drive_on(law, state, record)
