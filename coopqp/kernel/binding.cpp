@@ -3,8 +3,11 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <atomic>
+#include <cstdint>
 #include <cstdlib>
+#include <optional>
 
 #include "reading.hpp"
 
@@ -152,26 +155,34 @@ class Engine {
         const int status = evaluate(t);
         if (status) return status;
         const coopqp::Status decided = kernel_->solve();
-        if (decided == coopqp::Status::Optimal || decided == coopqp::Status::Shortened) advance();
+        if (is_answer(decided)) advance();
         return int(decided);
     }
 
-    // Ticks and steps until a tick is not optimal, from the state that is bound. Written: q before
-    // each tick and at the end, shape (T + 1, n), and v of each of T ticks. Returns how many were
-    // done; signals of the process wait as long.
-    int run(double t, const Written& q, const Written& v) {
+    // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
+    // each tick and at the end, shape (T + 1, n), v of each of T ticks, and who decided it and how.
+    // Returns how many were done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v, const Said& said, Engine* softened,
+            double soft_ticks, bool gives_up, bool stops, bool all_corrected) {
         const Use use(*this);
-        if (!use.alone || waits()) return BUSY;
-        const std::size_t n = kernel_->model().joints.size(), ticks = v.size() / n;
-        if (q.size() < n * (ticks + 1)) return BUSY;
+        if (!use.alone || !q_now_ || softened == this) return BUSY;
+        std::optional<Use> other;
+        if (softened) other.emplace(*softened);
+        if (other && !other->alone) return BUSY;
+        const std::size_t n = kernel_->model().joints.size(), ticks = said.size();
+        if (q.size() < n * (ticks + 1) || v.size() < n * ticks) return BUSY;
         nb::gil_scoped_release released;
+        GivingUp given{softened, soft_ticks, gives_up, stops, all_corrected};
         std::size_t done = 0;
         for (; done < ticks; done++) {
             std::copy(q_now_, q_now_ + n, q.data() + done * n);
-            if (evaluate(t) || kernel_->solve() != coopqp::Status::Optimal) break;
+            const int how = decide(t, given);
+            if (how == BUSY) break;
+            said.data()[done] = std::uint8_t(how);
             advance();
             std::copy(v_now_, v_now_ + n, v.data() + done * n);
             t += kernel_->settings().dt;
+            given.all_corrected = true;
         }
         std::copy(q_now_, q_now_ + n, q.data() + done * n);
         return int(done);
@@ -186,6 +197,52 @@ class Engine {
 
   private:
     static constexpr int BUSY = -1;
+    static constexpr int SOFTENED = 16, STANDS = 32;  // added to the status of a tick of a run
+
+    // What a run does where not everything can hold, as coopqp.kernel.law has it.
+    struct GivingUp {
+        Engine* softened;  // the problem with its hard and scaled tasks soft, if there are any
+        double soft_ticks;
+        bool gives_up, stops;
+        bool all_corrected;  // whether the tick before has done all of the drift correction
+    };
+
+    // The status of a tick and who decided it; BUSY where that is Python's.
+    int decide(double t, const GivingUp& given) {
+        if (evaluate(t)) return BUSY;
+        if (*stopped_ != 0.0) return stand_still();
+        if (*soft_ <= 0.0) {
+            const coopqp::Status status = kernel_->solve();
+            if (is_answer(status)) return int(status);
+            if (status != coopqp::Status::Infeasible) return BUSY;
+        }
+        if (!given.gives_up) {
+            *stopped_ = given.stops ? 1.0 : 0.0;
+            forget_exact();
+            return stand_still();
+        }
+        if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
+        const coopqp::Status status = given.softened->kernel_->solve();
+        if (!is_answer(status)) return BUSY;
+        *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
+        forget_exact();
+        return SOFTENED + int(status);
+    }
+
+    static bool is_answer(coopqp::Status status) {
+        return status == coopqp::Status::Optimal || status == coopqp::Status::Shortened;
+    }
+
+    void forget_exact() {
+        const auto& bound = kernel_->bound;
+        *bound.hard_pull = 0.0;
+        std::fill_n(bound.missing, kernel_->levels[0].shares, 0.0);
+    }
+
+    int stand_still() {
+        std::fill_n(kernel_->bound.v, kernel_->model().joints.size(), 0.0);
+        return STANDS;
+    }
 
     int evaluate(double t) {
         const int status = int(kernel_->update(t));
@@ -275,7 +332,7 @@ class Engine {
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
-    const double *stopped_ = nullptr, *soft_ = nullptr;
+    double *stopped_ = nullptr, *soft_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE
@@ -295,7 +352,8 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("tick_coming_back", &Engine::tick_coming_back)
         .def("step", &Engine::step)
-        .def("run", &Engine::run)
+        .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "softened"_a.none(),
+             "soft_ticks"_a, "gives_up"_a, "stops"_a, "all_corrected"_a)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest

@@ -42,6 +42,10 @@ GIVEN_UP = {
     SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
 }
 STANDS = (Status.INFEASIBLE,)
+#: The same of a tick in a run, numbered as in ``binding.cpp``.
+IN_A_RUN = {
+    **ALL_WELL, **{16 + said: causes for said, causes in GIVEN_UP.items()}, 32: STANDS
+}  # fmt: skip
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 AT_ONCE = 1000  # ticks of a run without Python
@@ -81,6 +85,8 @@ class KernelLaw(Law):
             self._prepare_softened()
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
         self._runs = self._alone_at_all and not self.whole.follows
+        self._gives_up = problem.on_infeasible == "scale"
+        self._stops = problem.on_infeasible == "stop"
         self._dt, self._soft_ticks, self._scales = problem.dt, soft_ticks(problem), bool(scaled)
         self._asked = False  # whether the kernel has been asked in this tick, and what it said
         self._said = OPTIMAL
@@ -253,8 +259,12 @@ class KernelLaw(Law):
 
     def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
         """As many as the kernel does in one go; how many."""
-        part = slice(done, done + most)
-        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[part]), 0)
+        said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
+        room = found.q[done:], found.v[done:], said
+        softened = self.softened.engine if self.softened else None
+        giving_up = softened, self._soft_ticks, self._gives_up, self._stops, whole
+        made: int = max(self.whole.engine.run(state.t, *room, *giving_up), 0)
+        found.causes[done : done + made] = map(IN_A_RUN.__getitem__, said[:made].tolist())
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit
         if made:
@@ -273,11 +283,7 @@ class KernelLaw(Law):
         self._say(STANDS)
         self.command.v[:] = 0.0
         self.command.scale = 0.0 if self._scales else 1.0
-        self._stopped[0] = float(self.problem.on_infeasible == "stop")
-
-    @property
-    def _gives_up(self) -> bool:
-        return self.problem.on_infeasible == "scale"
+        self._stopped[0] = float(self._stops)
 
     def _alone(self, state: State) -> bool:
         """Whether the kernel may decide and nothing of a tick is Python's.
