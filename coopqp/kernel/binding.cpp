@@ -47,6 +47,7 @@ class Engine {
             for (std::size_t i = 0; i < p.rows.size(); i++)
                 J[i * stride + std::size_t(model->joints[std::size_t(p.rows[i])].lane)] = 1.0;
         }
+        program_.open(*model, *arena);
         bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
         for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
             twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
