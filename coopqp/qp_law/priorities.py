@@ -146,7 +146,7 @@ class Decided:
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
         self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
-        self.rank = 0
+        self.rank, most = 0, min(chain.n, len(chain.loops.solver_rows) + sum(map(len, self._blocks)))
         state = State(chain)
         for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
             state.q[:] = q
@@ -155,6 +155,8 @@ class Decided:
                 stack.update(state)
             rows = np.vstack([state.J_loop, *self._blocks])
             self.rank = max(self.rank, matrix_rank(rows))
+            if self.rank >= most:
+                break
         self.rank = min(self.rank, chain.n)
         self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
         self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)
