@@ -179,10 +179,14 @@ class ClosedChain:
         start = vector("q", q, self.n)
         p_WO = self.object_pose(start).translation.copy()
         moved = copy.copy(self)
+        moved._made = self._made
         vars(moved).pop("reach", None)  # which is measured at the start
         moved.hold = replace(self.hold, q=start, p_WO=p_WO)
         moved._start()
         return moved
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_made": {}}  # made again where it is asked for
 
     def once(self, make: Callable[[ClosedChain], Made]) -> Made:
         """What is the same wherever the chain starts, made once for all that :meth:`moved` gives.

@@ -9,6 +9,7 @@
 #include <cstdlib>
 #include <optional>
 
+#include "core/slide.hpp"
 #include "reading.hpp"
 
 using namespace nb::literals;
@@ -51,12 +52,9 @@ class Engine {
         bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
         for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
             twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
-        const auto flags = integers(d, "kept");
-        std::vector<std::vector<int>> kept(flags.size() / 6);
-        for (std::size_t i = 0; i < flags.size(); i++)
-            if (flags[i]) kept[i / 6].push_back(int(i % 6));
-        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model), kept,
-                                                   settings, std::move(levels));
+        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model),
+                                                   kept_of(numbers(d, "kept")), settings,
+                                                   std::move(levels));
     }
 
     void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
@@ -336,9 +334,30 @@ class Engine {
     double *stopped_ = nullptr, *soft_ = nullptr;
 };
 
+class Slide {
+  public:
+    explicit Slide(const nb::dict& d) {
+        auto arena = std::make_unique<coopqp::Arena>();
+        auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
+        slide_ = std::make_unique<coopqp::Slide>(std::move(arena), std::move(model),
+                                                 kept_of(numbers(d, "kept")));
+    }
+
+    // With the GIL held, which keeps other threads out.
+    double step(const Written& q, const Numbers& direction, double size, int newton) {
+        const auto n = std::size_t(slide_->n());
+        if (q.size() != n || direction.size() != n) throw nb::value_error("a number for each joint");
+        return slide_->step(q.data(), direction.data(), size, newton);
+    }
+
+  private:
+    std::unique_ptr<coopqp::Slide> slide_;
+};
+
 }  // namespace KERNEL_MODULE
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::Slide;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Engine>(m, "Engine")
@@ -357,6 +376,9 @@ NB_MODULE(KERNEL_MODULE, m) {
              "soft_ticks"_a, "gives_up"_a, "stops"_a, "all_corrected"_a)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    nb::class_<Slide>(m, "Slide")
+        .def(nb::init<const nb::dict&>())
+        .def("step", &Slide::step);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

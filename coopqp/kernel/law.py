@@ -338,17 +338,22 @@ def why_not(problem: ControlProblem) -> str:
         return native.MISSING
     if not problem.solver.kernel_instead:
         return "the scenario asks for another solver"
+    return unfit(chain)
+
+
+def unfit(chain: ClosedChain) -> str:
+    """What of a chain the kernel cannot do; empty where it can do all."""
     if chain.loops.varying:
         return "which loop rows depend on others changes with the pose"
-    if flat_model(chain) is None:
-        return "a joint is neither a hinge nor a slide"
-    if chain.n <= len(chain.loops.kept):
-        return "the loops leave no motion"
     return chain.once(_unfit)
 
 
 def _unfit(chain: ClosedChain) -> str:
-    """What of a chain the compiled arrays do not hold, loop by loop."""
+    """What of it the compiled arrays do not hold, loop by loop, wherever it starts."""
+    if flat_model(chain) is None:
+        return "a joint is neither a hinge nor a slide"
+    if chain.n <= len(chain.loops.kept):
+        return "the loops leave no motion"
     moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
     shared = moved.sum(axis=0) > 1.0
     first = np.count_nonzero(shared | (moved[0] > 0.0))

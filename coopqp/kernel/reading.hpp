@@ -59,6 +59,14 @@ std::unique_ptr<coopqp::Model> model_of(const nb::dict& d, coopqp::Arena& arena)
     return m;
 }
 
+// Which of each loop's six rows are independent, from a flag for each.
+std::vector<std::vector<int>> kept_of(const std::vector<double>& flags) {
+    std::vector<std::vector<int>> kept(flags.size() / 6);
+    for (std::size_t i = 0; i < flags.size(); i++)
+        if (flags[i] != 0.0) kept[i / 6].push_back(int(i % 6));
+    return kept;
+}
+
 coopqp::Settings settings_of(const nb::dict& d) {
     coopqp::Settings s;
     s.dt = number(d, "dt");
