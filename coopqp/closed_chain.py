@@ -246,14 +246,12 @@ class ClosedChain:
         Sliding joints count with a metre, so that their share of a second derivative is bounded
         by it too.
         """
-        model, data = self.model, self.model.createData()
-        pin.framesForwardKinematics(model, data, self.q_start)
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.q_start)
         longest = 0.0
-        for frame in self.frames:
-            joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+        for frame, (joints, slides) in zip(self.frames, self.once(_ways), strict=True):
             places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
             way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
-            slides = any("P" in model.joints[j].shortname()[10:] for j in joints)
             longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -344,6 +342,15 @@ class ClosedChain:
             [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
              for X in others]
         )  # fmt: skip
+
+
+def _ways(chain: ClosedChain) -> list[tuple[list[int], bool]]:
+    """The joints on the way to each arm's frame, and whether one of them slides."""
+    model, found = chain.model, []
+    for frame in chain.frames:
+        joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+        found.append((joints, any("P" in model.joints[j].shortname()[10:] for j in joints)))
+    return found
 
 
 def _generic_rows(chain: ClosedChain) -> LoopRows:
