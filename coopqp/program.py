@@ -105,6 +105,11 @@ class Primitive:
         }
 
 
+def sees_twist(program: Sequence[Primitive] | None) -> bool:
+    """Whether a task's rows are those of the object's twist, and nothing else."""
+    return program is not None and not any(p.of_joints or p.over_joints for p in program)
+
+
 def profile_numbers(profile: Profile) -> Array:
     """Kind, duration and delay, shape (3,)."""
     return np.array([KINDS.index(profile.kind), profile.duration, profile.delay], float)

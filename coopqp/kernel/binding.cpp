@@ -208,9 +208,10 @@ class Engine {
 
     // The status of a tick and who decided it; BUSY where that is Python's.
     int decide(double t, const GivingUp& given) {
-        if (evaluate(t)) return BUSY;
-        if (*stopped_ != 0.0) return stand_still();
-        if (*soft_ <= 0.0) {
+        const bool stands = *stopped_ != 0.0, whole = *soft_ <= 0.0;
+        if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
+        if (stands) return stand_still();
+        if (whole) {
             const coopqp::Status status = kernel_->solve();
             if (is_answer(status)) return int(status);
             if (status != coopqp::Status::Infeasible) return BUSY;

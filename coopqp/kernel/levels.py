@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
-from coopqp.program import Primitive
+from coopqp.program import sees_twist
 from coopqp.state import State
 from coopqp.task import Task, TaskStack, levers_of
 
@@ -167,9 +167,4 @@ class Levels:
             at += len(primitive.rows)
         if not joints:
             count = at - len(rows.gain)
-            rows.take(task, levers[:count], share, twist=_sees_twist(program))
-
-
-def _sees_twist(program: Sequence[Primitive]) -> bool:
-    """Whether a task's rows are those of the object's twist."""
-    return all(not primitive.over_joints for primitive in program)
+            rows.take(task, levers[:count], share, twist=sees_twist(program))

@@ -22,6 +22,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
+from coopqp.program import sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.level import Level
@@ -31,6 +32,7 @@ from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
+TWIST = 6  # numbers of the object's twist
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
@@ -72,10 +74,30 @@ def _all_decided(chain: ClosedChain, tasks: Sequence[Task]) -> bool:
     """Whether the loops and these tasks leave no joint free."""
     if any(task.joint_space and task.all_joints for task in tasks):
         return True
-    rows = len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks)
-    if rows < chain.n:
+    if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
         return False
-    return Decided(chain, [TaskStack(tasks, State(chain))]).rank == chain.n
+    start = State(chain)
+    if most_rank(tasks, start) < chain.n:
+        return False
+    return Decided(chain, [TaskStack(tasks, start)]).rank == chain.n
+
+
+def most_rank(tasks: Sequence[Task], start: State) -> int:
+    """A rank that the rows of the loops and of these tasks cannot exceed.
+
+    Rows that see nothing but the object's twist are together of rank six at most.
+
+    Args:
+        tasks: any.
+        start: the state from which their references set out.
+    """
+    chain, twist, others = start.chain, 0, 0
+    for task in tasks:
+        if sees_twist(task.program(start)):
+            twist += len(task.rows(chain))
+        else:
+            others += len(task.rows(chain))
+    return min(chain.n, len(chain.loops.solver_rows) + min(twist, TWIST) + others)
 
 
 class LaterLevel:
@@ -146,8 +168,9 @@ class Decided:
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
         self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
-        self.rank, most = 0, min(chain.n, len(chain.loops.solver_rows) + sum(map(len, self._blocks)))
         state = State(chain)
+        tasks = [task for stack in stacks for task in stack.tasks]
+        self.rank, most = 0, most_rank(tasks, state)
         for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
             state.q[:] = q
             state.update()

@@ -60,7 +60,7 @@ class PartErrors:
 
     def __init__(self, problem: ControlProblem) -> None:
         self._problem, self._now = problem, State(problem.chain)
-        self._tasks = TaskStack(problem.tasks, State(problem.chain))
+        self._tasks = TaskStack(problem.tasks, self._now)
 
     def at_end(self, state: State, record: Record, back: int = 0) -> Array:
         """Of a rollout.
