@@ -17,10 +17,12 @@ zero, but it still has an object frame, where the object would be if it held it.
 
 from __future__ import annotations
 
+import copy
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -35,6 +37,8 @@ from coopqp.row import Row, names_of
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+Made = TypeVar("Made")
 
 #: Reach of a joint without limits when configurations are sampled [rad or m].
 UNLIMITED_SAMPLE = 1.0
@@ -121,7 +125,6 @@ class ClosedChain:
         self.mixing = _mixing_matrix(self.alpha)
         self.model, self.frames = hold.model()
         self.n: int = self.model.nv
-        self.q_start, self.start_position = hold.q, hold.p_WO
         robots_own = self.robot.joint_names
         self.passive = np.array(
             [i for i, name in enumerate(self.joint_names) if name not in robots_own], int
@@ -129,12 +132,18 @@ class ClosedChain:
         self.lower = np.array(self.model.lowerPositionLimit)
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
-        self.loops = self._independent_rows()
+        self._made: dict[Callable[[ClosedChain], Any], Any] = {}
         for kept in (
-            self.alpha, self.mixing, self.q_start, self.start_position,
-            self.lower, self.upper, self.velocity, self.passive,
+            self.alpha, self.mixing, self.lower, self.upper, self.velocity, self.passive
         ):  # fmt: skip
             kept.flags.writeable = False  # a chain never changes, whatever a plug-in writes to
+        self._start()
+
+    def _start(self) -> None:
+        """Take the start from the hold."""
+        self.q_start, self.start_position = self.hold.q, self.hold.p_WO
+        self.q_start.flags.writeable = self.start_position.flags.writeable = False
+        self.loops = self._independent_rows()
 
     @classmethod
     def take_hold(
@@ -169,7 +178,26 @@ class ClosedChain:
         """
         start = vector("q", q, self.n)
         p_WO = self.object_pose(start).translation.copy()
-        return ClosedChain(replace(self.hold, q=start, p_WO=p_WO))
+        moved = copy.copy(self)
+        moved._made = self._made
+        vars(moved).pop("reach", None)  # which is measured at the start
+        moved.hold = replace(self.hold, q=start, p_WO=p_WO)
+        moved._start()
+        return moved
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_made": {}}  # made again where it is asked for
+
+    def once(self, make: Callable[[ClosedChain], Made]) -> Made:
+        """What is the same wherever the chain starts, made once for all that :meth:`moved` gives.
+
+        Args:
+            make: makes it; found again by this function.
+        """
+        if make not in self._made:
+            self._made[make] = make(self)
+        made: Made = self._made[make]
+        return made
 
     def handed_over(self, q: Array, released: Collection[str] = ()) -> ClosedChain:
         """The same robot with other arms holding the object, where everything is now.
@@ -218,14 +246,12 @@ class ClosedChain:
         Sliding joints count with a metre, so that their share of a second derivative is bounded
         by it too.
         """
-        model, data = self.model, self.model.createData()
-        pin.framesForwardKinematics(model, data, self.q_start)
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.q_start)
         longest = 0.0
-        for frame in self.frames:
-            joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+        for frame, (joints, slides) in zip(self.frames, self.once(_ways), strict=True):
             places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
             way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
-            slides = any("P" in model.joints[j].shortname()[10:] for j in joints)
             longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -275,23 +301,11 @@ class ClosedChain:
         return rng.uniform(lower, upper, (count, self.n))
 
     def _independent_rows(self) -> LoopRows:
-        """Find loop rows that follow from others, at seeded random configurations."""
-        rows = tuple(
-            Row(name=f"loop[{arm.name}].{axis}", kind="loop", owner=arm.name, unit=f"{unit}/s")
-            for arm in self.arms[1:]
-            for axis, unit in zip(AXES, AXIS_UNITS, strict=True)
-        )
-        closed = 6 * (self.holding - 1)
-        if not closed:
-            return LoopRows(rows=rows, closed=0, kept=(), rank=0)
-        configurations = self.sample(np.random.default_rng(0), 8)
-        jacobians = [self.loop_jacobian(q) for q in configurations]
-        # A row that is a fixed combination of others is so in all configurations side by side.
-        kept = independent_rows(np.hstack(jacobians))
-        rank = max(matrix_rank(J) for J in jacobians)
-        if matrix_rank(self.loop_jacobian(self.q_start)) < rank:
-            rank = self._rank_where_closed() or rank
-        return LoopRows(rows=rows, closed=closed, kept=tuple(kept), rank=rank)
+        """Loop rows that follow from others; fewer may be independent where the loops are closed."""
+        found = self.once(_generic_rows)
+        if found.closed and matrix_rank(self.loop_jacobian(self.q_start)) < found.rank:
+            return replace(found, rank=self._rank_where_closed() or found.rank)
+        return found
 
     def _rank_where_closed(self) -> int:
         """Rank on a walk with the loops closed; 0 where it cannot leave the start.
@@ -328,6 +342,33 @@ class ClosedChain:
             [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
              for X in others]
         )  # fmt: skip
+
+
+def _ways(chain: ClosedChain) -> list[tuple[list[int], bool]]:
+    """The joints on the way to each arm's frame, and whether one of them slides."""
+    model, found = chain.model, []
+    for frame in chain.frames:
+        joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+        found.append((joints, any("P" in model.joints[j].shortname()[10:] for j in joints)))
+    return found
+
+
+def _generic_rows(chain: ClosedChain) -> LoopRows:
+    """Find loop rows that follow from others, at seeded random configurations."""
+    rows = tuple(
+        Row(name=f"loop[{arm.name}].{axis}", kind="loop", owner=arm.name, unit=f"{unit}/s")
+        for arm in chain.arms[1:]
+        for axis, unit in zip(AXES, AXIS_UNITS, strict=True)
+    )
+    closed = 6 * (chain.holding - 1)
+    if not closed:
+        return LoopRows(rows=rows, closed=0, kept=(), rank=0)
+    configurations = chain.sample(np.random.default_rng(0), 8)
+    jacobians = [chain.loop_jacobian(q) for q in configurations]
+    # A row that is a fixed combination of others is so in all configurations side by side.
+    kept = independent_rows(np.hstack(jacobians))
+    rank = max(matrix_rank(J) for J in jacobians)
+    return LoopRows(rows=rows, closed=closed, kept=tuple(kept), rank=rank)
 
 
 def _mixing_matrix(alpha: Array) -> Array:

@@ -118,8 +118,10 @@ class Reference:
         _one_motion(origin, direction, velocity, turn)
         here = along = None
         if isinstance(start, State):
-            here = None if point is None else start.point(np.array(point))
-            along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
+            if isinstance(origin, Signal) and point is not None:
+                here = start.point(np.array(point))
+            if isinstance(direction, Signal):
+                along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
         self._origin = course(origin, POINT, start, here)
         self._axes = course(direction, DIRECTION, start, along)
         self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T

@@ -36,6 +36,7 @@ class Kind(IntEnum):
     CENTERING = 6
     BARRIER = 7
     POSTURE = 8
+    MANIPULABILITY = 9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,8 @@ class Primitive:
 
     Attributes:
         kind: what it does.
-        rows: which of the kind's rows, in the task's order; for a posture, which joints.
+        rows: which of the kind's rows, in the task's order; for a posture, which joints; for
+            manipulability, which axes of the world.
         reference: the frame that the object is steered to.
         profile: how the error goes to zero, or the wish to its goal.
         point: of the object, in the object frame [m].
@@ -52,7 +54,8 @@ class Primitive:
         e_start: error at the start, one number a row.
         phi: rotation vector from start to goal [rad].
         Q_start: orientation at the start, shape (3, 3).
-        length: a distance [m]; for a barrier, where its slope stops to grow.
+        length: a distance [m]; for a barrier, where its slope stops to grow; for manipulability,
+            m_0.
         velocity: of a twist, six numbers [m/s, rad/s].
         planar: for a distance, whether it is measured in the plane of the reference's first two
             axes; for a twist, whether it is along the object's axes.
@@ -76,7 +79,7 @@ class Primitive:
     @property
     def of_joints(self) -> bool:
         """Whether it is a wish for all joints, which has no rows of its own."""
-        return self.kind in (Kind.CENTERING, Kind.BARRIER)
+        return self.kind in (Kind.CENTERING, Kind.BARRIER, Kind.MANIPULABILITY)
 
     @property
     def over_joints(self) -> bool:
@@ -100,6 +103,11 @@ class Primitive:
             "planar": float(self.planar),
             "numbers": np.concatenate([np.zeros(0), *self.numbers]),
         }
+
+
+def sees_twist(program: Sequence[Primitive] | None) -> bool:
+    """Whether a task's rows are those of the object's twist, and nothing else."""
+    return program is not None and not any(p.of_joints or p.over_joints for p in program)
 
 
 def profile_numbers(profile: Profile) -> Array:

@@ -236,7 +236,7 @@ class TaskStack:
         self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
         #: Largest second derivative of each row's error [unit/rad2].
         self.levers = np.array(
-            [lever for task in tasks for lever in _levers(task, start.chain)], float
+            [lever for task in tasks for lever in levers_of(task, start.chain)], float
         )
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
@@ -301,7 +301,7 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
     )
 
 
-def _levers(task: Task, chain: ClosedChain) -> list[float]:
+def levers_of(task: Task, chain: ClosedChain) -> list[float]:
     """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints.
 
     A distance from something round bends by itself too, by the square of the reach.

@@ -31,6 +31,7 @@ from scipy.linalg import lapack
 
 from coopqp.checked import Array, spec
 from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.program import Kind, Primitive
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
@@ -64,7 +65,7 @@ class Manipulability(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The scale m_0 is that of the start."""
-        climb = _Climb(start.chain, [AXES.index(axis) for axis in dict.fromkeys(self.axes)])
+        climb = _Climb(start.chain, self._kept)
         m_0 = climb.isotropic(start)
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -72,6 +73,16 @@ class Manipulability(Task):
             np.multiply(rows.e, -1.0 / max(m_0, m / LARGE), rows.e)
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...]:
+        """As primitives."""
+        m_0 = _Climb(start.chain, self._kept).isotropic(start)
+        return (Primitive(kind=Kind.MANIPULABILITY, rows=tuple(self._kept), length=m_0),)
+
+    @property
+    def _kept(self) -> list[int]:
+        """Rows of J_task that count."""
+        return [AXES.index(axis) for axis in dict.fromkeys(self.axes)]
 
 
 class _Climb:

@@ -55,7 +55,7 @@ def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
         UndeterminedError: it is not determined.
     """
     n = len(state.q)
-    levels = [law._fallback._attempts[0].level] if given_up else list(law.levels)
+    levels = [law.fallback._attempts[0].level] if given_up else list(law.levels)
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
     exact = (law.exact.hard.J, law.exact.scaled.J)
     for before, level in enumerate(levels):

@@ -41,8 +41,8 @@ class Agreement:
 
 def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
     """The plain law, and the kernel with a plain law of its own."""
-    plain, own = (QPLaw(problem, DAMPING, ERROR_DAMPING) for _ in range(2))
-    return plain, KernelLaw(problem, own, DAMPING, ERROR_DAMPING)
+    plain = QPLaw(problem, DAMPING, ERROR_DAMPING)
+    return plain, KernelLaw(problem, DAMPING, ERROR_DAMPING).prepare()
 
 
 def why(law: KernelLaw) -> str:

@@ -3,9 +3,14 @@
 Letters: T configurations, n joints, L closed loops. Rotations are after Rodrigues,
 
     R(a, x) = a a' + cos(x) (1 - a a') + sin(x) [a]x
+
+so that a joint's frame is one product of its parent's with constants, R_parent P [a a', 1 - a a',
+[a]x], whatever T is. Within this file T is the last axis: numpy's inner loops are long then.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -34,7 +39,7 @@ def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
     (R_0, p_0), *others = carried(chain, q)[: chain.holding]
     for R, p in others:
         apart = np.maximum(apart, np.linalg.norm(p - p_0, axis=1))
-        turned = np.maximum(turned, angles(R @ R_0.transpose(0, 2, 1)))
+        turned = np.maximum(turned, angles(np.einsum("tik,tjk->tij", R, R_0)))
     return apart, turned
 
 
@@ -45,12 +50,15 @@ def carried(chain: ClosedChain, q: Array) -> list[Poses]:
         chain: the closed chain, whose joints have one coordinate each.
         q: shape (T, n).
     """
-    model, joints = chain.model, {0: _fixed(pin.SE3.Identity(), len(q))}
-    frames = [model.frames[frame] for frame in chain.frames]
-    for j in sorted({j for frame in frames for j in model.supports[frame.parentJoint]} - {0}):
-        joints[j] = _moved(model, j, joints[int(model.parents[j])], q[:, j - 1])
+    joints, frames = chain.once(_described)
+    world = np.zeros((3, 3, len(q)))
+    world[np.arange(3), np.arange(3)] = 1.0
+    placed, x = {0: (world, np.zeros((3, len(q))))}, np.ascontiguousarray(q.T)
+    for joint in joints:
+        placed[joint.j] = _moved(joint, placed[joint.parent], x[joint.j - 1])
     return [
-        _product(joints[frame.parentJoint], _fixed(frame.placement, len(q))) for frame in frames
+        ((R.T @ placed[parent][0]).transpose(2, 0, 1), _at(placed[parent], p).T)
+        for parent, R, p in frames
     ]
 
 
@@ -67,21 +75,59 @@ def angles(R: Array) -> Array:
     return found
 
 
-def _moved(model: pin.Model, j: int, parent: Poses, x: Array) -> Poses:
-    """A joint's frame, from its parent's."""
-    S = axis_of(model.joints[j])
+@dataclass(frozen=True)
+class _Joint:
+    """A joint that moves an arm.
+
+    Attributes:
+        j, parent: ids into chain.model.joints; 0 is the world.
+        p: where it is in its parent's frame, shape (3,) [m].
+        R: its placement's rotation; of a hinge, times a a', 1 - a a' and [a]x, shape (3, 9).
+        along: where it slides, in its parent's frame, shape (3,); None for a hinge.
+    """
+
+    j: int
+    parent: int
+    p: Array
+    R: Array
+    along: Array | None
+
+
+def _described(chain: ClosedChain) -> tuple[list[_Joint], list[tuple[int, Array, Array]]]:
+    """The joints that move arms, and the object's frame as carried by each."""
+    model = chain.model
+    frames = [model.frames[frame] for frame in chain.frames]
+    moving = sorted({j for frame in frames for j in model.supports[frame.parentJoint]} - {0})
+    return [_joint(model, j) for j in moving], [
+        (int(f.parentJoint), f.placement.rotation.copy(), f.placement.translation.copy())
+        for f in frames
+    ]
+
+
+def _joint(model: pin.Model, j: int) -> _Joint:
+    S, X = axis_of(model.joints[j]), model.jointPlacements[j]
     assert S is not None
-    a = S[3:]
-    along, skew = np.outer(a, a), np.asarray(pin.skew(a))
-    turn = np.cos(x)[:, None, None] * (np.eye(3) - along) + np.sin(x)[:, None, None] * skew + along
-    at = _product(parent, _fixed(model.jointPlacements[j], len(x)))
-    return _product(at, (turn if a.any() else np.eye(3)[None], x[:, None] * S[:3]))
+    a, R = S[3:], X.rotation.copy()
+    where = j, int(model.parents[j]), X.translation.copy()
+    if not a.any():
+        return _Joint(*where, R, R @ S[:3])
+    along = np.outer(a, a)
+    turns = np.hstack([along, np.eye(3) - along, np.asarray(pin.skew(a))])
+    return _Joint(*where, R @ turns, None)
 
 
-def _product(A: Poses, B: Poses) -> Poses:
-    return A[0] @ B[0], A[1] + (A[0] @ B[1][:, :, None])[:, :, 0]
+def _moved(joint: _Joint, parent: Poses, x: Array) -> Poses:
+    """A joint's frame, from its parent's."""
+    R, p = joint.R.T @ parent[0], _at(parent, joint.p)
+    if joint.along is not None:
+        return R, p + x * (joint.along @ parent[0])
+    turned = np.cos(x) * R[:, 3:6]
+    turned += np.sin(x) * R[:, 6:]
+    turned += R[:, :3]
+    return turned, p
 
 
-def _fixed(X: pin.SE3, count: int) -> Poses:
-    """One pose that all configurations share."""
-    return X.rotation[None], np.broadcast_to(X.translation, (count, 3))
+def _at(X: Poses, p: Array) -> Array:
+    """Where a point of each frame is."""
+    placed: Array = X[1] + p @ X[0]
+    return placed

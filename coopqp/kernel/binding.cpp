@@ -3,9 +3,13 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <atomic>
+#include <cstdint>
 #include <cstdlib>
+#include <optional>
 
+#include "core/slide.hpp"
 #include "reading.hpp"
 
 using namespace nb::literals;
@@ -44,15 +48,13 @@ class Engine {
             for (std::size_t i = 0; i < p.rows.size(); i++)
                 J[i * stride + std::size_t(model->joints[std::size_t(p.rows[i])].lane)] = 1.0;
         }
+        program_.open(*model, *arena);
         bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
         for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
             twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
-        const auto flags = integers(d, "kept");
-        std::vector<std::vector<int>> kept(flags.size() / 6);
-        for (std::size_t i = 0; i < flags.size(); i++)
-            if (flags[i]) kept[i / 6].push_back(int(i % 6));
-        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model), kept,
-                                                   settings, std::move(levels));
+        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model),
+                                                   kept_of(numbers(d, "kept")), settings,
+                                                   std::move(levels));
     }
 
     void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
@@ -152,26 +154,34 @@ class Engine {
         const int status = evaluate(t);
         if (status) return status;
         const coopqp::Status decided = kernel_->solve();
-        if (decided == coopqp::Status::Optimal || decided == coopqp::Status::Shortened) advance();
+        if (is_answer(decided)) advance();
         return int(decided);
     }
 
-    // Ticks and steps until a tick is not optimal, from the state that is bound. Written: q before
-    // each tick and at the end, shape (T + 1, n), and v of each of T ticks. Returns how many were
-    // done; signals of the process wait as long.
-    int run(double t, const Written& q, const Written& v) {
+    // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
+    // each tick and at the end, shape (T + 1, n), v of each of T ticks, and who decided it and how.
+    // Returns how many were done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v, const Said& said, Engine* softened,
+            double soft_ticks, bool gives_up, bool stops, bool all_corrected) {
         const Use use(*this);
-        if (!use.alone || waits()) return BUSY;
-        const std::size_t n = kernel_->model().joints.size(), ticks = v.size() / n;
-        if (q.size() < n * (ticks + 1)) return BUSY;
+        if (!use.alone || !q_now_ || softened == this) return BUSY;
+        std::optional<Use> other;
+        if (softened) other.emplace(*softened);
+        if (other && !other->alone) return BUSY;
+        const std::size_t n = kernel_->model().joints.size(), ticks = said.size();
+        if (q.size() < n * (ticks + 1) || v.size() < n * ticks) return BUSY;
         nb::gil_scoped_release released;
+        GivingUp given{softened, soft_ticks, gives_up, stops, all_corrected};
         std::size_t done = 0;
         for (; done < ticks; done++) {
             std::copy(q_now_, q_now_ + n, q.data() + done * n);
-            if (evaluate(t) || kernel_->solve() != coopqp::Status::Optimal) break;
+            const int how = decide(t, given);
+            if (how == BUSY) break;
+            said.data()[done] = std::uint8_t(how);
             advance();
             std::copy(v_now_, v_now_ + n, v.data() + done * n);
             t += kernel_->settings().dt;
+            given.all_corrected = true;
         }
         std::copy(q_now_, q_now_ + n, q.data() + done * n);
         return int(done);
@@ -186,6 +196,53 @@ class Engine {
 
   private:
     static constexpr int BUSY = -1;
+    static constexpr int SOFTENED = 16, STANDS = 32;  // added to the status of a tick of a run
+
+    // What a run does where not everything can hold, as coopqp.kernel.law has it.
+    struct GivingUp {
+        Engine* softened;  // the problem with its hard and scaled tasks soft, if there are any
+        double soft_ticks;
+        bool gives_up, stops;
+        bool all_corrected;  // whether the tick before has done all of the drift correction
+    };
+
+    // The status of a tick and who decided it; BUSY where that is Python's.
+    int decide(double t, const GivingUp& given) {
+        const bool stands = *stopped_ != 0.0, whole = *soft_ <= 0.0;
+        if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
+        if (stands) return stand_still();
+        if (whole) {
+            const coopqp::Status status = kernel_->solve();
+            if (is_answer(status)) return int(status);
+            if (status != coopqp::Status::Infeasible) return BUSY;
+        }
+        if (!given.gives_up) {
+            *stopped_ = given.stops ? 1.0 : 0.0;
+            forget_exact();
+            return stand_still();
+        }
+        if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
+        const coopqp::Status status = given.softened->kernel_->solve();
+        if (!is_answer(status)) return BUSY;
+        *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
+        forget_exact();
+        return SOFTENED + int(status);
+    }
+
+    static bool is_answer(coopqp::Status status) {
+        return status == coopqp::Status::Optimal || status == coopqp::Status::Shortened;
+    }
+
+    void forget_exact() {
+        const auto& bound = kernel_->bound;
+        *bound.hard_pull = 0.0;
+        std::fill_n(bound.missing, kernel_->levels[0].shares, 0.0);
+    }
+
+    int stand_still() {
+        std::fill_n(kernel_->bound.v, kernel_->model().joints.size(), 0.0);
+        return STANDS;
+    }
 
     int evaluate(double t) {
         const int status = int(kernel_->update(t));
@@ -275,12 +332,33 @@ class Engine {
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
-    const double *stopped_ = nullptr, *soft_ = nullptr;
+    double *stopped_ = nullptr, *soft_ = nullptr;
+};
+
+class Slide {
+  public:
+    explicit Slide(const nb::dict& d) {
+        auto arena = std::make_unique<coopqp::Arena>();
+        auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
+        slide_ = std::make_unique<coopqp::Slide>(std::move(arena), std::move(model),
+                                                 kept_of(numbers(d, "kept")));
+    }
+
+    // With the GIL held, which keeps other threads out.
+    double step(const Written& q, const Numbers& direction, double size, int newton) {
+        const auto n = std::size_t(slide_->n());
+        if (q.size() != n || direction.size() != n) throw nb::value_error("a number for each joint");
+        return slide_->step(q.data(), direction.data(), size, newton);
+    }
+
+  private:
+    std::unique_ptr<coopqp::Slide> slide_;
 };
 
 }  // namespace KERNEL_MODULE
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::Slide;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Engine>(m, "Engine")
@@ -295,9 +373,13 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("tick_coming_back", &Engine::tick_coming_back)
         .def("step", &Engine::step)
-        .def("run", &Engine::run)
+        .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "softened"_a.none(),
+             "soft_ticks"_a, "gives_up"_a, "stops"_a, "all_corrected"_a)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    nb::class_<Slide>(m, "Slide")
+        .def(nb::init<const nb::dict&>())
+        .def("step", &Slide::step);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

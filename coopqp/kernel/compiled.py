@@ -42,6 +42,7 @@ class Compiled:
 
     Args:
         problem: what to control.
+        start: the state from which references set out.
         groups: its tasks, a level each.
         limits: its limits; whoever owns them updates them.
         damping: cost of |v|^2.
@@ -58,6 +59,7 @@ class Compiled:
     def __init__(
         self,
         problem: ControlProblem,
+        start: State,
         groups: Sequence[Group],
         limits: Limits,
         damping: float,
@@ -65,7 +67,7 @@ class Compiled:
         v: Array,
     ) -> None:
         chain, filled = problem.chain, limits.filled
-        self._levels = levels = Levels(groups, State(chain))
+        self._levels = levels = Levels(groups, start)
         self.alone = levels.compiled and limits.compiled
         self.outcome = int(Outcome.BUSY)
         found = native.module()

@@ -24,6 +24,10 @@ def flat_model(chain: ClosedChain) -> Flat | None:
     Args:
         chain: the closed chain.
     """
+    return chain.once(_flat_model)
+
+
+def _flat_model(chain: ClosedChain) -> Flat | None:
     model = chain.model
     turned = {0: np.eye(3)}
     slides, parents, placements = [], [], []

@@ -10,6 +10,7 @@ that the kernel does not: drift that is corrected in part, acceleration limits t
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,13 @@ from coopqp.kernel.flat import flat_model, kept_rows
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.limit import movers
+from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
-from coopqp.qp_law.law import QPLaw, soft_ticks
+from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
+from coopqp.qp_law.priorities import deciding
+from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status
 from coopqp.state import State
 
@@ -39,6 +43,10 @@ GIVEN_UP = {
     SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
 }
 STANDS = (Status.INFEASIBLE,)
+#: The same of a tick in a run, numbered as in ``binding.cpp``.
+IN_A_RUN = {
+    **ALL_WELL, **{16 + said: causes for said, causes in GIVEN_UP.items()}, 32: STANDS
+}  # fmt: skip
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
 AT_ONCE = 1000  # ticks of a run without Python
@@ -50,40 +58,74 @@ class KernelLaw(Law):
 
     Args:
         problem: what to control.
-        plain: the same law in Python, for ticks that the kernel leaves to it.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
+        squeezer: who presses by measured forces, if anybody does.
 
     Attributes:
-        plain: as given.
         whole: the problem, compiled.
-        softened: the same with all tasks soft, and no later levels; None where all are anyway.
+        softened: the same with all tasks soft, and no later levels; None where all are anyway, and
+            until it is asked for.
     """
 
     engine = "kernel"
 
     def __init__(
-        self, problem: ControlProblem, plain: QPLaw, damping: float, error_damping: float
+        self,
+        problem: ControlProblem,
+        damping: float,
+        error_damping: float,
+        squeezer: Squeezer | None = None,
     ) -> None:
-        super().__init__(problem, squeezer=plain.squeezer)
-        self.plain, self.memory_sizes = plain, plain.memory_sizes
-        self._limits = limits = Limits(problem, State(problem.chain))
-        hard, scaled = plain.exact.hard.tasks, plain.exact.scaled.tasks
-        first, *later = (stack.tasks for stack in plain.stacks)
-        settings = limits, damping, error_damping, self.command.v
+        super().__init__(problem, squeezer=squeezer)
+        self._start = start = State(problem.chain)
+        self._limits = limits = Limits(problem, start)
+        self._settings = limits, damping, error_damping, self.command.v
+        hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
+        first, *later = deciding(problem)
+        self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
         whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
-        self.whole = Compiled(problem, whole, *settings)
+        self.whole = Compiled(problem, start, whole, *self._settings)
         self._engine_step = self.whole.engine.step
+        self._softens_at_all = bool(hard or scaled)
         self.softened: Compiled | None = None
-        if hard or scaled:
-            self.softened = Compiled(problem, [Group(problem.tasks)], *settings)
+        if any(task.joint_space for task in problem.tasks):  # which may not be compiled then
+            self._prepare_softened()
         self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
-        self._alone_at_all &= plain.squeezer is None
+        self._alone_at_all &= squeezer is None
         self._runs = self._alone_at_all and not self.whole.follows
+        self._gives_up = problem.on_infeasible == "scale"
+        self._stops = problem.on_infeasible == "stop"
         self._dt, self._soft_ticks, self._scales = problem.dt, soft_ticks(problem), bool(scaled)
         self._asked = False  # whether the kernel has been asked in this tick, and what it said
         self._said = OPTIMAL
         self._shown: tuple[Any, ...] = NOTHING
+
+    @cached_property
+    def plain(self) -> QPLaw:
+        """The same law in Python, for ticks that the kernel leaves to it; built when asked for."""
+        _, damping, error_damping, _ = self._settings
+        return QPLaw(self.problem, damping, error_damping, self.squeezer)
+
+    @cached_property
+    def way_back(self) -> WayBack:
+        """Of joints that are outside their limits; built when asked for."""
+        return WayBack(self.problem, self._start, self._settings[2])
+
+    def prepare(self) -> KernelLaw:
+        """Build now what only rare ticks need, so that none waits for it; returns itself."""
+        self.way_back = self.plain.prepare().way_back
+        self._prepare_softened()
+        return self
+
+    def _prepare_softened(self) -> Compiled | None:
+        if self.softened is None and self._softens_at_all:
+            tasks = [Group(self.problem.tasks)]
+            self.softened = Compiled(self.problem, self._start, tasks, *self._settings)
+            state, memory = self._shown[0], self._shown[4]
+            if state is not None and not self.softened.bind(state, memory):
+                self._shown = NOTHING
+        return self.softened
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
@@ -139,7 +181,7 @@ class KernelLaw(Law):
                 self._say(ALL_WELL[said])
                 self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
                 return True
-            if said != INFEASIBLE or (not self.softened and self._gives_up):
+            if said != INFEASIBLE or (not self._softens_at_all and self._gives_up):
                 return False
         if self._gives_up and not self._softens(state, within):
             return False
@@ -150,10 +192,13 @@ class KernelLaw(Law):
 
     def _softens(self, state: State, within: Bounds | None) -> bool:
         """Whether there is an answer with all tasks soft."""
-        if self.softened is None or state.corrected < ALL_OF_IT:
+        if not self._softens_at_all or state.corrected < ALL_OF_IT:
             return False
-        kappa = self.plain.probe.kappa(state) if within else 0.0
-        self._said = said = self.softened.tick(state, within, kappa)
+        softened = self.softened or self._prepare_softened()
+        if softened is None or self._shown is NOTHING:
+            return False
+        kappa = self.way_back.probe.kappa(state) if within else 0.0
+        self._said = said = softened.tick(state, within, kappa)
         if said not in GIVEN_UP:
             return False
         self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
@@ -166,10 +211,10 @@ class KernelLaw(Law):
 
         The way back is the plain law's; the kernel decides within it.
         """
-        command, recovery, pull = self.command, self.plain.recovery, state.memory["recovery"]
-        before = pull[0]
-        kappa = self.plain.limit(state)
-        if not self._decides(state, self.plain.bounds, kappa):
+        command, way_back, pull = self.command, self.way_back, state.memory["recovery"]
+        recovery, before = way_back.recovery, pull[0]
+        kappa = way_back.limit(state)
+        if not self._decides(state, way_back.bounds, kappa):
             pull[0] = before
             return False
         v, causes = recovery.rescue(command.v, command.causes)
@@ -178,7 +223,7 @@ class KernelLaw(Law):
         if v is not command.v:
             command.v[:] = v
             command.scale = 1.0
-            self.plain.probe.shorten(state, command)
+            way_back.probe.shorten(state, command)
         return True
 
     def step(self, state: State) -> Command:
@@ -223,8 +268,12 @@ class KernelLaw(Law):
 
     def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
         """As many as the kernel does in one go; how many."""
-        part = slice(done, done + most)
-        made: int = max(self.whole.engine.run(state.t, found.q[done:], found.v[part]), 0)
+        said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
+        room = found.q[done:], found.v[done:], said
+        softened = self.softened.engine if self.softened else None
+        giving_up = softened, self._soft_ticks, self._gives_up, self._stops, whole
+        made: int = max(self.whole.engine.run(state.t, *room, *giving_up), 0)
+        found.causes[done : done + made] = map(IN_A_RUN.__getitem__, said[:made].tolist())
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit
         if made:
@@ -243,11 +292,7 @@ class KernelLaw(Law):
         self._say(STANDS)
         self.command.v[:] = 0.0
         self.command.scale = 0.0 if self._scales else 1.0
-        self._stopped[0] = float(self.problem.on_infeasible == "stop")
-
-    @property
-    def _gives_up(self) -> bool:
-        return self.problem.on_infeasible == "scale"
+        self._stopped[0] = float(self._stops)
 
     def _alone(self, state: State) -> bool:
         """Whether the kernel may decide and nothing of a tick is Python's.
@@ -302,17 +347,22 @@ def why_not(problem: ControlProblem) -> str:
         return native.MISSING
     if not problem.solver.kernel_instead:
         return "the scenario asks for another solver"
+    return unfit(chain)
+
+
+def unfit(chain: ClosedChain) -> str:
+    """What of a chain the kernel cannot do; empty where it can do all."""
     if chain.loops.varying:
         return "which loop rows depend on others changes with the pose"
+    return chain.once(_unfit)
+
+
+def _unfit(chain: ClosedChain) -> str:
+    """What of it the compiled arrays do not hold, loop by loop, wherever it starts."""
     if flat_model(chain) is None:
         return "a joint is neither a hinge nor a slide"
     if chain.n <= len(chain.loops.kept):
         return "the loops leave no motion"
-    return _unfit(chain)
-
-
-def _unfit(chain: ClosedChain) -> str:
-    """What of a chain the compiled arrays do not hold, loop by loop."""
     moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
     shared = moved.sum(axis=0) > 1.0
     first = np.count_nonzero(shared | (moved[0] > 0.0))

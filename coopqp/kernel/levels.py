@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
-from coopqp.program import Primitive
+from coopqp.program import sees_twist
 from coopqp.state import State
-from coopqp.task import Task, TaskStack
+from coopqp.task import Task, TaskStack, levers_of
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,11 @@ class _Rows:
     twist: list[float] = field(default_factory=list)
     share: list[float] = field(default_factory=list)
 
-    def take(self, task: Task, levers: Array, share: int, *, twist: bool) -> None:
+    def take(self, task: Task, levers: list[float], share: int, *, twist: bool) -> None:
         count = len(levers)
         self.gain += [float(task.gain)] * count
         self.weight += [float(task.weight)] * count
-        self.lever += levers.tolist()
+        self.lever += levers
         self.asks_velocity += [float(task.asks_velocity)] * count
         self.twist += [float(twist)] * count
         self.share += [float(share)] * count
@@ -145,11 +144,11 @@ class Levels:
     ) -> None:
         """Add a task's rows to a level, as primitives where it has any."""
         program, at = task.program(self._start), len(rows.gain)
-        stack = TaskStack([task], self._start)
+        levers = levers_of(task, self._start.chain)
         if program is None or any(primitive.of_joints != joints for primitive in program):
-            self.filled.append(Filled(stack, level, at, joints))
+            self.filled.append(Filled(TaskStack([task], self._start), level, at, joints))
             if not joints:
-                rows.take(task, stack.levers, share, twist=False)
+                rows.take(task, levers, share, twist=False)
             return
         for primitive in program:
             if primitive.reference.follows:
@@ -167,9 +166,4 @@ class Levels:
             at += len(primitive.rows)
         if not joints:
             count = at - len(rows.gain)
-            rows.take(task, stack.levers[:count], share, twist=_sees_twist(program))
-
-
-def _sees_twist(program: Sequence[Primitive]) -> bool:
-    """Whether a task's rows are those of the object's twist."""
-    return all(not primitive.over_joints for primitive in program)
+            rows.take(task, levers[:count], share, twist=sees_twist(program))

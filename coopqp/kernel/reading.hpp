@@ -17,6 +17,7 @@ namespace KERNEL_MODULE {
 
 using Numbers = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Written = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Said = nb::ndarray<std::uint8_t, nb::c_contig, nb::device::cpu>;
 
 std::vector<double> numbers(const nb::dict& from, const char* key) {
     const auto array = nb::cast<Numbers>(from[key]);
@@ -56,6 +57,14 @@ std::unique_ptr<coopqp::Model> model_of(const nb::dict& d, coopqp::Arena& arena)
     m->holding = int(number(d, "holding"));
     coopqp::lay_out(*m, arena);
     return m;
+}
+
+// Which of each loop's six rows are independent, from a flag for each.
+std::vector<std::vector<int>> kept_of(const std::vector<double>& flags) {
+    std::vector<std::vector<int>> kept(flags.size() / 6);
+    for (std::size_t i = 0; i < flags.size(); i++)
+        if (flags[i] != 0.0) kept[i / 6].push_back(int(i % 6));
+    return kept;
 }
 
 coopqp::Settings settings_of(const nb::dict& d) {

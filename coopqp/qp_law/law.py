@@ -26,6 +26,7 @@ limits, so there is always an answer.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -33,14 +34,12 @@ from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.loop_observer import Squeezer
 from coopqp.qp import QP
-from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT, loop_rows, step_damping
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.fallback import Fallback
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.priorities import LaterLevel, groups
-from coopqp.qp_law.recovery import Recovery
-from coopqp.qp_law.safety import LoopProbe
+from coopqp.qp_law.priorities import LaterLevel, deciding
+from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Solution, Status
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -64,7 +63,7 @@ class QPLaw(Law):
         first: the level that holds the loops, the hard and scaled and the first soft tasks.
         levels: all of them.
         stacks: the soft tasks of each level. exact: the hard and scaled tasks.
-        bounds: the limits. recovery: of joints outside of them. probe: looks ahead at the loops.
+        way_back: the limits, and of joints outside of them. bounds, recovery, probe: its parts.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
             soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
@@ -84,30 +83,34 @@ class QPLaw(Law):
         super().__init__(problem, squeezer=squeezer)
         chain, start = problem.chain, State(problem.chain)
         self._error_damping, self._reach = error_damping, chain.reach
-        self.bounds = bounds = Bounds(chain, problem.limits, start, problem.dt)
+        self.way_back = way_back = WayBack(problem, start, error_damping)
+        self.bounds, self.recovery, self.probe = (
+            way_back.bounds, way_back.recovery, way_back.probe
+        )  # fmt: skip
         self.exact = exact = ExactTasks(problem, start)
-        stacks = [TaskStack(group, start) for group in groups(problem)]
+        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem)]
         rows = (*chain.loops.solver_rows, *exact.rows)
-        self.first = Level(problem, stacks[0], rows, bounds, damping, exact.scaled_names)
-        self._later = []
-        for i, stack in enumerate(stacks[1:], 1):
-            later = LaterLevel(problem, stacks[:i], exact, stack, bounds, damping)
-            if later.nothing_free:
-                break
-            self._later.append(later)
-        self.stacks = stacks[: len(self._later) + 1]
-        self.memory_sizes = {
-            "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
-            "missing": len(exact.scaled_names), "later pulls": len(self._later),
-            **(squeezer.memory_sizes if squeezer else {}),
-        }  # fmt: skip
+        self.first = Level(problem, stacks[0], rows, self.bounds, damping, exact.scaled_names)
+        self._later = [
+            LaterLevel(problem, stacks[:i], exact, stack, self.bounds, damping)
+            for i, stack in enumerate(stacks[1:], 1)
+        ]
+        self.memory_sizes = memory_sizes(problem, len(stacks), squeezer)
         self.levels = (self.first, *(later.level for later in self._later))
-        self._fallback = Fallback(problem, start, damping, error_damping)
-        self.probe = LoopProbe(problem)
-        self.recovery = Recovery(problem, start, error_damping)
+        self._start, self._damping = start, damping
         self._has_exact, self._scales = bool(exact.rows), bool(exact.scaled_names)
         self._stops = problem.on_infeasible == "stop"
         self._soft_ticks = soft_ticks(problem)
+
+    @cached_property
+    def fallback(self) -> Fallback:
+        """For ticks in which not everything can hold; built when it is asked for."""
+        return Fallback(self.problem, self._start, self._damping, self._error_damping)
+
+    def prepare(self) -> QPLaw:
+        """Build now what only rare ticks need, so that none waits for it; returns itself."""
+        _ = self.fallback, self.recovery.level
+        return self
 
     @property
     def qp(self) -> QP:
@@ -148,7 +151,7 @@ class QPLaw(Law):
 
     def assemble(self, state: State) -> None:
         """Evaluate limits and tasks, and fill the first level's QP."""
-        first, m, kappa = self.first, len(state.e_loop), self.limit(state)
+        first, m, kappa = self.first, len(state.e_loop), self.way_back.limit(state)
         for stack in self.stacks:
             stack.update(state)
         extra = self._step_damping(first.tasks, state)
@@ -158,16 +161,6 @@ class QPLaw(Law):
             extra += self._exact_damping(state)
         first.assemble(self.bounds, extra)
         loop_rows(state.J_loop, state.e_loop, kappa, first.A[:m], first.b[:m])
-
-    def limit(self, state: State) -> float:
-        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
-        kappa = self.probe.kappa(state)
-        self.bounds.update(state)
-        if self.recovery.begins(state):
-            self.recovery.decide(state, self.bounds, state.e_loop, kappa)
-            self.recovery.tighten(self.bounds)
-            kappa = self.probe.kappa(state, self.recovery.share)
-        return kappa
 
     def _step_damping(self, tasks: TaskStack, state: State) -> float:
         return step_damping(tasks.bend(state.v), self.problem.dt, self._error_damping)
@@ -216,7 +209,7 @@ class QPLaw(Law):
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The answer of a smaller problem."""
         kappa = self.probe.kappa(state)
-        outcome = self._fallback.solve(state, state.e_loop, kappa, failed, self.recovery)
+        outcome = self.fallback.solve(state, state.e_loop, kappa, failed, self.recovery)
         self.command.scale = 0.0 if self._scales else 1.0
         self.command.drift = outcome.drift
         return outcome.v, outcome.causes
@@ -227,6 +220,24 @@ class QPLaw(Law):
         command.say(*causes)
         command.scale = 0.0 if self._scales else 1.0
         return command
+
+
+def memory_sizes(
+    problem: ControlProblem, levels: int, squeezer: Squeezer | None = None
+) -> dict[str, int]:
+    """What the law remembers between ticks, :attr:`QPLaw.memory_sizes`.
+
+    Args:
+        problem: what to control.
+        levels: how many there are.
+        squeezer: who presses by measured forces, if anybody does.
+    """
+    scaled = sum(task.mode == "scaled" for task in problem.tasks)
+    return {
+        "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
+        "missing": scaled, "later pulls": levels - 1,
+        **(squeezer.memory_sizes if squeezer else {}),
+    }  # fmt: skip
 
 
 def soft_ticks(problem: ControlProblem) -> int:

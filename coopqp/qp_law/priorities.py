@@ -22,6 +22,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
+from coopqp.program import sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.level import Level
@@ -31,6 +32,7 @@ from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
+TWIST = 6  # numbers of the object's twist
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
@@ -53,6 +55,51 @@ def groups(problem: ControlProblem) -> list[list[Task]]:
     return [*first_alone, *main, *later]
 
 
+def deciding(problem: ControlProblem) -> list[list[Task]]:
+    """The :func:`groups` that have anything left to decide: none after all joints are decided.
+
+    Ranks are taken only where the number of rows does not tell.
+    """
+    chain, found = problem.chain, list[list[Task]]()
+    exact = [task for task in problem.tasks if task.mode != "soft"]
+    for group in groups(problem):
+        before = [*exact, *(task for earlier in found for task in earlier)]
+        if found and _all_decided(chain, before):
+            break
+        found.append(group)
+    return found
+
+
+def _all_decided(chain: ClosedChain, tasks: Sequence[Task]) -> bool:
+    """Whether the loops and these tasks leave no joint free."""
+    if any(task.joint_space and task.all_joints for task in tasks):
+        return True
+    if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
+        return False
+    start = State(chain)
+    if most_rank(tasks, start) < chain.n:
+        return False
+    return Decided(chain, [TaskStack(tasks, start)]).rank == chain.n
+
+
+def most_rank(tasks: Sequence[Task], start: State) -> int:
+    """A rank that the rows of the loops and of these tasks cannot exceed.
+
+    Rows that see nothing but the object's twist are together of rank six at most.
+
+    Args:
+        tasks: any.
+        start: the state from which their references set out.
+    """
+    chain, twist, others = start.chain, 0, 0
+    for task in tasks:
+        if sees_twist(task.program(start)):
+            twist += len(task.rows(chain))
+        else:
+            others += len(task.rows(chain))
+    return min(chain.n, len(chain.loops.solver_rows) + min(twist, TWIST) + others)
+
+
 class LaterLevel:
     """A level after the first.
 
@@ -65,7 +112,6 @@ class LaterLevel:
         damping: cost of |v|^2.
 
     Attributes:
-        nothing_free: whether the levels before it decide all joints.
         level: its QP.
         pull: sum of |y| L / sigma over the decided rows in the last tick, of the cost without its
             damping.
@@ -82,9 +128,7 @@ class LaterLevel:
     ) -> None:
         stacks = (*before, exact.hard, exact.scaled)
         self._decided = Decided(problem.chain, stacks)
-        rank = self._decided.rank
-        self.nothing_free = rank == problem.chain.n
-        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(rank))
+        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(self._decided.rank))
         self.level = Level(problem, tasks, rows, bounds, damping)
         self.pull = 0.0
 
@@ -122,8 +166,9 @@ class Decided:
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
         self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
-        self.rank = 0
         state = State(chain)
+        tasks = [task for stack in stacks for task in stack.tasks]
+        self.rank, most = 0, most_rank(tasks, state)
         for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
             state.q[:] = q
             state.update()
@@ -131,6 +176,8 @@ class Decided:
                 stack.update(state)
             rows = np.vstack([state.J_loop, *self._blocks])
             self.rank = max(self.rank, matrix_rank(rows))
+            if self.rank >= most:
+                break
         self.rank = min(self.rank, chain.n)
         self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
         self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)

@@ -11,6 +11,8 @@ back at least almost as fast.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from coopqp.checked import Array
@@ -49,14 +51,20 @@ class Recovery:
         chain = problem.chain
         self._reach, self._dt, self._share = chain.reach, problem.dt, error_damping
         self._lower, self._upper = chain.lower, chain.upper
-        bounds = Bounds(chain, problem.limits, start, problem.dt)
-        rows = chain.loops.solver_rows
-        self._level = Level(
-            problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
-        )
+        self._problem, self._start = problem, start
         self._low, self._high = np.zeros((2, chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
+
+    @cached_property
+    def level(self) -> Level:
+        """Its QP; built when it is asked for."""
+        problem, start = self._problem, self._start
+        bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
+        rows = problem.chain.loops.solver_rows
+        return Level(
+            problem, TaskStack((), start), rows, bounds, LEAST_MOTION, shares=["drift correction"]
+        )
 
     def begins(self, state: State) -> bool:
         """Whether a joint is outside, of the start or of a real robot that stands elsewhere."""
@@ -79,7 +87,7 @@ class Recovery:
         back = np.maximum(self._lower - state.q, 0.0) - np.maximum(state.q - self._upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
         wish = np.clip(wish, bounds.lb, bounds.ub)
-        level = self._level
+        level = self.level
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]

@@ -144,5 +144,6 @@ def _worst(x: Summary, *, masses: bool) -> Text:
         f"worst overrun: {x.position_excess:.1e} rad, {x.velocity_excess:.1e} rad/s\n"
         f"widest loop: {1e3 * x.loop_position:.3f} mm, {1e3 * x.loop_orientation:.2f} mrad\n"
         f"of {x.ticks} ticks {x.fallbacks} gave something up, {x.inaccurate} were INACCURATE\n"
+        f"the kernel left {x.plain} to the plain law ({x.plain / max(x.ticks, 1):.2%})\n"
         f"ringing (flips in more than 2 % of the ticks): {x.ringing}{squeeze}"
     )

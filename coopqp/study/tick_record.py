@@ -26,6 +26,7 @@ from coopqp.task import TaskStack
 from coopqp.wording import Location, dotted
 
 MOST_BYTES = 64 << 20  # of a file
+SIDES: tuple[Side, Side] = "lower", "upper"
 UNBOUNDED = 1e30  # what an infinite bound is written as
 
 
@@ -192,8 +193,10 @@ def record_tick(
     qp, problem = law.first.qp, law.problem
     shares = qp.rows.variables[problem.chain.n :]
     pad = ((0, 0), (0, len(shares)))
-    below = [*bounding(problem, state, "lower"), *(_share_bound(s, "lower") for s in shares)]
-    above = [*bounding(problem, state, "upper"), *(_share_bound(s, "upper") for s in shares)]
+    below, above = (
+        [*rows, *(_share_bound(share, side) for share in shares)]
+        for rows, side in zip(bounding(problem, state), SIDES, strict=True)
+    )
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
     return TickRecord(
@@ -227,22 +230,25 @@ def record_tick(
     )
 
 
-def bounding(problem: ControlProblem, state: State, side: Side) -> list[Row]:
-    """The limit that each joint's lower or upper bound on v comes from."""
+def bounding(problem: ControlProblem, state: State) -> tuple[list[Row], list[Row]]:
+    """The limits that each joint's lower and upper bounds on v come from."""
     chain = problem.chain
-    tightest = np.full(chain.n, np.inf)
-    found = [
-        Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
-        for joint in chain.joint_names
-    ]
+    tightest = np.full((2, chain.n), np.inf)
+    below, above = found = tuple(
+        [
+            Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
+            for joint in chain.joint_names
+        ]
+        for side in SIDES
+    )
     for limit in problem.limits:
         alone = Bounds(chain, [limit], state, problem.dt)
         alone.update(state)
-        bound = -alone.lb if side == "lower" else alone.ub
-        for i, row in enumerate(bound_rows(limit, chain, side)):
-            if bound[i] < tightest[i]:
-                tightest[i], found[i] = bound[i], row
-    return found
+        bounds, rows = np.array([-alone.lb, alone.ub]), [bound_rows(limit, chain, s) for s in SIDES]
+        for k, i in np.argwhere(bounds < tightest).tolist():
+            found[k][i] = rows[k][i]
+        np.minimum(tightest, bounds, out=tightest)
+    return below, above
 
 
 def _share_bound(share: Row, side: Side) -> Row:

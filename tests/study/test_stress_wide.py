@@ -26,7 +26,7 @@ from coopqp.study.engine import Engine
 from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
 from coopqp.study.stress.draw import LAW, draw
 from coopqp.study.stress.driving import MOST, drive_on, record_of
-from coopqp.study.stress.ending import ending, way_back
+from coopqp.study.stress.ending import PartErrors, ending, way_back
 from coopqp.study.stress.signs import Record
 
 Array = NDArray[np.float64]
@@ -47,9 +47,7 @@ def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Reco
     """One joint with limits of 1 rad and 1 rad/s that did what v says, at 10 ms a tick."""
     one = np.ones(1)
     q = np.concatenate([[q_0], q_0 + 0.01 * np.cumsum(v)])
-    return Record(
-        -one, one, one, ("rad",), [one * x for x in q], [one * x for x in v], [causes] * len(v)
-    )
+    return Record(-one, one, one, ("rad",), q[:, None], v[:, None], [causes] * len(v))
 
 
 # A small share of it.
@@ -121,10 +119,10 @@ def test_flips_are_counted_in_the_second_half_and_above_the_threshold() -> None:
 
 def test_a_joint_without_a_speed_limit_rattles_too() -> None:
     swing = np.where(np.arange(TICKS) % 2, 1.0, -1.0)
-    v = [np.array([0.0, s]) for s in swing]
+    v = np.array([[0.0, s] for s in swing])
     both = Record(
         -np.ones(2), np.ones(2), np.array([1.0, np.inf]), ("rad", "rad"),
-        [np.zeros(2)], v, [OK] * TICKS,
+        np.zeros((1, 2)), v, [OK] * TICKS,
     )  # fmt: skip
     assert signs.flips(both) == 1.0
 
@@ -132,7 +130,8 @@ def test_a_joint_without_a_speed_limit_rattles_too() -> None:
 def test_a_hinge_without_a_speed_limit_is_compared_with_what_turns() -> None:
     """Not with a slide's metres a second."""
     speed = np.array([0.07, 2.0, np.inf])
-    record = Record(-np.ones(3), np.ones(3), speed, ("m", "rad", "rad"))
+    units = ("m", "rad", "rad")
+    record = Record(-np.ones(3), np.ones(3), speed, units, np.zeros((0, 3)), np.zeros((0, 3)))
     assert record.scale.tolist() == [0.07, 2.0, 2.0]
 
 
@@ -170,9 +169,8 @@ def far_from_reached() -> tuple[Law, State, Record]:
     law = LAW.build(drawn(seed).problem)
     state = law.start()
     record = record_of(law.problem)
-    zero = np.zeros(law.problem.chain.n)
-    record.q.extend([state.q.copy()] * (TICKS + 1))
-    record.v.extend([zero] * TICKS)
+    record.q = np.tile(state.q, (TICKS + 1, 1))
+    record.v = np.zeros((TICKS, law.problem.chain.n))
     state.t = TICKS * law.problem.dt
     return law, state, record
 
@@ -181,7 +179,7 @@ def far_from_reached() -> tuple[Law, State, Record]:
 def test_standing_at_the_loop_budget_is_frozen(cause: Status) -> None:
     law, state, record = far_from_reached()
     record.causes.extend([(cause,)] * TICKS)
-    found = ending(law.problem, state, record)
+    found = ending(law.problem, state, record, PartErrors(law.problem))
     assert found.frozen
     assert cause.name in found.reason
 
@@ -190,7 +188,7 @@ def test_standing_still_with_nothing_in_the_way_is_frozen() -> None:
     """The record stands still; the law, asked again there, could go on."""
     law, state, record = far_from_reached()
     record.causes.extend([OK] * TICKS)
-    found = ending(law.problem, state, record)
+    found = ending(law.problem, state, record, PartErrors(law.problem))
     assert found.frozen
 
 
@@ -202,18 +200,19 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     )  # fmt: skip
     law = LAW.build(drawn(seed).problem)
     state, record = law.start(), record_of(law.problem)
-    record.q.extend([state.q.copy()] * (TICKS + 1))
-    record.v.extend([np.zeros(law.problem.chain.n)] * TICKS)
+    record.q = np.tile(state.q, (TICKS + 1, 1))
+    record.v = np.zeros((TICKS, law.problem.chain.n))
     record.causes.extend([(Status.RECOVERING,)] * TICKS)
-    found = ending(law.problem, state, record)
+    errors = PartErrors(law.problem)
+    found = ending(law.problem, state, record, errors)
     assert found.outcome == "recovering"
     assert found.never_back
     assert way_back(law.problem, state) > 0.01
     # The law itself does come back.
     state, record = law.start(), record_of(law.problem)
-    drive_on(law, state, record)
+    drive_on(law, state, record, errors)
     assert len(record.v) <= MOST
-    assert not ending(law.problem, state, record).never_back
+    assert not ending(law.problem, state, record, errors).never_back
 
 
 # What people see.

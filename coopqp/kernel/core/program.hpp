@@ -6,6 +6,7 @@
 #include <cmath>
 #include <vector>
 
+#include "climb.hpp"
 #include "kinematics.hpp"
 #include "problem.hpp"
 
@@ -97,7 +98,7 @@ struct Reference {
     }
 };
 
-enum class Kind { Point, Radial, Lean, Tilt, Rotation, Twist, Centering, Barrier, Posture };
+enum class Kind { Point, Radial, Lean, Tilt, Rotation, Twist, Centering, Barrier, Posture, Manipulability };
 
 struct Primitive {
     Kind kind;
@@ -107,7 +108,7 @@ struct Primitive {
     Profile profile;
     double p_O[3], a_O[3];     // point and axis of the object
     double e_start[3], phi[3]; // error, and turn, at the start
-    double length;             // distance; barrier's end
+    double length;             // distance; barrier's end; manipulability's scale
     double Q_start[9];
     double velocity[6];
     bool planar;               // radial: in the plane of the first two axes; twist: object's axes
@@ -118,6 +119,12 @@ struct Primitive {
 class Program {
   public:
     std::vector<Primitive> primitives;
+
+    // Memory for what needs some.
+    void open(const Model& m, Arena& arena) {
+        for (const Primitive& p : primitives)
+            if (p.kind == Kind::Manipulability) return climb_.open(m, arena);
+    }
 
     // Fill all rows for time t.
     void run(double t, const Kinematics& k, const Model& m, const double* q,
@@ -135,6 +142,7 @@ class Program {
                 case Kind::Centering: centering(p, m, q, level); break;
                 case Kind::Barrier: barrier(p, m, q, level); break;
                 case Kind::Posture: posture(p, t, m, q, level); break;
+                case Kind::Manipulability: manipulability(p, m, level); break;
             }
         }
     }
@@ -347,6 +355,13 @@ class Program {
             level.rate[at] = p.numbers[n + j] * speed;
         }
     }
+
+    // rows: axes of the world that count.
+    void manipulability(const Primitive& p, const Model& m, Level& level) {
+        add(level.wish, climb_.slope(m, p.rows, p.length), p.weight * p.gain, m.blocks);
+    }
+
+    Climb climb_;
 };
 
 }  // namespace coopqp

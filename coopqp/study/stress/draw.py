@@ -10,6 +10,7 @@ from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, OnInfeasible
 from coopqp.controllers import QPController
+from coopqp.kernel.slide import Slide, slide
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
 from coopqp.rank import null_space
@@ -21,6 +22,7 @@ from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 
 WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps ...
+NEWTON = 3  # iterations that close the loops after each
 FARTHER = 3  # ... so many times as many to get outside
 FARTHEST_OUTSIDE = 0.3  # [rad, m]
 OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
@@ -85,29 +87,38 @@ def draw(seed: int, solver: Solver = DAQP) -> Draw:
 
 def walk(rng: np.random.Generator, chain: ClosedChain, *, outside: bool) -> Array:
     """Where a random walk along the loops ends: inside the limits, or as soon as it is outside."""
-    state = State(chain)
+    q, go = chain.q_start.copy(), slide(chain) or _slide(chain)
     direction = rng.normal(size=chain.n)
-    inside = state.q.copy()
+    inside = q.copy()
     for _ in range(FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))):
-        _step(state, direction)
-        if state.loop_position_error > OPEN or state.loop_orientation_error > OPEN:
+        if not 0.0 <= go(q, direction, WALK, NEWTON) <= OPEN:
             return inside
-        beyond = np.maximum(chain.lower - state.q, state.q - chain.upper).max()
+        beyond = np.maximum(chain.lower - q, q - chain.upper).max()
         if beyond <= 0.0:
-            inside = state.q.copy()
+            inside[:] = q
         elif not outside or beyond >= FARTHEST_OUTSIDE:
             return inside
         elif rng.random() < 0.5:
-            return state.q.copy()
+            return q
     return inside
 
 
-def _step(state: State, direction: Array) -> None:
-    basis = null_space(state.J_loop)
-    step = basis @ (basis.T @ direction)
-    state.q += WALK * step / max(float(np.linalg.norm(step)), 1e-9)
-    state.update()
-    state.close_loops(3)
+def _slide(chain: ClosedChain) -> Slide:
+    """The same without the kernel."""
+    state = State(chain)
+
+    def go(q: Array, direction: Array, size: float, newton: int) -> float:
+        state.q[:] = q
+        state.update()
+        basis = null_space(state.J_loop)
+        step = basis @ (basis.T @ direction)
+        state.q += size * step / max(float(np.linalg.norm(step)), 1e-9)
+        state.update()
+        state.close_loops(newton)
+        q[:] = state.q
+        return max(state.loop_position_error, state.loop_orientation_error)
+
+    return go
 
 
 def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Task, ...]:

@@ -11,50 +11,62 @@ from coopqp.plant import PlantModel
 from coopqp.rollout import drive
 from coopqp.state import State
 from coopqp.study.stress import signs
-from coopqp.study.stress.ending import part_errors
+from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.signs import Record
 
 ROUND, FEWEST, MOST = 100, 200, 500  # ticks; after each round it is asked whether it has ended
 
 
 def record_of(problem: ControlProblem) -> Record:
-    """An empty record for a problem."""
+    """A record for a problem, of no ticks."""
     chain = problem.chain
     scale = min(k.scale for k in problem.limits if isinstance(k, JointVelocity))
-    return Record(chain.lower, chain.upper, scale * chain.velocity, chain.joint_units)
+    limits = chain.lower, chain.upper, scale * chain.velocity
+    return Record(*limits, chain.joint_units, np.zeros((0, chain.n)), np.zeros((0, chain.n)))
 
 
-def drive_on(law: Law, state: State, record: Record) -> None:
-    """Run on joints that do as told, until it has ended, or its time is up."""
+def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None:
+    """Run on joints that do as told, until it has ended, or its time is up.
+
+    Args:
+        law: what is tried out.
+        state: of its start; written.
+        record: of no ticks; written.
+        errors: of its tasks.
+    """
     problem = law.problem
-    record.q.append(state.q.copy())
+    record.q = state.q[None].copy()
     while len(record.v) < MOST:
         made = law.run(state, ROUND)
-        record.q.extend(made.q[1:])
-        record.v.extend(made.v)
+        record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
         record.causes.extend(made.causes)
+        record.plain += int(np.count_nonzero(~made.compiled))
         if not np.isfinite(made.v).all():
             return
-        if len(record.v) >= FEWEST and _ended(problem, state, record):
+        if len(record.v) >= FEWEST and _ended(problem, state, record, errors):
             break
-    position, orientation = loop_errors(problem.chain, np.array(record.q))
+    position, orientation = loop_errors(problem.chain, record.q)
     record.loop_position = float(position.max())
     record.loop_orientation = float(orientation.max())
 
 
 def drive_for(ticks: int, law: Law, plant: PlantModel, state: State, record: Record) -> None:
     """Run so many ticks on a plant, or until one commands NaN."""
+    q, v = [], []
     for command, _ in drive(law, plant, state, ticks):
-        record.v.append(command.v.copy())
+        q.append(state.q.copy())
+        v.append(command.v.copy())
         record.causes.append(command.causes)
-        note(record, plant, state)
+        record.plain += not law.compiled
+        _note(record, plant, state)
         if not np.isfinite(command.v).all():
-            return
+            break
+    _note(record, plant, state)
+    record.q, record.v = np.array([*q, state.q]), np.array(v)
 
 
-def note(record: Record, plant: PlantModel, state: State) -> None:
-    """Keep where the state is, and what a plant with masses tells of the last step."""
-    record.q.append(state.q.copy())
+def _note(record: Record, plant: PlantModel, state: State) -> None:
+    """Keep how far the loops are open, and what a plant with masses tells of the last step."""
     record.loop_position = max(record.loop_position, state.loop_position_error)
     record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
     if "internal_wrench" in plant.signals:
@@ -63,11 +75,11 @@ def note(record: Record, plant: PlantModel, state: State) -> None:
         record.saturated.append(plant.signals["saturated"] > 0.0)
 
 
-def _ended(problem: ControlProblem, state: State, record: Record) -> bool:
+def _ended(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> bool:
     """Whether the references have arrived and nothing changes any more."""
     if state.t < max(task.end for task in problem.tasks):
         return False
     if signs.slowest(record) < signs.STILL:
         return True
     inside = bool(((problem.chain.lower <= state.q) & (state.q <= problem.chain.upper)).all())
-    return inside and part_errors(problem, state, record).max() <= 1.0
+    return inside and errors.at_end(state, record).max() <= 1.0

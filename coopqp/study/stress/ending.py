@@ -51,13 +51,53 @@ class Ending:
     never_back: bool = False
 
 
-def ending(problem: ControlProblem, state: State, record: Record) -> Ending:
+class PartErrors:
+    """Error of each part of each task over its tolerance.
+
+    Args:
+        problem: with the tasks.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        self._problem, self._now = problem, State(problem.chain)
+        self._tasks = TaskStack(problem.tasks, self._now)
+
+    def at_end(self, state: State, record: Record, back: int = 0) -> Array:
+        """Of a rollout.
+
+        Args:
+            state: at the end.
+            record: of all ticks.
+            back: so many ticks before the end.
+        """
+        problem, now, tasks = self._problem, self._now, self._tasks
+        now.q[:], now.t = record.q[-1 - back], state.t - back * problem.dt
+        now.update()
+        tasks.update(now)
+        errors, at = [], 0
+        for task in problem.tasks:
+            for part in task.parts(problem.chain):
+                rows = slice(at, at + part.rows)
+                missed = tasks.J[rows] @ record.v[-1 - back] - tasks.rate[rows]
+                error = missed if task.asks_velocity else tasks.e[rows]
+                errors.append(float(np.linalg.norm(error)) / part.tolerance)
+                at += part.rows
+        return np.array(errors)
+
+    def jacobian(self, state: State) -> Array:
+        """J of all tasks, shape (k, n)."""
+        self._tasks.update(state)
+        return self._tasks.J
+
+
+def ending(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
     """Judge the end of a rollout.
 
     Args:
         problem: what was controlled.
         state: at the end.
         record: of all ticks.
+        errors: of its tasks.
     """
     said = signs.names_of(record.causes[-1])
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
@@ -70,16 +110,16 @@ def ending(problem: ControlProblem, state: State, record: Record) -> Ending:
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
     if stands:
         return asked
-    errors = part_errors(problem, state, record)
-    if errors.max() <= 1.0:
+    missed = errors.at_end(state, record)
+    if missed.max() <= 1.0:
         return Ending("reached")
     speed = signs.slowest(record)
     if signs.held_up(record) and speed < signs.AT_REST:
         return Ending("at rest", said, frozen=True)
-    if speed > signs.AT_REST and _nears(errors, part_errors(problem, state, record, BEFORE)):
+    if speed > signs.AT_REST and _nears(missed, errors.at_end(state, record, BEFORE)):
         how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
         return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
-    return _rest(problem, state, record)
+    return _rest(problem, state, record, errors)
 
 
 def _nears(errors: Array, before: Array) -> bool:
@@ -88,9 +128,9 @@ def _nears(errors: Array, before: Array) -> bool:
     return change > CHANGE * float(errors.max())
 
 
-def _rest(problem: ControlProblem, state: State, record: Record) -> Ending:
+def _rest(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
-    law = LAW.plain(problem)
+    law = LAW.plain(problem)  # whose program has names for all that it says
     tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))
     why = explain(tick)
     limits = [r.name for r in why.relaxations]
@@ -99,35 +139,12 @@ def _rest(problem: ControlProblem, state: State, record: Record) -> Ending:
     if names:
         return Ending("blocked", ", ".join(names))
     held = _at_limits(problem, state)
-    if _near_singular(problem, state, list(held)):
+    if _near_singular(errors.jacobian(state), state, list(held)):
         return Ending("at rest", ", ".join(["singular pose", *held.values()]))
     if limits:
         still = signs.slowest(record) < signs.AT_REST
         return Ending("at rest" if still else "blocked", ", ".join(limits))
     return Ending("at rest", why.sentence, frozen=signs.slowest(record) < signs.STILL)
-
-
-def part_errors(problem: ControlProblem, state: State, record: Record, back: int = 0) -> Array:
-    """Error of each part of each task over its tolerance.
-
-    Args:
-        problem: with the tasks.
-        state: at the end.
-        record: of all ticks.
-        back: so many ticks before the end.
-    """
-    now = State(problem.chain, record.q[-1 - back], state.t - back * problem.dt)
-    tasks = TaskStack(problem.tasks, State(problem.chain))
-    tasks.update(now)
-    errors, at = [], 0
-    for task in problem.tasks:
-        for part in task.parts(problem.chain):
-            rows = slice(at, at + part.rows)
-            missed = tasks.J[rows] @ record.v[-1 - back] - tasks.rate[rows]
-            error = missed if task.asks_velocity else tasks.e[rows]
-            errors.append(float(np.linalg.norm(error)) / part.tolerance)
-            at += part.rows
-    return np.array(errors)
 
 
 def way_back(problem: ControlProblem, state: State) -> float:
@@ -162,11 +179,9 @@ def _at_limits(problem: ControlProblem, state: State) -> dict[int, str]:
     return {**lowest, **highest}
 
 
-def _near_singular(problem: ControlProblem, state: State, held: list[int]) -> bool:
+def _near_singular(J: Array, state: State, held: list[int]) -> bool:
     """Whether loops and joints at their limits leave a direction of the tasks next to nothing."""
-    tasks = TaskStack(problem.tasks, State(problem.chain))
-    tasks.update(state)
-    locked = np.eye(problem.chain.n)[held]
+    locked = np.eye(J.shape[1])[held]
     free: Array = null_space(np.vstack([state.J_loop, locked]))
-    values = np.linalg.svd(tasks.J @ free, compute_uv=False)
-    return len(values) < len(tasks.J) or bool(values.min(initial=np.inf) < SINGULAR)
+    values = np.linalg.svd(J @ free, compute_uv=False)
+    return len(values) < len(J) or bool(values.min(initial=np.inf) < SINGULAR)

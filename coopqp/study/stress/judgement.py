@@ -9,7 +9,7 @@ from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.stress import signs
 from coopqp.study.stress.draw import Draw
-from coopqp.study.stress.ending import Ending, ending
+from coopqp.study.stress.ending import Ending, PartErrors, ending
 from coopqp.study.stress.signs import Record
 
 
@@ -35,6 +35,7 @@ class Rollout:
             servos' gravity feed-forward explains [N].
         fallbacks: ticks that gave something up or held still.
         inaccurate: ticks that were not optimal to the declared accuracy.
+        plain: ticks that the kernel left to the plain law; all of them without a kernel.
     """
 
     seed: int
@@ -64,9 +65,10 @@ class Rollout:
     explained: float = 0.0
     fallbacks: int = 0
     inaccurate: int = 0
+    plain: int = 0
 
 
-def judged(seed: int, drawn: Draw, state: State, record: Record) -> Rollout:
+def judged(seed: int, drawn: Draw, state: State, record: Record, errors: PartErrors) -> Rollout:
     """Judge a rollout whose time is up.
 
     Args:
@@ -74,8 +76,9 @@ def judged(seed: int, drawn: Draw, state: State, record: Record) -> Rollout:
         drawn: the problem.
         state: at the end.
         record: of all ticks.
+        errors: of its tasks.
     """
-    end = ending(drawn.problem, state, record)
+    end = ending(drawn.problem, state, record, errors)
     share = signs.flips(record)
     rattling = share > signs.RATTLING
     return Rollout(
@@ -98,8 +101,9 @@ def judged(seed: int, drawn: Draw, state: State, record: Record) -> Rollout:
         velocity_excess=signs.velocity_excess(record),
         loop_position=record.loop_position,
         loop_orientation=record.loop_orientation,
-        fallbacks=sum(c[0].fallback or not c[0].usable for c in record.causes),
+        fallbacks=record.given_up,
         inaccurate=record.count(Status.INACCURATE),
+        plain=record.plain,
     )
 
 

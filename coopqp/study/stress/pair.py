@@ -10,7 +10,8 @@ from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.study.stress.draw import LAW
-from coopqp.study.stress.driving import drive_for, note, record_of
+from coopqp.study.stress.driving import drive_for, record_of
+from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import DrawWithMasses
 from coopqp.study.stress.signs import Flags
@@ -100,8 +101,7 @@ def _run(drawn: DrawWithMasses, plant: Plant, seed: int, disturbance: Disturbanc
     law, record = LAW.build(problem), record_of(problem)
     state = law.start(q_measured=model.measured)
     drive_for(round(DURATION / problem.dt), law, model, state, record)
-    note(record, model, state)
-    rollout = judged(seed, drawn, state, record)
+    rollout = judged(seed, drawn, state, record, PartErrors(problem))
     last, limit = round(END / problem.dt), model.servo.effort
     found = squeeze(model, problem.dt)
     return _Run(

@@ -5,8 +5,10 @@ Letters: n joints, T ticks.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +35,10 @@ class Record:
         lower, upper: position limits, shape (n,) [rad, m].
         speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
         units: "rad" or "m" of each joint.
-        q: configurations before each tick and at last, T + 1 of shape (n,).
-        v: commands, T of shape (n,).
+        q: configurations before each tick and at last, shape (T + 1, n).
+        v: commands, shape (T, n).
         causes: of each tick.
+        plain: ticks that the kernel left to the plain law.
         loop_position, loop_orientation: largest loop error [m], [rad].
         forces: largest internal force of a hand after each tick and at first, where the plant has
             masses, T + 1 numbers [N].
@@ -46,15 +49,16 @@ class Record:
     upper: Array
     speed: Array
     units: tuple[str, ...]
-    q: list[Array] = field(default_factory=list)
-    v: list[Array] = field(default_factory=list)
+    q: Array
+    v: Array
     causes: list[tuple[Status, ...]] = field(default_factory=list)
+    plain: int = 0
     loop_position: float = 0.0
     loop_orientation: float = 0.0
     forces: list[float] = field(default_factory=list)
     saturated: list[Flags] = field(default_factory=list)
 
-    @property
+    @cached_property
     def scale(self) -> Array:
         """Speeds to compare with, shape (n,); without a limit it is the least of its own unit."""
         scale, units = self.speed.copy(), np.array(self.units)
@@ -67,12 +71,24 @@ class Record:
 
     def count(self, *statuses: Status) -> int:
         """Ticks that say one of these."""
-        return sum(any(cause in statuses for cause in causes) for causes in self.causes)
+        return sum(
+            ticks for causes, ticks in self.spells() if any(cause in statuses for cause in causes)
+        )
+
+    @property
+    def given_up(self) -> int:
+        """Ticks that gave something up or held still."""
+        return sum(ticks for (c, *_), ticks in self.spells() if c.fallback or not c.usable)
+
+    def spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
+        """What was said, and for how many ticks on end."""
+        for causes, ticks in itertools.groupby(self.causes):
+            yield causes, sum(1 for _ in ticks)
 
 
 def beyond(record: Record) -> Array:
     """How far each joint is outside its limits, shape (T + 1, n) [rad, m]."""
-    q = np.array(record.q)
+    q = record.q
     out: Array = np.maximum(np.maximum(record.lower - q, q - record.upper), 0.0)
     return out
 
@@ -86,7 +102,7 @@ def position_excess(record: Record) -> float:
 
 def velocity_excess(record: Record) -> float:
     """Largest overrun of a velocity limit [rad/s, m/s]."""
-    return max(0.0, float((np.abs(np.array(record.v)) - record.speed).max(initial=0.0)))
+    return max(0.0, float((np.abs(record.v) - record.speed).max(initial=0.0)))
 
 
 def flips(record: Record) -> float:
@@ -101,7 +117,7 @@ def trembles(record: Record) -> float:
 
 def _flips(record: Record, least: float) -> Array:
     """Share of sign changes of each joint, shape (n,)."""
-    v = np.array(record.v[len(record.v) // 2 :]) / record.scale
+    v = record.v[len(record.v) // 2 :] / record.scale
     before, after = v[:-1], v[1:]
     turned = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > least)
     shares: Array = turned.mean(axis=0) if len(turned) else np.zeros(v.shape[-1])
@@ -110,7 +126,7 @@ def _flips(record: Record, least: float) -> Array:
 
 def slowest(record: Record) -> float:
     """Largest speed in the last ticks, as a share of the limit."""
-    v = np.abs(np.array(record.v[-LATEST:])) / record.scale
+    v = np.abs(record.v[-LATEST:]) / record.scale
     return float(v.max(initial=0.0))
 
 
@@ -122,13 +138,13 @@ def held_up(record: Record) -> bool:
 
 def overruns(record: Record, budget: Budget) -> Iterator[str]:
     """Promises that no tick may break, in words."""
-    if not np.isfinite(np.array(record.v)).all():
+    if not np.isfinite(record.v).all():
         yield "commanded NaN"
         return
-    if position_excess(record) > EXCESS:
-        yield f"left a position limit by {position_excess(record):.2g} rad"
-    if velocity_excess(record) > EXCESS:
-        yield f"broke a velocity limit by {velocity_excess(record):.2g} rad/s"
+    if (excess := position_excess(record)) > EXCESS:
+        yield f"left a position limit by {excess:.2g} rad"
+    if (excess := velocity_excess(record)) > EXCESS:
+        yield f"broke a velocity limit by {excess:.2g} rad/s"
     if record.loop_position > budget.loop_position:
         yield f"opened a loop by {1e3 * record.loop_position:.4g} mm"
     if record.loop_orientation > budget.loop_orientation:

@@ -19,7 +19,7 @@ class Summary:
         frozen, rattling, never_back, ringing: rollouts that showed these signs.
         saturated, squeezed: the same on plants with masses.
         broken: rollouts that broke a promise.
-        ticks, fallbacks, inaccurate: of all rollouts.
+        ticks, fallbacks, inaccurate, plain: of all rollouts.
         position_excess, velocity_excess, loop_position, loop_orientation, force: the worst of them.
     """
 
@@ -36,6 +36,7 @@ class Summary:
     ticks: int
     fallbacks: int
     inaccurate: int
+    plain: int
     position_excess: float
     velocity_excess: float
     loop_position: float
@@ -98,6 +99,7 @@ def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
         sum(r.ticks for r in rollouts),
         sum(r.fallbacks for r in rollouts),
         sum(r.inaccurate for r in rollouts),
+        sum(r.plain for r in rollouts),
         max(r.position_excess for r in rollouts),
         max(r.velocity_excess for r in rollouts),
         max(r.loop_position for r in rollouts),

@@ -13,6 +13,7 @@ from coopqp.solver import Solver
 from coopqp.study.engine import Engine, Lost
 from coopqp.study.stress.draw import DAQP, LAW, Draw, draw
 from coopqp.study.stress.driving import drive_on, record_of
+from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import draw_with_masses
 from coopqp.study.stress.pair import run_pair
@@ -105,8 +106,8 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 
 
 def _run(drawn: Draw, seed: int) -> Rollout:
-    law = LAW.build(drawn.problem)
+    law = LAW.build(drawn.problem, prepared=False)
     state = law.start()
-    record = record_of(drawn.problem)
-    drive_on(law, state, record)
-    return judged(seed, drawn, state, record)
+    record, errors = record_of(drawn.problem), PartErrors(drawn.problem)
+    drive_on(law, state, record, errors)
+    return judged(seed, drawn, state, record, errors)
