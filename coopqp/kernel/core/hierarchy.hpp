@@ -23,8 +23,8 @@ class Hierarchy {
   public:
     Hierarchy(int free, int most_rows, Arena& arena)
         : free_(free), blocks_(blocks_of(std::max(free, 1))), width_(blocks_ * LANES),
-          U_(arena.take(std::size_t(free + 1) * std::size_t(width_))),
-          Y_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
+          U_(arena.take(std::size_t(width_) * std::size_t(width_))),
+          Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), sigma_(std::size_t(most_rows + 1)) {}
 
@@ -61,17 +61,19 @@ class Hierarchy {
     // Take up the next `count` rows, which were written to row(rows) ... in coordinates of z.
     void append(int count) {
         if (!identity_)
-            for (int s = rows; s < rows + count; s++) turn(row(s));
+            for (int s = rows; s < rows + count; s++) {
+                copy(h_, row(s), blocks_);
+                to_y(h_, row(s));
+            }
         for (int s = rows; s < rows + count; s++) {
             double beta = 0.0;
             if (decided >= free_) break;
             if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
             const double onto = reflection(row(s), decided, blocks_, NOTHING, h_, beta);
             if (onto == 0.0) continue;
-            for (int j = s + 1; j < rows + count; j++) reflect(row(j), h_, beta, blocks_);
-            for (int z = 0; z < free_; z++) reflect(U_ + z * width_, h_, beta, blocks_);
-            row(s)[decided] = onto;
-            for (int i = decided + 1; i < width_; i++) row(s)[i] = 0.0;
+            reflect_rows(row(s + 1), width_, rows + count - s - 1, h_, beta, blocks_);
+            reflect_rows(U_, width_, free_, h_, beta, blocks_);
+            put_end(row(s), decided, onto, blocks_);
             pivots_.push_back(s);
             decided++;
             identity_ = false;
@@ -79,12 +81,14 @@ class Hierarchy {
         rows += count;
     }
 
-    // U' x, in place.
-    void turn(double* x) {
-        std::copy(x, x + width_, h_);
-        clear(x, blocks_);
-        for (int z = 0; z < free_; z++) add(x, U_ + z * width_, h_[z], blocks_);
+    // y = U' z
+    void to_y(const double* z, double* y) const {
+        clear(y, blocks_);
+        add_rows(y, U_, width_, free_, z, blocks_);
     }
+
+    // z = U y
+    void to_z(const double* y, double* z) const { multiply(z, U_, width_, free_, y, blocks_); }
 
     // Singular values of all rows so far, largest nowhere in particular; false where one of the
     // decided directions is noise. Afterwards sigma(i) and direction(i) are theirs.

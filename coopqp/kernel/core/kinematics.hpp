@@ -95,26 +95,39 @@ class Kinematics {
     void differentiate() {
         for (std::size_t i = 0; i < carried.size(); i++) {
             const Arm& arm = model_.arms[i];
-            for (int j : arm.base) column(j, carried[i].p, arm.J_base + model_.joints[j].lane,
-                                          LANES * model_.base_blocks);
-            for (int j : arm.own)
-                column(j, carried[i].p, arm.J_own + model_.joints[j].lane - arm.first,
-                       LANES * arm.own_blocks);
+            double* column = arm.columns;
+            for (int j : arm.base) {
+                moves(j, carried[i].p, column);
+                place_column(column, arm.J_base + model_.joints[j].lane,
+                             LANES * model_.base_blocks);
+                column += TWIST;
+            }
+            for (int j : arm.own) {
+                moves(j, carried[i].p, column);
+                place_column(column, arm.J_own + model_.joints[j].lane - arm.first,
+                             LANES * arm.own_blocks);
+                column += TWIST;
+            }
         }
     }
 
   private:
-    void column(int j, const v4& p, double* at, int stride) const {
+    // How a joint moves what is at p.
+    void moves(int j, const v4& p, double* twist) const {
         const Frame& f = joints_[j];
         if (model_.joints[j].slides) {
-            for (int r = 0; r < 3; r++) at[r * stride] = f.z[r];
+            for (int r = 0; r < 3; r++) twist[r] = f.z[r];
             return;
         }
         const v4 d = p - f.p;
-        at[0] = f.z[1] * d[2] - f.z[2] * d[1];
-        at[stride] = f.z[2] * d[0] - f.z[0] * d[2];
-        at[2 * stride] = f.z[0] * d[1] - f.z[1] * d[0];
-        for (int r = 0; r < 3; r++) at[(3 + r) * stride] = f.z[r];
+        twist[0] = f.z[1] * d[2] - f.z[2] * d[1];
+        twist[1] = f.z[2] * d[0] - f.z[0] * d[2];
+        twist[2] = f.z[0] * d[1] - f.z[1] * d[0];
+        for (int r = 0; r < 3; r++) twist[3 + r] = f.z[r];
+    }
+
+    static void place_column(const double* column, double* at, int stride) {
+        for (int r = 0; r < 6; r++) at[r * stride] = column[r];
     }
 
     const Model& model_;

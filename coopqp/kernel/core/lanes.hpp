@@ -26,9 +26,21 @@ __attribute__((always_inline)) inline double sum(const v4& a) {
     return (a[0] + a[2]) + (a[1] + a[3]);
 }
 
+// Four lanes of two vectors, by number; those of b count on from four.
+template <int I, int J, int K, int L>
+__attribute__((always_inline)) inline v4 pick(const v4& a, const v4& b) {
+#if defined(__clang__)
+    return __builtin_shufflevector(a, b, I, J, K, L);
+#else
+    return __builtin_shuffle(a, b, v4i{I, J, K, L});
+#endif
+}
+
 // The sums of four vectors, side by side.
 __attribute__((always_inline)) inline v4 sums(const v4& a, const v4& b, const v4& c, const v4& d) {
-    return v4{sum(a), sum(b), sum(c), sum(d)};
+    const v4 ab = pick<0, 4, 2, 6>(a, b) + pick<1, 5, 3, 7>(a, b);
+    const v4 cd = pick<0, 4, 2, 6>(c, d) + pick<1, 5, 3, 7>(c, d);
+    return pick<0, 1, 4, 5>(ab, cd) + pick<2, 3, 6, 7>(ab, cd);
 }
 
 __attribute__((always_inline)) inline v4 larger(const v4& a, const v4& b) { return a > b ? a : b; }
@@ -57,6 +69,53 @@ __attribute__((always_inline)) inline void add_six(double* a, const double* rows
         v4 all = x[i];
         for (int r = 0; r < 6; r++) all += lanes(rows)[r * blocks + i] * factor[r];
         x[i] = all;
+    }
+}
+
+// Matrices whose rows are `stride` numbers apart. Rows are taken four at a time, so that there is room
+// for a multiple of four; those that are none of the `count` hold zeros, or numbers nobody reads.
+
+// out = A x, four lanes of it at a time.
+__attribute__((always_inline)) inline void multiply(double* out, const double* A, int stride,
+                                                    int count, const double* x, int blocks) {
+    for (int r = 0; r < count; r += LANES) {
+        const double* row = A + std::size_t(r) * std::size_t(stride);
+        const v4 *a = lanes(row), *b = lanes(row + stride), *c = lanes(row + 2 * stride),
+                 *d = lanes(row + 3 * stride), *y = lanes(x);
+        v4 all[4] = {a[0] * y[0], b[0] * y[0], c[0] * y[0], d[0] * y[0]};
+        for (int i = 1; i < blocks; i++) {
+            all[0] += a[i] * y[i];
+            all[1] += b[i] * y[i];
+            all[2] += c[i] * y[i];
+            all[3] += d[i] * y[i];
+        }
+        lanes(out)[r / LANES] = sums(all[0], all[1], all[2], all[3]);
+    }
+}
+
+// y += A' x; x is zero past `count`.
+__attribute__((always_inline)) inline void add_rows(double* y, const double* A, int stride,
+                                                    int count, const double* x, int blocks) {
+    for (int r = 0; r < count; r += LANES) {
+        const double *row = A + std::size_t(r) * std::size_t(stride), *f = x + r;
+        const v4 *a = lanes(row), *b = lanes(row + stride), *c = lanes(row + 2 * stride),
+                 *d = lanes(row + 3 * stride);
+        for (int i = 0; i < blocks; i++)
+            lanes(y)[i] += (a[i] * f[0] + b[i] * f[1]) + (c[i] * f[2] + d[i] * f[3]);
+    }
+}
+
+// A -= factor (A h) h'
+__attribute__((always_inline)) inline void reflect_rows(double* A, int stride, int count,
+                                                        const double* h, double factor,
+                                                        int blocks) {
+    for (int r = 0; r < count; r += LANES) {
+        double* row = A + std::size_t(r) * std::size_t(stride);
+        alignas(32) double by[LANES];
+        multiply(by, row, stride, LANES, h, blocks);
+        const v4 u = lanes(by)[0] * factor;
+        for (int k = 0; k < LANES; k++)
+            for (int i = 0; i < blocks; i++) lanes(row + k * stride)[i] -= lanes(h)[i] * u[k];
     }
 }
 
