@@ -57,7 +57,7 @@ class Kernel {
           z_(arena_->take(std::size_t(hierarchy_.width()))),
           X_(arena_->take(std::size_t(loops_->free + 1) * std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows() + 1)),
-          small_(most_rows() + 1, std::min(most_rows(), loops_->free) + 1),
+          small_(most_rows() + 1, std::min(most_rows(), loops_->free) + 1, *arena_),
           turn_(std::size_t(shares_.count() + 1)),
           pulls_(levels.size()) {}
 
@@ -282,16 +282,13 @@ class Kernel {
             lanes(nearest_.upper)[b] = lanes(ub)[b] - lanes(v_)[b];
         }
         for (int i = 0; i < p; i++) nearest_.lower[n + i] = -1e300;
-        for (int a = 0; a < shares + K; a++) clear(nearest_.column(a), nearest_.stride() / LANES);
+        for (int a = 0; a < padded(shares + K); a++)
+            clear(nearest_.column(a), nearest_.stride() / LANES);
         for (int a = 0; a < shares; a++) share_column(a);
-        const double scale = 1.0 / std::sqrt(curvature);
-        for (int z = 0; z < loops_->free; z++) {
-            double* X = X_ + z * hierarchy_.width();
-            const double* u = hierarchy_.U(z) + first;
-            small_.divide(u, X);
-            for (int a = own; a < K; a++) X[a] = scale * u[a];
-            for (int a = 0; a < K; a++)
-                add(nearest_.column(shares + a), loops_->Z + std::size_t(z * n), X[a], m_->blocks);
+        for (int a = 0; a < K; a++) {
+            level_direction(a, first, own, curvature);
+            add_rows(nearest_.column(shares + a), loops_->Z, n, loops_->free,
+                     X_ + a * hierarchy_.width(), m_->blocks);
         }
         for (int i = 0; i < p; i++)
             for (int a = 0; a < shares + K; a++)
@@ -303,11 +300,22 @@ class Kernel {
             status = nearest_.solve(shares + K);
         }
         if (status != Status::Optimal) return status;
-        for (int a = 0; a < shares + K; a++) add(v_, nearest_.column(a), nearest_.u[a], m_->blocks);
+        add_rows(v_, nearest_.M, nearest_.stride(), shares + K, nearest_.u, m_->blocks);
         for (int k = 0; k < shares; k++)
             for (int a = 0; a < shares; a++)
                 shares_.share(k) += nearest_.column(a)[share_row(k)] * nearest_.u[a];
         return status;
+    }
+
+    // The a-th direction, in coordinates of z, in which the level's cost bends by one: of its own
+    // coordinates from `first` on, then of those that it leaves free.
+    void level_direction(int a, int first, int own, double curvature) {
+        const int width = hierarchy_.width(), blocks = hierarchy_.blocks();
+        double* X = X_ + a * width;
+        copy(X, hierarchy_.V(first + a), blocks);
+        for (int j = 0; j < a && a < own; j++) add(X, X_ + j * width, -small_.R(j, a), blocks);
+        const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
+        for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
     }
 
     // Whether all limits hold as it is; what inequalities leave is written for bring_inside.

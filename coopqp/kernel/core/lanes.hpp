@@ -72,6 +72,21 @@ __attribute__((always_inline)) inline void add_six(double* a, const double* rows
     }
 }
 
+// The unit vector along a lane.
+__attribute__((always_inline)) inline void unit(double* a, int along, int blocks) {
+    const v4i index = {0, 1, 2, 3};
+    for (int b = 0; b < blocks; b++)
+        lanes(a)[b] = index == v4i{} + (along - b * LANES) ? v4{} + 1.0 : v4{};
+}
+
+// Lanes of a from `first` on, the others zero.
+__attribute__((always_inline)) inline void copy_from(double* out, const double* a, int first,
+                                                     int blocks) {
+    const v4i index = {0, 1, 2, 3};
+    for (int b = 0; b < blocks; b++)
+        lanes(out)[b] = index >= v4i{} + (first - b * LANES) ? lanes(a)[b] : v4{};
+}
+
 // Matrices whose rows are `stride` numbers apart. Rows are taken four at a time, so that there is room
 // for a multiple of four; those that are none of the `count` hold zeros, or numbers nobody reads.
 
@@ -117,6 +132,18 @@ __attribute__((always_inline)) inline void reflect_rows(double* A, int stride, i
         for (int k = 0; k < LANES; k++)
             for (int i = 0; i < blocks; i++) lanes(row + k * stride)[i] -= lanes(h)[i] * u[k];
     }
+}
+
+// A -= factor h (h'A), h zero past `count`.
+__attribute__((always_inline)) inline void reflect_columns(double* A, int stride, int count,
+                                                           const double* h, double factor,
+                                                           int blocks, double* scratch) {
+    for (int i = 0; i < blocks; i++) lanes(scratch)[i] = v4{};
+    add_rows(scratch, A, stride, count, h, blocks);
+    for (int r = 0; r < count; r++)
+        for (int i = 0; i < blocks; i++)
+            lanes(A + std::size_t(r) * std::size_t(stride))[i] -=
+                lanes(scratch)[i] * (factor * h[r]);
 }
 
 // A few blocks each: a call of the library takes longer. The empty statement keeps compilers from
