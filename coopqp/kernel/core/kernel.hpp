@@ -186,7 +186,7 @@ class Kernel {
         for (int s = 0; s < level.rows; s++) {
             double* row = hierarchy_.row(hierarchy_.rows + s);
             if (level.twist[std::size_t(s)])
-                multiply(row, W_, TWIST, loops_->free, level.T + TWIST * s, 2);
+                multiply(row, W_, TWIST, loops_->free, level.T + TWIST * s, Blocks<2>{});
             else
                 multiply(row, loops_->Z, stride(), loops_->free,
                          level.J + std::size_t(s * stride()), m_->blocks);

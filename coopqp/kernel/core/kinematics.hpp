@@ -4,6 +4,7 @@
 
 #include "model.hpp"
 #include "rotation.hpp"
+#include "sines.hpp"
 
 namespace coopqp {
 
@@ -37,7 +38,10 @@ class Kinematics {
         : carried(model.arms.size()),
           loop_error(6 * (model.arms.size() - 1)),
           model_(model),
-          joints_(model.joints.size()) {}
+          joints_(model.joints.size()),
+          angles_(arena_.take(std::size_t(padded(model.n())))),
+          sines_(arena_.take(std::size_t(padded(model.n())))),
+          cosines_(arena_.take(std::size_t(padded(model.n())))) {}
 
     std::vector<Frame> carried;      // the object as carried by each arm
     std::vector<double> loop_error;  // as State.loop_error
@@ -45,6 +49,8 @@ class Kinematics {
 
     // Frames alone, for the look after the step.
     void place(const double* q) {
+        std::copy(q, q + joints_.size(), angles_);
+        sines(angles_, blocks_of(model_.n()), sines_, cosines_);
         for (std::size_t j = 0; j < joints_.size(); j++) {
             const Joint& joint = model_.joints[j];
             const Frame on =
@@ -56,7 +62,7 @@ class Kinematics {
                 f.y = on.y;
                 f.p = on.p + on.z * q[j];
             } else {
-                const double s = std::sin(q[j]), c = std::cos(q[j]);
+                const double s = sines_[j], c = cosines_[j];
                 f.x = on.x * c + on.y * s;
                 f.y = on.y * c - on.x * s;
                 f.p = on.p;
@@ -132,6 +138,8 @@ class Kinematics {
 
     const Model& model_;
     std::vector<Frame> joints_;
+    Arena arena_;
+    double *angles_, *sines_, *cosines_;  // of the joints, also of those that slide
 };
 
 }  // namespace coopqp

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 #include <vector>
 
 namespace coopqp {
@@ -87,12 +88,26 @@ __attribute__((always_inline)) inline void copy_from(double* out, const double* 
         lanes(out)[b] = index >= v4i{} + (first - b * LANES) ? lanes(a)[b] : v4{};
 }
 
+// How many blocks, where the compiler knows: loops over them are then none.
+template <int N>
+using Blocks = std::integral_constant<int, N>;
+
+// Call with the number of blocks, known to the compiler where it is a frequent one.
+template <class Body>
+__attribute__((always_inline)) inline void with(int blocks, const Body& body) {
+    if (blocks == 1) return body(Blocks<1>{});
+    if (blocks == 2) return body(Blocks<2>{});
+    if (blocks == 4) return body(Blocks<4>{});
+    body(blocks);
+}
+
 // Matrices whose rows are `stride` numbers apart. Rows are taken four at a time, so that there is room
 // for a multiple of four; those that are none of the `count` hold zeros, or numbers nobody reads.
 
 // out = A x, four lanes of it at a time.
+template <class N>
 __attribute__((always_inline)) inline void multiply(double* out, const double* A, int stride,
-                                                    int count, const double* x, int blocks) {
+                                                    int count, const double* x, N blocks) {
     for (int r = 0; r < count; r += LANES) {
         const double* row = A + std::size_t(r) * std::size_t(stride);
         const v4 *a = lanes(row), *b = lanes(row + stride), *c = lanes(row + 2 * stride),
@@ -107,43 +122,56 @@ __attribute__((always_inline)) inline void multiply(double* out, const double* A
         lanes(out)[r / LANES] = sums(all[0], all[1], all[2], all[3]);
     }
 }
+__attribute__((noinline)) inline void multiply(double* out, const double* A, int stride, int count,
+                                               const double* x, int blocks) {
+    with(blocks, [&](auto n) { multiply<decltype(n)>(out, A, stride, count, x, n); });
+}
 
 // y += A' x; x is zero past `count`.
+template <class N>
 __attribute__((always_inline)) inline void add_rows(double* y, const double* A, int stride,
-                                                    int count, const double* x, int blocks) {
+                                                    int count, const double* x, N blocks) {
     for (int r = 0; r < count; r += LANES) {
         const double *row = A + std::size_t(r) * std::size_t(stride), *f = x + r;
         const v4 *a = lanes(row), *b = lanes(row + stride), *c = lanes(row + 2 * stride),
                  *d = lanes(row + 3 * stride);
+        const double f0 = f[0], f1 = f[1], f2 = f[2], f3 = f[3];
         for (int i = 0; i < blocks; i++)
-            lanes(y)[i] += (a[i] * f[0] + b[i] * f[1]) + (c[i] * f[2] + d[i] * f[3]);
+            lanes(y)[i] += (a[i] * f0 + b[i] * f1) + (c[i] * f2 + d[i] * f3);
     }
+}
+__attribute__((noinline)) inline void add_rows(double* y, const double* A, int stride, int count,
+                                               const double* x, int blocks) {
+    with(blocks, [&](auto n) { add_rows<decltype(n)>(y, A, stride, count, x, n); });
 }
 
 // A -= factor (A h) h'
-__attribute__((always_inline)) inline void reflect_rows(double* A, int stride, int count,
-                                                        const double* h, double factor,
-                                                        int blocks) {
-    for (int r = 0; r < count; r += LANES) {
-        double* row = A + std::size_t(r) * std::size_t(stride);
-        alignas(32) double by[LANES];
-        multiply(by, row, stride, LANES, h, blocks);
-        const v4 u = lanes(by)[0] * factor;
-        for (int k = 0; k < LANES; k++)
-            for (int i = 0; i < blocks; i++) lanes(row + k * stride)[i] -= lanes(h)[i] * u[k];
-    }
+__attribute__((noinline)) inline void reflect_rows(double* A, int stride, int count,
+                                                   const double* h, double factor, int blocks) {
+    with(blocks, [&](auto n) {
+        for (int r = 0; r < count; r += LANES) {
+            double* row = A + std::size_t(r) * std::size_t(stride);
+            alignas(32) double by[LANES];
+            multiply<decltype(n)>(by, row, stride, LANES, h, n);
+            const v4 u = lanes(by)[0] * factor;
+            for (int k = 0; k < LANES; k++)
+                for (int i = 0; i < n; i++) lanes(row + k * stride)[i] -= lanes(h)[i] * u[k];
+        }
+    });
 }
 
 // A -= factor h (h'A), h zero past `count`.
-__attribute__((always_inline)) inline void reflect_columns(double* A, int stride, int count,
-                                                           const double* h, double factor,
-                                                           int blocks, double* scratch) {
-    for (int i = 0; i < blocks; i++) lanes(scratch)[i] = v4{};
-    add_rows(scratch, A, stride, count, h, blocks);
-    for (int r = 0; r < count; r++)
-        for (int i = 0; i < blocks; i++)
-            lanes(A + std::size_t(r) * std::size_t(stride))[i] -=
-                lanes(scratch)[i] * (factor * h[r]);
+__attribute__((noinline)) inline void reflect_columns(double* A, int stride, int count,
+                                                      const double* h, double factor, int blocks,
+                                                      double* scratch) {
+    with(blocks, [&](auto n) {
+        for (int i = 0; i < n; i++) lanes(scratch)[i] = v4{};
+        add_rows<decltype(n)>(scratch, A, stride, count, h, n);
+        for (int i = 0; i < n; i++) lanes(scratch)[i] *= factor;
+        for (int r = 0; r < count; r++)
+            for (int i = 0; i < n; i++)
+                lanes(A + std::size_t(r) * std::size_t(stride))[i] -= lanes(scratch)[i] * h[r];
+    });
 }
 
 // A few blocks each: a call of the library takes longer. The empty statement keeps compilers from

@@ -46,7 +46,7 @@ class StagedLoops final : public Loops {
         Reflections<B> decide, compress;
         double* E;  // the carry's directions, (carry, lanes); of the first stage none
         // Directions over [carry | own], each from a multiple of four lanes on: first those that
-        // the rows see, then those they leave, of these first the next carry.
+        // change one row alone, then those that rows leave, of these first the next carry.
         double* Q;
         bool compresses = false;
 
@@ -118,6 +118,7 @@ class StagedLoops final : public Loops {
             const int left = s.left();
             double* nulls = s.Q + s.rows() * WIDTH;
             s.decide.basis(s.Q);
+            s.decide.part(s.Q);
             if (s.compresses) compress(s, left, nulls);
             for (int k = 0; k < left; k++) {
                 const bool carried = k < s.next;
@@ -135,13 +136,11 @@ class StagedLoops final : public Loops {
         for (const Stage& s : stages_) {
             double y[8] = {};
             for (int k = 0; k < s.rows(); k++) {
-                double rest = b[k];
-                if (s.E) rest -= along_base(s, s.kept[std::size_t(k)], v);  // else v is zero
-                for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * y[j];
-                y[k] = rest * s.decide.inverse(k);
+                y[k] = b[k];
+                if (s.E) y[k] -= along_base(s, s.kept[std::size_t(k)], v);  // else v is zero
             }
             clear(x, B);
-            add_rows(x, s.Q, WIDTH, s.rows(), y, B);
+            add_rows(x, s.Q, WIDTH, s.rows(), y, Blocks<B>{});
             add_direction(s, x, v);
             b += s.rows();
         }
@@ -156,8 +155,8 @@ class StagedLoops final : public Loops {
         for (std::size_t i = 0; i < stages_.size(); i++) {
             const Stage& s = stages_[i];
             gather(s, g, t, x);
-            multiply(rho[i], s.Q, WIDTH, s.rows(), x, B);
-            multiply(g, s.Q + s.rows() * WIDTH, WIDTH, s.next, x, B);
+            multiply(rho[i], s.Q, WIDTH, s.rows(), x, Blocks<B>{});
+            multiply(g, s.Q + s.rows() * WIDTH, WIDTH, s.next, x, Blocks<B>{});
             at += s.rows();
         }
         alignas(64) double w[MOST_BASE] = {};
@@ -171,22 +170,16 @@ class StagedLoops final : public Loops {
                     multiply(x, s.E, stride(), s.own_at(), w, base);
                 else
                     copy(x, w, base);
-                multiply(more, s.Q, WIDTH, s.rows(), x, B);
+                multiply(more, s.Q, WIDTH, s.rows(), x, Blocks<B>{});
                 for (int k = 0; k < s.rows(); k++) rho[i][k] += more[k];
-            }
-            double step[6];
-            for (int k = s.rows(); k-- > 0;) {
-                double rest = -rho[i][k];
-                for (int j = k + 1; j < s.rows(); j++) rest -= s.decide.L(j, k) * step[j];
-                step[k] = rest * s.decide.inverse(k);
             }
             const Arm& arm = m_.arms[std::size_t(s.arm)];
             double by[6] = {}, back[6] = {};
             for (int k = 0; k < s.rows(); k++) {
                 const int r = s.kept[std::size_t(k)];
-                y[at + k] += step[k];
-                by[r] = step[k];
-                back[r] = -step[k];
+                y[at + k] -= rho[i][k];
+                by[r] = -rho[i][k];
+                back[r] = rho[i][k];
             }
             if (!arm.base.empty()) add_six(w, m_.J_base(s.arm, 0), by, base);
             add_six(w, m_.J_base(0, 0), back, base);
@@ -216,18 +209,16 @@ class StagedLoops final : public Loops {
         const int base = m_.base_blocks;
         const Arm& arm = m_.arms[std::size_t(s.arm)];
         alignas(64) double moved[MOST_BASE];
-        for (int k = 0; k < s.rows(); k++) {
-            const int r = s.kept[std::size_t(k)];
-            double* row = rows_ + k * WIDTH;
+        const int own_at = s.own_at(), own = arm.own_blocks, rest = B - own_at / LANES - own;
+        double* row = rows_;
+        for (int r : s.kept) {
             const v4 *Ji = lanes(m_.J_base(s.arm, r)), *J0 = lanes(m_.J_base(0, r));
-            for (int b = 0; b < base; b++) lanes(moved)[b] = Ji[b] - J0[b];
-            if (s.E)
-                multiply(row, s.E, stride(), s.own_at(), moved, base);
-            else
-                copy(row, moved, base);
-            if (arm.own_blocks) copy(row + s.own_at(), m_.J_own(s.arm, r), arm.own_blocks);
-            const int used = s.own_at() + arm.own_blocks * LANES;
-            clear(row + used, B - used / LANES);
+            v4* to = lanes(s.E ? moved : row);
+            for (int b = 0; b < base; b++) to[b] = Ji[b] - J0[b];
+            if (s.E) multiply(row, s.E, stride(), own_at, moved, base);
+            if (own) copy(row + own_at, m_.J_own(s.arm, r), own);
+            clear(row + own_at + own * LANES, rest);
+            row += WIDTH;
         }
     }
 

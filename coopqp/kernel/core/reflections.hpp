@@ -96,12 +96,6 @@ class Reflections {
         inverse_.assign(std::size_t(most), 0.0);
     }
 
-    int rank() const { return rank_; }
-    double L(int row, int pivot) const { return L_[std::size_t(row * most_ + pivot)]; }
-
-    // 1 / L(k, k), where all rows are independent.
-    double inverse(int k) const { return inverse_[std::size_t(k)]; }
-
     // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
     // `least` brings no reflection; false where that is not allowed.
     bool factor(double* rows, int count, double least, bool independent) {
@@ -135,6 +129,20 @@ class Reflections {
         int k = 0;
         for (; k + P <= count; k += P) turn<P>(k, Q);
         for (; k < count; k++) turn<1>(k, Q);
+    }
+
+    // Turn the first rows of Q', those that the factored rows see, into L^-T Q': the motions that
+    // change one row alone, each. For independent rows.
+    void part(double* Q) const {
+        for (int k = rank_; k-- > 0;) {
+            v4 row[B];
+            for (int b = 0; b < B; b++) row[b] = lanes(Q + k * WIDTH)[b];
+            for (int j = k + 1; j < rank_; j++) {
+                const double by = L_[std::size_t(j * most_ + k)];
+                for (int b = 0; b < B; b++) row[b] -= lanes(Q + j * WIDTH)[b] * by;
+            }
+            for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b] * inverse_[std::size_t(k)];
+        }
     }
 
     // X Q, in place; X has a column for each coordinate, one after the other in memory. For
