@@ -52,6 +52,8 @@ class State:
         hand_wrench: what force sensors say that the hands do to the object, by the robot's arms,
             each at its hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
         corrected: share of the drift correction that the last tick did.
+        jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
+            are then computed when somebody asks for them.
         inputs: what is made of what arrived from outside, by name; empty where nothing can.
     """
 
@@ -71,7 +73,7 @@ class State:
         self.inputs = Followed()
         self._J_ext = np.zeros((6 * arms, n))
         self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
-        self._q_seen, self._stale = self.q.copy(), False
+        self._q_seen, self.jacobians_due = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
         self.hand_wrench: Array | None = None
@@ -119,7 +121,7 @@ class State:
         self.update_drift()
 
     def _differentiate(self) -> None:
-        self._stale = False
+        self.jacobians_due = False
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, self._q_seen)
         for frame, J in self._frames:
@@ -128,19 +130,15 @@ class State:
         self._mixing.dot(self._J_arms, self._J_ext)
 
     def written(self) -> tuple[Array, ...]:
-        """Arrays for the kernel to write instead of :meth:`update`, then :meth:`mark_stale`.
+        """Arrays for the kernel to write instead of :meth:`update`; then Jacobians are due.
 
         p_WO, R_WO, loop_error, drift and the q that they belong to; and what :meth:`advance` keeps.
         """
         return self.p_WO, self.R_WO, self.loop_error, self.drift, self._q_seen, self._commanded
 
-    def mark_stale(self) -> None:
-        """Say that the poses are up to date; Jacobians are computed when somebody asks for them."""
-        self._stale = True
-
     def _refresh(self) -> None:
         """Compute the Jacobians of the q that the poses belong to, if that is still to be done."""
-        if self._stale:
+        if self.jacobians_due:
             self._differentiate()
             if self._rows_chosen:
                 self._update_loop_rows()

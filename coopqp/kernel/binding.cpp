@@ -1,4 +1,4 @@
-// The kernel as a Python class. Arrays are bound once; the GIL is released while it works.
+// The kernel as a Python class. Arrays are bound once; the GIL is released for all that takes long.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
@@ -115,7 +115,7 @@ class Engine {
     int tick(double t) {
         const Use use(*this);
         if (!use.alone) return BUSY;
-        nb::gil_scoped_release released;
+        const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         return status ? status : int(kernel_->solve());
     }
@@ -124,7 +124,7 @@ class Engine {
     int tick_with_rows(double t) {
         const Use use(*this);
         if (!use.alone) return BUSY;
-        nb::gil_scoped_release released;
+        const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
         for (const Filled& rows : filled_) take_rows(rows);
@@ -136,7 +136,7 @@ class Engine {
     int tick_coming_back(double t, double kappa, const Numbers& lb, const Numbers& ub) {
         const Use use(*this);
         if (!use.alone) return BUSY;
-        nb::gil_scoped_release released;
+        const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
         for (const Filled& rows : filled_) take_rows(rows);
@@ -150,7 +150,7 @@ class Engine {
     int step(double t) {
         const Use use(*this);
         if (!use.alone || waits()) return BUSY;
-        nb::gil_scoped_release released;
+        const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
         const coopqp::Status decided = kernel_->solve();
@@ -268,6 +268,16 @@ class Engine {
             commanded_[j] = q_now_[j];
         }
     }
+
+    // Without the GIL for a tick that takes long. Of a short one it would be a twentieth to let go of
+    // it, and another thread may then keep it for milliseconds.
+    struct Unlocked {
+        explicit Unlocked(const coopqp::Kernel& kernel) {
+            if (kernel.model().blocks > SHORT) released.emplace();
+        }
+        std::optional<nb::gil_scoped_release> released;
+    };
+    static constexpr int SHORT = 8;  // blocks of joints
 
     // One thread at a time: another is told so.
     struct Use {

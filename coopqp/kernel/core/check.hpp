@@ -32,13 +32,11 @@ class Check {
         : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
           levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
           moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
-          of_arms_(6 * model.arms.size()),
+          of_arms_(arena.take(TWIST * model.arms.size())), V(arena.take(TWIST)),
           y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
     double worst_primal = 0.0, worst_dual = 0.0;
-
-    double V[6] = {};  // the object's twist at the answer judged last, or where the first sets out
 
     void aim(const double* b) { b_ = b; }
 
@@ -50,7 +48,8 @@ class Check {
                   const double* G, const std::vector<double>& h) {
         const double mu = std::min(d, SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, lb, ub) + (l == 0 ? clip_shares() : 0.0));
-        double above = 0.0, V_before[6];
+        double above = 0.0;
+        alignas(64) double V_before[TWIST];
         const int p = s_.inequalities;
         for (int i = 0; i < p; i++) {
             const std::size_t at = std::size_t(i);
@@ -58,9 +57,9 @@ class Check {
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
         above = std::sqrt(above);
-        std::copy(V, V + 6, V_before);
-        rows_.twists(v, of_arms_.data());
-        rows_.mean(of_arms_.data(), V);
+        copy(V_before, V, 2);
+        rows_.twists(v, of_arms_);
+        rows_.mean(of_arms_, V);
         const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
         gradient(l, d, v, nearest, G);
         double off = 0.0;
@@ -171,9 +170,9 @@ class Check {
         double gap2 = 0.0;
         std::size_t at = 0;
         for (int i = 1; i < m_.holding; i++) {
-            const double* V_i = &of_arms_[std::size_t(6 * i)];
+            const double* V_i = of_arms_ + TWIST * i;
             for (int r : kept_[std::size_t(i - 1)]) {
-                const double off = V_i[r] - of_arms_[std::size_t(r)] - b_[at++];
+                const double off = V_i[r] - of_arms_[r] - b_[at++];
                 gap2 += off * off;
             }
         }
@@ -182,7 +181,8 @@ class Check {
 
     // What the level moves of what was decided before it.
     double decided_gap(int l, const double* v, const double* before, const double* V_before) const {
-        double gap2 = 0.0, V_moved[6];
+        double gap2 = 0.0;
+        alignas(64) double V_moved[TWIST];
         for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
             const int k = levels_[0].share[std::size_t(s)];
             const double off = rows_.times(levels_[0], s, v, V) -
@@ -191,7 +191,7 @@ class Check {
         }
         if (l == 0) return gap2;
         for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
-        for (int r = 0; r < 6; r++) V_moved[r] = V[r] - V_before[r];
+        for (int b = 0; b < 2; b++) lanes(V_moved)[b] = lanes(V)[b] - lanes(V_before)[b];
         for (int k = 0; k < l; k++)
             for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
                 const double off = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
@@ -213,7 +213,7 @@ class Check {
             const double missed = rows_.times(level, s, v, V) - level.wanted[i];
             rows_.pull_row(level, s, level.weight[i] * missed, tau, y_.g);
         }
-        rows_.pull_object(tau, y_.g);
+        if (level.rows > level.exact) rows_.pull_object(tau, y_.g);
         y_.push_limits(nearest, G);
     }
 
@@ -322,7 +322,13 @@ class Check {
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
     double *t_, *moved_;
-    std::vector<double> slack_, of_arms_;
+    std::vector<double> slack_;
+    double* of_arms_;
+
+  public:
+    double* V;  // the object's twist at the answer judged last, or where the first sets out
+
+  private:
     Multipliers y_;
 };
 

@@ -14,14 +14,19 @@ constexpr double LEAST_SPEED = 1e-4;       // as coopqp.qp_law.equations
 
 class StepDamping {
   public:
-    StepDamping(const Rows& rows, const Settings& settings, int shares)
+    StepDamping(const Rows& rows, const Settings& settings, const std::vector<Level>& levels,
+                Arena& arena)
         : rows_(rows), share_(settings.error_damping * settings.dt), reach_(settings.reach),
-          asked2_(std::size_t(shares)), wanted2_(std::size_t(shares)) {}
+          V_(arena.take(TWIST)), asked2_(std::size_t(levels[0].shares)),
+          wanted2_(std::size_t(levels[0].shares)) {
+        for (const Level& level : levels)
+            for (char asks : level.asks_velocity) asks_ |= asks != 0;
+    }
 
     // At the last velocity, in lanes, which must stay where it is.
     void begin(const double* v_last) {
         v_last_ = v_last;
-        if (share_ > 0.0) rows_.object_twist(v_last, V_);
+        if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
 
     // Of level l.
@@ -68,8 +73,9 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double share_, reach_, V_[6];
+    double share_, reach_, *V_;
     const double* v_last_ = nullptr;
+    bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;
 };
 

@@ -1,4 +1,4 @@
-// Levels in the null space of the loops, v = v_p + Z z, on one orthonormal basis z = U y.
+// Levels in the null space of the loops, v = v_p + Z z, on one orthonormal basis y = V z.
 //
 // The rows of a level's tasks are reflected onto the next coordinates of y; what is left of y is
 // free for the levels after. In these coordinates a level's cost is that of its own few coordinates
@@ -23,10 +23,10 @@ class Hierarchy {
   public:
     Hierarchy(int free, int most_rows, Arena& arena)
         : free_(free), blocks_(blocks_of(std::max(free, 1))), width_(blocks_ * LANES),
-          U_(arena.take(std::size_t(free + 1) * std::size_t(width_))),
-          Y_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
+          V_(arena.take(std::size_t(width_) * std::size_t(width_))),
+          Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
-          h_(arena.take(std::size_t(width_))), sigma_(std::size_t(most_rows + 1)) {}
+          h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))), sigma_(std::size_t(most_rows + 1)) {}
 
     int decided = 0;  // coordinates of y
     int rows = 0;     // of all levels so far
@@ -34,7 +34,7 @@ class Hierarchy {
     int blocks() const { return blocks_; }
     int width() const { return width_; }
     double* row(int s) { return Y_ + s * width_; }
-    const double* U(int z) const { return U_ + z * width_; }
+    const double* V(int y) const { return V_ + y * width_; }
     int pivot_row(int coordinate) const { return pivots_[std::size_t(coordinate)]; }
 
     // Take up all rows again that were left out.
@@ -52,26 +52,25 @@ class Hierarchy {
         decided = rows = 0;
         pivots_.clear();
         identity_ = true;
-        for (int z = 0; z < free_; z++) {
-            clear(U_ + z * width_, blocks_);
-            U_[z * width_ + z] = 1.0;
-        }
+        for (int y = 0; y < free_; y++) unit(V_ + y * width_, y, blocks_);
     }
 
     // Take up the next `count` rows, which were written to row(rows) ... in coordinates of z.
     void append(int count) {
         if (!identity_)
-            for (int s = rows; s < rows + count; s++) turn(row(s));
+            for (int s = rows; s < rows + count; s++) {
+                copy(h_, row(s), blocks_);
+                to_y(h_, row(s));
+            }
         for (int s = rows; s < rows + count; s++) {
             double beta = 0.0;
             if (decided >= free_) break;
             if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
             const double onto = reflection(row(s), decided, blocks_, NOTHING, h_, beta);
             if (onto == 0.0) continue;
-            for (int j = s + 1; j < rows + count; j++) reflect(row(j), h_, beta, blocks_);
-            for (int z = 0; z < free_; z++) reflect(U_ + z * width_, h_, beta, blocks_);
-            row(s)[decided] = onto;
-            for (int i = decided + 1; i < width_; i++) row(s)[i] = 0.0;
+            reflect_rows(row(s + 1), width_, rows + count - s - 1, h_, beta, blocks_);
+            reflect_columns(V_, width_, free_, h_, beta, blocks_, t_);
+            put_end(row(s), decided, onto, blocks_);
             pivots_.push_back(s);
             decided++;
             identity_ = false;
@@ -79,11 +78,13 @@ class Hierarchy {
         rows += count;
     }
 
-    // U' x, in place.
-    void turn(double* x) {
-        std::copy(x, x + width_, h_);
-        clear(x, blocks_);
-        for (int z = 0; z < free_; z++) add(x, U_ + z * width_, h_[z], blocks_);
+    // y = V z
+    void to_y(const double* z, double* y) const { multiply(y, V_, width_, free_, z, blocks_); }
+
+    // z = V' y
+    void to_z(const double* y, double* z) const {
+        clear(z, blocks_);
+        add_rows(z, V_, width_, free_, y, blocks_);
     }
 
     // Singular values of all rows so far, largest nowhere in particular; false where one of the
@@ -130,7 +131,7 @@ class Hierarchy {
     }
 
     int free_, blocks_, width_;
-    double *U_, *Y_, *S_, *h_;
+    double *V_, *Y_, *S_, *h_, *t_;
     std::vector<double> sigma_;
     std::vector<int> pivots_, left_out_;
     int singular_ = 0;

@@ -37,7 +37,7 @@ class Kernel {
           loops_(make_loops(*m_, kept_, *arena_)),
           hierarchy_(loops_->free, most_rows(), *arena_),
           shares_(levels[0], hierarchy_, stride(), *arena_),
-          damping_(rows_, s_, shares_.count()),
+          damping_(rows_, s_, levels, *arena_),
           nearest_(stride() + padded(s_.inequalities) + padded(shares_.count()) +
                        padded(levels[0].exact),
                    loops_->free + shares_.count(), *arena_),
@@ -51,12 +51,13 @@ class Kernel {
           before_(arena_->take(std::size_t(stride()))),
           last_(arena_->take(std::size_t(stride()))),
           t_(arena_->take(std::size_t(stride()))),
-          W_(arena_->take(std::size_t(6 * hierarchy_.width()))),
+          W_(arena_->take(std::size_t(TWIST * hierarchy_.width()))),
+          w_(arena_->take(std::size_t(hierarchy_.width()))),
           x_(arena_->take(std::size_t(hierarchy_.width()))),
           z_(arena_->take(std::size_t(hierarchy_.width()))),
           X_(arena_->take(std::size_t(loops_->free + 1) * std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows() + 1)),
-          small_(most_rows() + 1, std::min(most_rows(), loops_->free) + 1),
+          small_(most_rows() + 1, std::min(most_rows(), loops_->free) + 1, *arena_),
           turn_(std::size_t(shares_.count() + 1)),
           pulls_(levels.size()) {}
 
@@ -145,14 +146,11 @@ class Kernel {
         check_.aim(b_.data());
     }
 
-    // J_object Z. All arms that hold the object move it alike there, so arm 0 speaks for all.
+    // The object's twist along each column of Z. All arms that hold it move it alike there, so arm 0
+    // speaks for all.
     void see_object() {
-        for (int r = 0; r < 6; r++) {
-            double* w = W_ + r * hierarchy_.width();
-            const double* J = m_->J_base(0, r);
-            for (int z = 0; z < loops_->free; z++)
-                w[z] = dot(J, loops_->Z + std::size_t(z * stride()), m_->base_blocks);
-        }
+        for (int z = 0; z < loops_->free; z++)
+            rows_.twist(0, loops_->Z + std::size_t(z * stride()), W_ + TWIST * z);
     }
 
     Status solve_level(int l) {
@@ -185,18 +183,13 @@ class Kernel {
 
     // Rows of a level in coordinates of z, appended to those of the levels before.
     void write_rows(const Level& level) {
-        const int blocks = hierarchy_.blocks();
         for (int s = 0; s < level.rows; s++) {
             double* row = hierarchy_.row(hierarchy_.rows + s);
-            clear(row, blocks);
-            if (level.twist[std::size_t(s)]) {
-                for (int r = 0; r < 6; r++)
-                    add(row, W_ + r * hierarchy_.width(), level.T[8 * s + r], blocks);
-                continue;
-            }
-            const double* J = level.J + std::size_t(s * stride());
-            for (int z = 0; z < loops_->free; z++)
-                row[z] = dot(J, loops_->Z + std::size_t(z * stride()), m_->blocks);
+            if (level.twist[std::size_t(s)])
+                multiply(row, W_, TWIST, loops_->free, level.T + TWIST * s, Blocks<2>{});
+            else
+                multiply(row, loops_->Z, stride(), loops_->free,
+                         level.J + std::size_t(s * stride()), m_->blocks);
         }
     }
 
@@ -267,17 +260,14 @@ class Kernel {
 
     // v += Z U y
     void move(const double* y, double* v) const {
-        for (int z = 0; z < loops_->free; z++)
-            add(v, loops_->Z + std::size_t(z * stride()),
-                dot(hierarchy_.U(z), y, hierarchy_.blocks()), m_->blocks);
+        hierarchy_.to_z(y, w_);
+        add_rows(v, loops_->Z, stride(), loops_->free, w_, m_->blocks);
     }
 
     // y = U' Z' t
     void reduce(const double* t, double* y) {
-        clear(y, hierarchy_.blocks());
-        for (int z = 0; z < loops_->free; z++)
-            add(y, hierarchy_.U(z), dot(loops_->Z + std::size_t(z * stride()), t, m_->blocks),
-                hierarchy_.blocks());
+        multiply(w_, loops_->Z, stride(), loops_->free, t, m_->blocks);
+        hierarchy_.to_y(w_, y);
     }
 
     // Change v and the shares by as little as limits ask for, in the metric of the level's cost.
@@ -292,16 +282,13 @@ class Kernel {
             lanes(nearest_.upper)[b] = lanes(ub)[b] - lanes(v_)[b];
         }
         for (int i = 0; i < p; i++) nearest_.lower[n + i] = -1e300;
-        for (int a = 0; a < shares + K; a++) clear(nearest_.column(a), nearest_.stride() / LANES);
+        for (int a = 0; a < padded(shares + K); a++)
+            clear(nearest_.column(a), nearest_.stride() / LANES);
         for (int a = 0; a < shares; a++) share_column(a);
-        const double scale = 1.0 / std::sqrt(curvature);
-        for (int z = 0; z < loops_->free; z++) {
-            double* X = X_ + z * hierarchy_.width();
-            const double* u = hierarchy_.U(z) + first;
-            small_.divide(u, X);
-            for (int a = own; a < K; a++) X[a] = scale * u[a];
-            for (int a = 0; a < K; a++)
-                add(nearest_.column(shares + a), loops_->Z + std::size_t(z * n), X[a], m_->blocks);
+        for (int a = 0; a < K; a++) {
+            level_direction(a, first, own, curvature);
+            add_rows(nearest_.column(shares + a), loops_->Z, n, loops_->free,
+                     X_ + a * hierarchy_.width(), m_->blocks);
         }
         for (int i = 0; i < p; i++)
             for (int a = 0; a < shares + K; a++)
@@ -313,11 +300,22 @@ class Kernel {
             status = nearest_.solve(shares + K);
         }
         if (status != Status::Optimal) return status;
-        for (int a = 0; a < shares + K; a++) add(v_, nearest_.column(a), nearest_.u[a], m_->blocks);
+        add_rows(v_, nearest_.M, nearest_.stride(), shares + K, nearest_.u, m_->blocks);
         for (int k = 0; k < shares; k++)
             for (int a = 0; a < shares; a++)
                 shares_.share(k) += nearest_.column(a)[share_row(k)] * nearest_.u[a];
         return status;
+    }
+
+    // The a-th direction, in coordinates of z, in which the level's cost bends by one: of its own
+    // coordinates from `first` on, then of those that it leaves free.
+    void level_direction(int a, int first, int own, double curvature) {
+        const int width = hierarchy_.width(), blocks = hierarchy_.blocks();
+        double* X = X_ + a * width;
+        copy(X, hierarchy_.V(first + a), blocks);
+        for (int j = 0; j < a && a < own; j++) add(X, X_ + j * width, -small_.R(j, a), blocks);
+        const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
+        for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
     }
 
     // Whether all limits hold as it is; what inequalities leave is written for bring_inside.
@@ -388,7 +386,7 @@ class Kernel {
   private:
     Check check_;
     std::vector<double> b_;
-    double *v_, *before_, *last_, *t_, *W_, *x_, *z_, *X_;
+    double *v_, *before_, *last_, *t_, *W_, *w_, *x_, *z_, *X_;
     std::vector<double> residual_;
     SmallLeastSquares small_;
     std::vector<double> turn_, pulls_;

@@ -4,6 +4,7 @@
 
 #include "model.hpp"
 #include "rotation.hpp"
+#include "sines.hpp"
 
 namespace coopqp {
 
@@ -37,7 +38,10 @@ class Kinematics {
         : carried(model.arms.size()),
           loop_error(6 * (model.arms.size() - 1)),
           model_(model),
-          joints_(model.joints.size()) {}
+          joints_(model.joints.size()),
+          angles_(arena_.take(std::size_t(padded(model.n())))),
+          sines_(arena_.take(std::size_t(padded(model.n())))),
+          cosines_(arena_.take(std::size_t(padded(model.n())))) {}
 
     std::vector<Frame> carried;      // the object as carried by each arm
     std::vector<double> loop_error;  // as State.loop_error
@@ -45,6 +49,8 @@ class Kinematics {
 
     // Frames alone, for the look after the step.
     void place(const double* q) {
+        std::copy(q, q + joints_.size(), angles_);
+        sines(angles_, blocks_of(model_.n()), sines_, cosines_);
         for (std::size_t j = 0; j < joints_.size(); j++) {
             const Joint& joint = model_.joints[j];
             const Frame on =
@@ -56,7 +62,7 @@ class Kinematics {
                 f.y = on.y;
                 f.p = on.p + on.z * q[j];
             } else {
-                const double s = std::sin(q[j]), c = std::cos(q[j]);
+                const double s = sines_[j], c = cosines_[j];
                 f.x = on.x * c + on.y * s;
                 f.y = on.y * c - on.x * s;
                 f.p = on.p;
@@ -95,30 +101,45 @@ class Kinematics {
     void differentiate() {
         for (std::size_t i = 0; i < carried.size(); i++) {
             const Arm& arm = model_.arms[i];
-            for (int j : arm.base) column(j, carried[i].p, arm.J_base + model_.joints[j].lane,
-                                          LANES * model_.base_blocks);
-            for (int j : arm.own)
-                column(j, carried[i].p, arm.J_own + model_.joints[j].lane - arm.first,
-                       LANES * arm.own_blocks);
+            double* column = arm.columns;
+            for (int j : arm.base) {
+                moves(j, carried[i].p, column);
+                place_column(column, arm.J_base + model_.joints[j].lane,
+                             LANES * model_.base_blocks);
+                column += TWIST;
+            }
+            for (int j : arm.own) {
+                moves(j, carried[i].p, column);
+                place_column(column, arm.J_own + model_.joints[j].lane - arm.first,
+                             LANES * arm.own_blocks);
+                column += TWIST;
+            }
         }
     }
 
   private:
-    void column(int j, const v4& p, double* at, int stride) const {
+    // How a joint moves what is at p.
+    void moves(int j, const v4& p, double* twist) const {
         const Frame& f = joints_[j];
         if (model_.joints[j].slides) {
-            for (int r = 0; r < 3; r++) at[r * stride] = f.z[r];
+            for (int r = 0; r < 3; r++) twist[r] = f.z[r];
             return;
         }
         const v4 d = p - f.p;
-        at[0] = f.z[1] * d[2] - f.z[2] * d[1];
-        at[stride] = f.z[2] * d[0] - f.z[0] * d[2];
-        at[2 * stride] = f.z[0] * d[1] - f.z[1] * d[0];
-        for (int r = 0; r < 3; r++) at[(3 + r) * stride] = f.z[r];
+        twist[0] = f.z[1] * d[2] - f.z[2] * d[1];
+        twist[1] = f.z[2] * d[0] - f.z[0] * d[2];
+        twist[2] = f.z[0] * d[1] - f.z[1] * d[0];
+        for (int r = 0; r < 3; r++) twist[3 + r] = f.z[r];
+    }
+
+    static void place_column(const double* column, double* at, int stride) {
+        for (int r = 0; r < 6; r++) at[r * stride] = column[r];
     }
 
     const Model& model_;
     std::vector<Frame> joints_;
+    Arena arena_;
+    double *angles_, *sines_, *cosines_;  // of the joints, also of those that slide
 };
 
 }  // namespace coopqp

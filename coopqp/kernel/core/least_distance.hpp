@@ -21,7 +21,7 @@ class LeastDistance {
     // rows of M in padded lanes, most columns.
     LeastDistance(int rows, int columns, Arena& arena)
         : row_blocks_(blocks_of(rows)), width_(padded(std::max(columns, 1))),
-          M(arena.take(std::size_t(columns + 1) * std::size_t(padded(rows)))),
+          M(arena.take(std::size_t(columns + LANES) * std::size_t(padded(rows)))),
           lower(arena.take(std::size_t(padded(rows)))),
           upper(arena.take(std::size_t(padded(rows)))),
           values_(arena.take(std::size_t(padded(rows)))), u(arena.take(std::size_t(width_))),
@@ -72,12 +72,12 @@ class LeastDistance {
         blocks_ = blocks_of(std::max(columns, 1));
         active = 0;
         clear(u, blocks_);
-        for (int s = 0; s < K_; s++) {
-            clear(Q_ + s * width_, blocks_);
-            Q_[s * width_ + s] = 1.0;
-        }
+        clear(values_, row_blocks_);
+        for (int s = 0; s < padded(K_); s++)
+            s < K_ ? unit(Q_ + s * width_, s, blocks_) : clear(Q_ + s * width_, blocks_);
         for (int change = 0; change < MOST_CHANGES; change++) {
             double side;
+            if (change) evaluate();
             const int worst = most_violated(side);
             if (worst < 0) return polish();
             const Status status = bring_in(worst, side, change);
@@ -89,9 +89,8 @@ class LeastDistance {
   private:
     double& R(int i, int j) { return R_[std::size_t(i * most_ + j)]; }
 
-    // M u in values_; the constraint that is violated most, or -1.
+    // The constraint that is violated most by values_, or -1.
     int most_violated(double& side) {
-        evaluate();
         const v4 *lo = lanes(lower), *hi = lanes(upper), *x = lanes(values_);
         v4 most = v4{} + OVERRUN;
         for (int b = 0; b < row_blocks_; b++)
@@ -109,10 +108,10 @@ class LeastDistance {
         return -1;
     }
 
+    // M u in values_.
     void evaluate() {
         clear(values_, row_blocks_);
-        for (int a = 0; a < K_; a++)
-            if (u[a] != 0.0) add(values_, column(a), u[a], row_blocks_);
+        add_rows(values_, M, stride(), K_, u, row_blocks_);
     }
 
     double limit(int row, double side) const { return side > 0 ? upper[row] : lower[row]; }
@@ -125,11 +124,9 @@ class LeastDistance {
         const double size2 = dot(normal_, normal_, blocks_);
         for (;; change++) {
             if (change >= MOST_CHANGES) return Status::Iterations;
-            double free2 = 0.0;
-            for (int s = 0; s < K_; s++) {
-                d_[s] = dot(Q_ + s * width_, normal_, blocks_);
-                if (s >= active) free2 += d_[s] * d_[s];
-            }
+            multiply(d_, Q_, width_, K_, normal_, blocks_);
+            copy_from(h_, d_, active, blocks_);
+            const double free2 = dot(h_, h_, blocks_);
             for (int i = active; i-- > 0;) {
                 double rest = d_[i];
                 for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
@@ -157,8 +154,8 @@ class LeastDistance {
                 }
             }
             if (!(step < std::numeric_limits<double>::infinity())) return contradict(row, side);
-            if (moves)
-                for (int s = active; s < K_; s++) add(u, Q_ + s * width_, step * d_[s], blocks_);
+            for (int b = 0; moves && b < blocks_; b++) lanes(h_)[b] *= step;
+            if (moves) add_rows(u, Q_, width_, K_, h_, blocks_);
             for (int i = 0; i < active; i++)
                 multiplier_[std::size_t(i)] -= step * r_[std::size_t(i)];
             pushed += step;
@@ -184,12 +181,8 @@ class LeastDistance {
     void append(int row, double side, double pushed) {
         const int q = active;
         double beta = 0.0;
-        for (int s = K_; s < blocks_ * LANES; s++) d_[s] = 0.0;
         const double onto = reflection(d_, q, blocks_, 0.0, h_, beta);
-        // Q2 <- Q2 (I - beta h h')
-        clear(normal_, blocks_);
-        for (int s = q; s < K_; s++) add(normal_, Q_ + s * width_, h_[s], blocks_);
-        for (int s = q; s < K_; s++) add(Q_ + s * width_, normal_, -beta * h_[s], blocks_);
+        reflect_columns(Q_, width_, K_, h_, beta, blocks_, normal_);
         for (int i = 0; i < q; i++) R(i, q) = d_[i];
         R(q, q) = onto;
         row_[std::size_t(q)] = row;
@@ -230,16 +223,18 @@ class LeastDistance {
     Status polish() {
         if (!active) return Status::Optimal;
         clear(u, blocks_);
+        clear(values_, row_blocks_);
+        clear(d_, blocks_);
         for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] = 0.0;
         for (int pass = 0; pass < 2; pass++) {
-            evaluate();
+            if (pass) evaluate();
             for (int i = 0; i < active; i++) {
                 const std::size_t at = std::size_t(i);
                 double rest = -side_[at] * (limit(row_[at], side_[at]) - values_[row_[at]]);
                 for (int j = 0; j < i; j++) rest -= R(j, i) * d_[j];
                 d_[i] = rest / R(i, i);
             }
-            for (int i = 0; i < active; i++) add(u, Q_ + i * width_, d_[i], blocks_);
+            add_rows(u, Q_, width_, active, d_, blocks_);
             for (int i = active; i-- > 0;) {
                 double rest = d_[i];
                 for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];

@@ -41,18 +41,25 @@ class StagedLoops final : public Loops {
     static constexpr int WIDTH = B * LANES;
 
     struct Stage {
-        int arm, carry, next = 0;
+        int arm, carry, own, next = 0;
         std::vector<int> kept;
         Reflections<B> decide, compress;
         double* E;  // the carry's directions, (carry, lanes); of the first stage none
-        // Directions over [carry | own]: first those that the rows see, then those they leave, of
-        // these first the next carry.
+        // Directions over [carry | own], each from a multiple of four lanes on: first those that
+        // change one row alone, then those that rows leave, of these first the next carry.
         double* Q;
         bool compresses = false;
 
         int rows() const { return int(kept.size()); }
-        int left(const Model& m) const {
-            return carry + int(m.arms[std::size_t(arm)].own.size()) - rows();
+        int left() const { return carry + own - rows(); }
+        int own_at() const { return padded(std::max(carry, 1)); }
+
+        // Lanes of both.
+        std::vector<int> coordinates() const {
+            std::vector<int> all;
+            for (int c = 0; c < carry; c++) all.push_back(c);
+            for (int j = 0; j < own; j++) all.push_back(own_at() + j);
+            return all;
         }
     };
 
@@ -65,16 +72,19 @@ class StagedLoops final : public Loops {
         const int touches = 6 + int(shared_.size());
         int carry = model.base_lanes;
         for (int i = 1; i < model.holding; i++) {
-            Stage s{i, carry, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, nullptr, false};
-            const int left = s.left(model);
+            const int own = int(model.arms[std::size_t(i)].own.size());
+            Stage s{i, carry, own, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, nullptr, false};
+            const int left = s.left();
             if (left < 0) throw std::invalid_argument("a loop has fewer joints than rows");
             const bool last = i == model.holding - 1;
             s.next = last ? 0 : std::min(left, touches);
             s.compresses = !last && left > touches;
-            s.decide.open(arena, s.rows(), carry + int(model.arms[std::size_t(i)].own.size()));
-            if (s.compresses) s.compress.open(arena, touches, left);
-            s.Q = arena.take(std::size_t(s.rows() + left) * WIDTH);
-            if (i > 1) s.E = arena.take(std::size_t(carry) * lanes_of(model));
+            s.decide.open(arena, s.rows(), s.coordinates());
+            std::vector<int> first(std::size_t(left), 0);
+            for (int k = 0; k < left; k++) first[std::size_t(k)] = k;
+            if (s.compresses) s.compress.open(arena, touches, first);
+            s.Q = arena.take(std::size_t(s.rows() + left + LANES) * WIDTH);
+            if (i > 1) s.E = arena.take(std::size_t(s.own_at()) * lanes_of(model));
             carry = s.next;
             free += left - s.next;
             stages_.push_back(std::move(s));
@@ -82,7 +92,7 @@ class StagedLoops final : public Loops {
         if (model.holding < 2)
             for (int l = 0; l < model.base_lanes; l++) alone_.push_back(l);
         for (int l : model.loose_lanes) alone_.push_back(l);
-        Z = arena.take((std::size_t(free) + alone_.size()) * lanes_of(model));
+        Z = arena.take(std::size_t(padded(free + int(alone_.size()))) * lanes_of(model));
         const int stride = lanes_of(model);
         for (std::size_t i = 0; i < alone_.size(); i++)
             Z[(std::size_t(free) + i) * std::size_t(stride) + std::size_t(alone_[i])] = 1.0;
@@ -94,7 +104,8 @@ class StagedLoops final : public Loops {
         const int carry = std::max(model.base_lanes, 6 + int(shared_lanes(model).size()));
         int most = 0;
         for (int i = 1; i < model.holding; i++)
-            most = std::max(most, carry + int(model.arms[std::size_t(i)].own.size()));
+            most = std::max(most, padded(std::max(carry, 1)) +
+                                      padded(int(model.arms[std::size_t(i)].own.size())));
         return most;
     }
 
@@ -104,11 +115,10 @@ class StagedLoops final : public Loops {
             Stage& s = stages_[i];
             fill_rows(s);
             if (!s.decide.factor(rows_, s.rows(), DEPENDENT, true)) return false;
-            const int left = s.left(m_), all = s.rows() + left;
+            const int left = s.left();
             double* nulls = s.Q + s.rows() * WIDTH;
-            clear(s.Q, all * B);
-            for (int k = 0; k < all; k++) s.Q[k * WIDTH + k] = 1.0;
-            s.decide.to_old(s.Q, all);
+            s.decide.basis(s.Q);
+            s.decide.part(s.Q);
             if (s.compresses) compress(s, left, nulls);
             for (int k = 0; k < left; k++) {
                 const bool carried = k < s.next;
@@ -124,14 +134,13 @@ class StagedLoops final : public Loops {
         clear(v, m_.blocks);
         alignas(64) double x[WIDTH];
         for (const Stage& s : stages_) {
-            double y[6];
-            clear(x, B);
+            double y[8] = {};
             for (int k = 0; k < s.rows(); k++) {
-                double rest = b[k] - along_base(s, s.kept[std::size_t(k)], v);
-                for (int j = 0; j < k; j++) rest -= s.decide.L(k, j) * y[j];
-                y[k] = rest * s.decide.inverse(k);
-                add(x, s.Q + k * WIDTH, y[k], B);
+                y[k] = b[k];
+                if (s.E) y[k] -= along_base(s, s.kept[std::size_t(k)], v);  // else v is zero
             }
+            clear(x, B);
+            add_rows(x, s.Q, WIDTH, s.rows(), y, Blocks<B>{});
             add_direction(s, x, v);
             b += s.rows();
         }
@@ -139,16 +148,15 @@ class StagedLoops final : public Loops {
 
     void balance(double* t, double* y) const override {
         if (stages_.empty()) return;
-        alignas(64) double x[WIDTH], g[MOST_BASE];
-        double rho[MOST_STAGES][6];
+        alignas(64) double x[WIDTH], g[MOST_BASE], rho[MOST_STAGES][8];
         const int base = m_.base_blocks;
         int at = 0;
         copy(g, t, base);
         for (std::size_t i = 0; i < stages_.size(); i++) {
             const Stage& s = stages_[i];
             gather(s, g, t, x);
-            for (int k = 0; k < s.rows(); k++) rho[i][k] = dot(s.Q + k * WIDTH, x, B);
-            for (int k = 0; k < s.next; k++) g[k] = dot(s.Q + (s.rows() + k) * WIDTH, x, B);
+            multiply(rho[i], s.Q, WIDTH, s.rows(), x, Blocks<B>{});
+            multiply(g, s.Q + s.rows() * WIDTH, WIDTH, s.next, x, Blocks<B>{});
             at += s.rows();
         }
         alignas(64) double w[MOST_BASE] = {};
@@ -156,28 +164,24 @@ class StagedLoops final : public Loops {
             const Stage& s = stages_[i];
             at -= s.rows();
             if (i + 1 < stages_.size()) {
+                alignas(64) double more[8];
                 clear(x, B);
                 if (s.E)
-                    for (int c = 0; c < s.carry; c++) x[c] = dot(w, s.E + c * stride(), base);
+                    multiply(x, s.E, stride(), s.own_at(), w, base);
                 else
-                    for (int c = 0; c < s.carry; c++) x[c] = w[c];
-                for (int k = 0; k < s.rows(); k++) rho[i][k] += dot(s.Q + k * WIDTH, x, B);
-            }
-            double step[6];
-            for (int k = s.rows(); k-- > 0;) {
-                double rest = -rho[i][k];
-                for (int j = k + 1; j < s.rows(); j++) rest -= s.decide.L(j, k) * step[j];
-                step[k] = rest * s.decide.inverse(k);
+                    copy(x, w, base);
+                multiply(more, s.Q, WIDTH, s.rows(), x, Blocks<B>{});
+                for (int k = 0; k < s.rows(); k++) rho[i][k] += more[k];
             }
             const Arm& arm = m_.arms[std::size_t(s.arm)];
             double by[6] = {}, back[6] = {};
             for (int k = 0; k < s.rows(); k++) {
                 const int r = s.kept[std::size_t(k)];
-                y[at + k] += step[k];
-                by[r] = step[k];
-                back[r] = -step[k];
+                y[at + k] -= rho[i][k];
+                by[r] = -rho[i][k];
+                back[r] = rho[i][k];
             }
-            add_six(w, m_.J_base(s.arm, 0), by, base);
+            if (!arm.base.empty()) add_six(w, m_.J_base(s.arm, 0), by, base);
             add_six(w, m_.J_base(0, 0), back, base);
             if (arm.own_blocks) add_six(t + arm.first, m_.J_own(s.arm, 0), by, arm.own_blocks);
         }
@@ -205,16 +209,16 @@ class StagedLoops final : public Loops {
         const int base = m_.base_blocks;
         const Arm& arm = m_.arms[std::size_t(s.arm)];
         alignas(64) double moved[MOST_BASE];
-        for (int k = 0; k < s.rows(); k++) {
-            const int r = s.kept[std::size_t(k)];
-            double* row = rows_ + k * WIDTH;
-            clear(row, B);
+        const int own_at = s.own_at(), own = arm.own_blocks, rest = B - own_at / LANES - own;
+        double* row = rows_;
+        for (int r : s.kept) {
             const v4 *Ji = lanes(m_.J_base(s.arm, r)), *J0 = lanes(m_.J_base(0, r));
-            for (int b = 0; b < base; b++) lanes(moved)[b] = Ji[b] - J0[b];
-            for (int c = 0; c < s.carry; c++)
-                row[c] = s.E ? dot(moved, s.E + c * stride(), base) : moved[c];
-            const double* own = m_.J_own(s.arm, r);
-            for (std::size_t j = 0; j < arm.own.size(); j++) row[std::size_t(s.carry) + j] = own[j];
+            v4* to = lanes(s.E ? moved : row);
+            for (int b = 0; b < base; b++) to[b] = Ji[b] - J0[b];
+            if (s.E) multiply(row, s.E, stride(), own_at, moved, base);
+            if (own) copy(row + own_at, m_.J_own(s.arm, r), own);
+            clear(row + own_at + own * LANES, rest);
+            row += WIDTH;
         }
     }
 
@@ -227,9 +231,9 @@ class StagedLoops final : public Loops {
             clear(moved, base);
             const double* null = nulls + i * WIDTH;
             if (s.E)
-                for (int c = 0; c < s.carry; c++) add(moved, s.E + c * stride(), null[c], base);
+                add_rows(moved, s.E, stride(), s.carry, null, base);
             else
-                for (int c = 0; c < s.carry; c++) moved[c] = null[c];
+                copy(moved, null, base);
             for (int r = 0; r < 6; r++) touch_[r * WIDTH + i] = dot(m_.J_base(0, r), moved, base);
             for (std::size_t k = 0; k < shared_.size(); k++)
                 touch_[(6 + int(k)) * WIDTH + i] = moved[shared_[k]];
@@ -245,22 +249,19 @@ class StagedLoops final : public Loops {
     }
 
     void add_direction(const Stage& s, const double* x, double* v) const {
-        if (s.E)
-            for (int c = 0; c < s.carry; c++)
-                add(v, s.E + c * stride(), x[c], m_.arms[std::size_t(s.arm)].first / LANES);
-        else
-            for (int c = 0; c < s.carry; c++) v[c] += x[c];
         const Arm& arm = m_.arms[std::size_t(s.arm)];
-        double* own = v + arm.first;
-        for (std::size_t j = 0; j < arm.own.size(); j++) own[j] += x[std::size_t(s.carry) + j];
+        if (s.E)
+            add_rows(v, s.E, stride(), s.carry, x, arm.first / LANES);
+        else
+            add(v, x, 1.0, m_.base_blocks);
+        add(v + arm.first, x + s.own_at(), 1.0, arm.own_blocks);
     }
 
     void gather(const Stage& s, const double* carry, const double* t, double* x) const {
         const Arm& arm = m_.arms[std::size_t(s.arm)];
         clear(x, B);
-        for (int c = 0; c < s.carry; c++) x[c] = carry[c];
-        for (std::size_t j = 0; j < arm.own.size(); j++)
-            x[std::size_t(s.carry) + j] = t[std::size_t(arm.first) + j];
+        copy(x, carry, s.own_at() / LANES);
+        copy(x + s.own_at(), t + arm.first, arm.own_blocks);
     }
 
     double along_base(const Stage& s, int r, const double* v) const {
@@ -278,12 +279,12 @@ class StagedLoops final : public Loops {
 inline std::unique_ptr<Loops> make_loops(const Model& m, const std::vector<std::vector<int>>& kept,
                                          Arena& arena) {
     const int blocks = blocks_of(StagedLoops<2>::width(m));
-    if (blocks > 16) throw std::invalid_argument("two arms have too many joints");
+    if (blocks > 17) throw std::invalid_argument("two arms have too many joints");
     if (blocks <= 2) return std::make_unique<StagedLoops<2>>(m, kept, arena);
     if (blocks == 3) return std::make_unique<StagedLoops<3>>(m, kept, arena);
     if (blocks == 4) return std::make_unique<StagedLoops<4>>(m, kept, arena);
     if (blocks <= 6) return std::make_unique<StagedLoops<6>>(m, kept, arena);
-    return std::make_unique<StagedLoops<16>>(m, kept, arena);
+    return std::make_unique<StagedLoops<17>>(m, kept, arena);
 }
 
 }  // namespace coopqp

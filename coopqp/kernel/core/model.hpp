@@ -10,6 +10,8 @@
 
 namespace coopqp {
 
+constexpr int TWIST = 8;  // lanes of a twist, of which 6 are used
+
 struct Placement {
     double R[9], p[3];  // row by row
 };
@@ -30,6 +32,8 @@ struct Arm {
     int own_blocks = 0;
     double* J_base = nullptr;  // (6, lanes of block 0)
     double* J_own = nullptr;   // (6, lanes of its own block); arm 0 has none
+    std::vector<int> lanes;    // of the joints that move it, base first
+    double* columns = nullptr;  // the same Jacobian joint by joint, (joints, 8), of which 6 are used
 };
 
 struct Model {
@@ -81,6 +85,9 @@ inline void lay_out(Model& m, Arena& arena) {
         arm.own_blocks = (lane - arm.first) / LANES;
         arm.J_base = arena.take(6 * LANES * m.base_blocks);
         if (arm.own_blocks) arm.J_own = arena.take(6 * LANES * arm.own_blocks);
+        for (int j : arm.base) arm.lanes.push_back(m.joints[j].lane);
+        for (int j : arm.own) arm.lanes.push_back(m.joints[j].lane);
+        arm.columns = arena.take(TWIST * (arm.lanes.size() + 1));
     }
     for (int j = 0; j < n; j++)
         if (!count[j]) {

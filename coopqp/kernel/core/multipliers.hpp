@@ -23,7 +23,8 @@ class Multipliers {
           of_rows(std::size_t(inequalities)), of_shares(std::size_t(levels[0].shares)),
           spare(std::size_t(levels[0].exact)),
           m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), levels_(levels),
-          y_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
+          y_(arena.take(std::size_t(hierarchy.width()))),
+          z_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
 
     double* g;       // the gradient, with all that pushes, over the joints
     double* box;     // of bounds on v, over the joints
@@ -39,6 +40,7 @@ class Multipliers {
         std::fill(spare.begin(), spare.end(), 0.0);
         clear(lambda, hierarchy_.blocks());
         clear(box, m_.blocks);
+        if (!nearest.active) return;
         const int n = m_.blocks * LANES, shares = n + padded(int(of_rows.size()));
         const int exact = shares + padded(int(of_shares.size()));
         double tau[6] = {0, 0, 0, 0, 0, 0};
@@ -117,10 +119,8 @@ class Multipliers {
   private:
     // y = U' Z' x
     void reduce(const double* x) {
-        clear(y_, hierarchy_.blocks());
-        for (int z = 0; z < loops_.free; z++)
-            add(y_, hierarchy_.U(z), dot(loops_.Z + std::size_t(z) * rows_.stride(), x, m_.blocks),
-                hierarchy_.blocks());
+        multiply(z_, loops_.Z, int(rows_.stride()), loops_.free, x, m_.blocks);
+        hierarchy_.to_y(z_, y_);
     }
 
     void balance_decided(int first) {
@@ -146,7 +146,7 @@ class Multipliers {
     const Loops& loops_;
     Hierarchy& hierarchy_;
     const std::vector<Level>& levels_;
-    double* y_;
+    double *y_, *z_;
     std::vector<double> step_;
 };
 

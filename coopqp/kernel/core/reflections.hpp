@@ -23,9 +23,12 @@ template <int B, int P>
 struct Beside {
     v4 x[P][B];
 
-    void load(const double* from) {
+    // Unit vectors, each along a lane.
+    void units(const int* along) {
+        const v4i index = {0, 1, 2, 3};
         for (int p = 0; p < P; p++)
-            for (int b = 0; b < B; b++) x[p][b] = lanes(from)[p * B + b];
+            for (int b = 0; b < B; b++)
+                x[p][b] = index == v4i{} + (along[p] - b * LANES) ? v4{} + 1.0 : v4{};
     }
     void store(double* to) const {
         for (int p = 0; p < P; p++)
@@ -68,42 +71,47 @@ inline double reflection(const double* row, int first, int blocks, double least,
     return onto;
 }
 
-// Up to `most` rows of B blocks of four lanes, of which the first `width` hold coordinates.
+// A row once it is reflected: lanes past `last` are zero, and `last` is what it became.
+inline void put_end(double* row, int last, double onto, int blocks) {
+    v4* a = lanes(row);
+    const int at = last / LANES;
+    const v4i index = v4i{0, 1, 2, 3} + at * LANES;
+    a[at] = index == v4i{} + last ? v4{} + onto : index < v4i{} + last ? a[at] : v4{};
+    for (int b = at + 1; b < blocks; b++) a[b] = v4{};
+}
+
+// Up to `most` rows of B blocks of four lanes; `coordinates` says which lanes hold any, the others
+// are zero.
 template <int B>
 class Reflections {
   public:
     static constexpr int WIDTH = B * LANES;
 
-    void open(Arena& arena, int most, int width) {
+    void open(Arena& arena, int most, std::vector<int> coordinates) {
         most_ = most;
-        width_ = width;
+        lane_ = std::move(coordinates);
         h_ = arena.take(std::size_t(most) * WIDTH);
         L_.assign(std::size_t(most) * std::size_t(most), 0.0);
         beta_.assign(std::size_t(most), 0.0);
         inverse_.assign(std::size_t(most), 0.0);
     }
 
-    int rank() const { return rank_; }
-    double L(int row, int pivot) const { return L_[std::size_t(row * most_ + pivot)]; }
-
-    // 1 / L(k, k), where all rows are independent.
-    double inverse(int k) const { return inverse_[std::size_t(k)]; }
-
     // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
     // `least` brings no reflection; false where that is not allowed.
     bool factor(double* rows, int count, double least, bool independent) {
         rank_ = 0;
-        const int most = std::min(most_, width_);
+        const int most = std::min(most_, int(lane_.size()));
         for (int s = 0; s < count; s++) {
             double *row = rows + s * WIDTH, *h = h_ + rank_ * WIDTH, beta = 0.0;
-            const double onto = rank_ < most ? reflection(row, rank_, B, least, h, beta) : 0.0;
+            const double onto =
+                rank_ < most ? reflection(row, lane(rank_), B, least, h, beta) : 0.0;
             if (onto == 0.0) {
                 if (independent) return false;
                 continue;
             }
             if (s < most_) {
                 double* L = &L_[std::size_t(s * most_)];
-                for (int k = 0; k < rank_; k++) L[k] = row[k];
+                for (int k = 0; k < rank_; k++) L[k] = row[lane(k)];
                 L[rank_] = onto;
             }
             beta_[std::size_t(rank_)] = beta;
@@ -114,39 +122,60 @@ class Reflections {
         return true;
     }
 
-    // Q x of `count` vectors, one after the other in memory.
-    void to_old(double* x, int count) const {
+    // Q' itself, a row for each coordinate: first those that the factored rows see.
+    void basis(double* Q) const {
         constexpr int P = B > 8 ? 1 : B > 4 ? 2 : B > 2 ? 3 : 4;
-        Beside<B, P> several;
+        const int count = int(lane_.size());
         int k = 0;
-        for (; k + P <= count; k += P) {
-            several.load(x + k * WIDTH);
-            for (int s = rank_; s-- > 0;)
-                several.reflect(h_ + s * WIDTH, beta_[std::size_t(s)]);
-            several.store(x + k * WIDTH);
-        }
-        for (; k < count; k++)
-            for (int s = rank_; s-- > 0;)
-                reflect(x + k * WIDTH, h_ + s * WIDTH, beta_[std::size_t(s)], B);
+        for (; k + P <= count; k += P) turn<P>(k, Q);
+        for (; k < count; k++) turn<1>(k, Q);
     }
 
-    // X Q, in place; X has a column for each coordinate, one after the other in memory.
+    // Turn the first rows of Q', those that the factored rows see, into L^-T Q': the motions that
+    // change one row alone, each. For independent rows.
+    void part(double* Q) const {
+        for (int k = rank_; k-- > 0;) {
+            v4 row[B];
+            for (int b = 0; b < B; b++) row[b] = lanes(Q + k * WIDTH)[b];
+            for (int j = k + 1; j < rank_; j++) {
+                const double by = L_[std::size_t(j * most_ + k)];
+                for (int b = 0; b < B; b++) row[b] -= lanes(Q + j * WIDTH)[b] * by;
+            }
+            for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b] * inverse_[std::size_t(k)];
+        }
+    }
+
+    // X Q, in place; X has a column for each coordinate, one after the other in memory. For
+    // coordinates that hold the first lanes.
     void mix(double* X) const {
         for (int s = 0; s < rank_; s++) {
             const double* h = h_ + s * WIDTH;
             v4 all[B] = {};
-            for (int i = s; i < width_; i++)
+            for (int i = s; i < int(lane_.size()); i++)
                 for (int b = 0; b < B; b++) all[b] += lanes(X)[i * B + b] * h[i];
             for (int b = 0; b < B; b++) all[b] *= beta_[std::size_t(s)];
-            for (int i = s; i < width_; i++)
+            for (int i = s; i < int(lane_.size()); i++)
                 for (int b = 0; b < B; b++) lanes(X)[i * B + b] -= all[b] * h[i];
         }
     }
 
   private:
+    int lane(int coordinate) const { return lane_[std::size_t(coordinate)]; }
+
+    // P rows of Q' from row k on; reflections that come later do not touch these unit vectors.
+    template <int P>
+    void turn(int k, double* Q) const {
+        Beside<B, P> several;
+        several.units(&lane_[std::size_t(k)]);
+        for (int s = std::min(rank_, k + P); s-- > 0;)
+            several.reflect(h_ + s * WIDTH, beta_[std::size_t(s)]);
+        several.store(Q + k * WIDTH);
+    }
+
     double* h_ = nullptr;
     std::vector<double> beta_, inverse_, L_;
-    int most_ = 0, width_ = 0, rank_ = 0;
+    std::vector<int> lane_;
+    int most_ = 0, rank_ = 0;
 };
 
 }  // namespace coopqp

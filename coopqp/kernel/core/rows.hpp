@@ -11,13 +11,18 @@ class Rows {
   public:
     explicit Rows(const Model& model) : m_(model) {}
 
-    // Twist of the object as carried by an arm, J_i v, shape (6,).
+    // Twist of the object as carried by an arm, J_i v, shape (TWIST,).
     void twist(int arm, const double* v, double* V) const {
         const Arm& a = m_.arms[std::size_t(arm)];
-        for (int r = 0; r < 6; r++) {
-            V[r] = dot(m_.J_base(arm, r), v, m_.base_blocks);
-            if (a.own_blocks) V[r] += dot(m_.J_own(arm, r), v + a.first, a.own_blocks);
+        const v4* column = lanes(a.columns);
+        v4 first = v4{}, second = v4{};
+        for (int lane : a.lanes) {
+            first += column[0] * v[lane];
+            second += column[1] * v[lane];
+            column += 2;
         }
+        lanes(V)[0] = first;
+        lanes(V)[1] = second;
     }
 
     // t += factor J_i' tau
@@ -25,50 +30,39 @@ class Rows {
         const Arm& a = m_.arms[std::size_t(arm)];
         double by[6];
         for (int r = 0; r < 6; r++) by[r] = factor * tau[r];
-        add_six(t, m_.J_base(arm, 0), by, m_.base_blocks);
+        if (!a.base.empty()) add_six(t, m_.J_base(arm, 0), by, m_.base_blocks);
         if (a.own_blocks) add_six(t + a.first, m_.J_own(arm, 0), by, a.own_blocks);
     }
 
-    // J v of a level's rows from `first` to `last`; V is the object's twist at v.
-    void times(const Level& level, int first, int last, const double* v, const double* V,
-               double* out) const {
-        for (int s = first; s < last; s++) out[s] = times(level, s, v, V);
-    }
-
+    // J v of a level's row; V is the object's twist at v.
     double times(const Level& level, int s, const double* v, const double* V) const {
         if (!level.twist[std::size_t(s)])
             return dot(level.J + std::size_t(s) * stride(), v, m_.blocks);
-        const double* T = level.T + 8 * s;
-        double x = 0.0;
-        for (int r = 0; r < 6; r++) x += T[r] * V[r];
-        return x;
+        return dot(level.T + TWIST * s, V, 2);
     }
 
-    // The same of all arms that hold the object or have a share in where it is, shape (arms, 6).
+    // The twists of all arms that hold the object or have a share in where it is, (arms, TWIST).
     void twists(const double* v, double* of_arms) const {
         for (std::size_t i = 0; i < m_.arms.size(); i++)
-            if (int(i) < m_.holding || m_.arms[i].alpha != 0.0) twist(int(i), v, of_arms + 6 * i);
+            if (int(i) < m_.holding || m_.arms[i].alpha != 0.0)
+                twist(int(i), v, of_arms + TWIST * i);
     }
 
     // The object's twist, mean over the arms, of which each has its own.
     void mean(const double* of_arms, double* V) const {
-        for (int r = 0; r < 6; r++) V[r] = 0.0;
-        for (std::size_t i = 0; i < m_.arms.size(); i++) {
-            const double alpha = m_.arms[i].alpha;
-            if (alpha == 0.0) continue;
-            for (int r = 0; r < 6; r++) V[r] += alpha * of_arms[6 * i + std::size_t(r)];
-        }
+        clear(V, 2);
+        for (std::size_t i = 0; i < m_.arms.size(); i++)
+            if (m_.arms[i].alpha != 0.0) add(V, of_arms + TWIST * i, m_.arms[i].alpha, 2);
     }
 
     // The object's twist at v.
     void object_twist(const double* v, double* V) const {
-        double of_arm[6];
-        for (int r = 0; r < 6; r++) V[r] = 0.0;
+        alignas(64) double of_arm[TWIST];
+        clear(V, 2);
         for (std::size_t i = 0; i < m_.arms.size(); i++) {
-            const double alpha = m_.arms[i].alpha;
-            if (alpha == 0.0) continue;
+            if (m_.arms[i].alpha == 0.0) continue;
             twist(int(i), v, of_arm);
-            for (int r = 0; r < 6; r++) V[r] += alpha * of_arm[r];
+            add(V, of_arm, m_.arms[i].alpha, 2);
         }
     }
 
@@ -78,7 +72,7 @@ class Rows {
             add(t, level.J + std::size_t(s) * stride(), by, m_.blocks);
             return;
         }
-        for (int r = 0; r < 6; r++) tau[r] += by * level.T[8 * s + r];
+        for (int r = 0; r < 6; r++) tau[r] += by * level.T[TWIST * s + r];
     }
 
     // t += J_object' tau
