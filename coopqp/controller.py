@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
 from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_name, vector
@@ -22,6 +22,7 @@ from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
 from coopqp.state import State
 from coopqp.task import Task, refuse_impedances
+from coopqp.ticks import Ticks
 from coopqp.wording import Location, culprit, dotted
 
 TELL_APART = "add 'name:' to tell them apart"
@@ -164,33 +165,6 @@ class Command:
         other.causes = self.causes
         other.scale, other.drift, other.note = self.scale, self.drift, self.note
         return other
-
-
-@dataclass(frozen=True)
-class Ticks:
-    """Many ticks at once, T of them.
-
-    Attributes:
-        q: before each and at the end, shape (T + 1, n) [rad, m].
-        v: of each command, shape (T, n) [rad/s, m/s].
-        causes: what became of each.
-        compiled: whether the kernel decided it, shape (T,).
-    """
-
-    q: Array
-    v: Array
-    causes: list[tuple[Status, ...]]
-    compiled: NDArray[np.bool_]
-
-    @staticmethod
-    def room(ticks: int, n: int) -> Ticks:
-        """Arrays for so many ticks, every one optimal."""
-        return Ticks(
-            np.zeros((ticks + 1, n)),
-            np.zeros((ticks, n)),
-            [(Status.OPTIMAL,)] * ticks,
-            np.zeros(ticks, bool),
-        )
 
 
 class Law(ABC):

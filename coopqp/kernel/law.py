@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Command, ControlProblem, Law, Ticks
+from coopqp.controller import Command, ControlProblem, Law
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
 from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
@@ -33,6 +33,7 @@ from coopqp.qp_law.priorities import deciding
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status
 from coopqp.state import State
+from coopqp.ticks import Ticks
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
