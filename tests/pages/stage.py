@@ -72,8 +72,8 @@ class Page:
             self._exec(block.marks.get("run first", ""), f"before {block.place}")
             self._exec(block.code, block.place)
         elif block.language == "sh" and shell:
-            path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-            given = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+            programs = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+            given = {**os.environ, "PATH": programs, "PYTHONPATH": str(ROOT)}
             subprocess.run(["bash", "-e", "-c", block.code], env=given, check=True)
 
     def _exec(self, code: str, place: str) -> None:

@@ -9,14 +9,14 @@ from functools import cache
 import click
 import pytest
 from coopqp_site import outside
+from coopqp_site.api import HOMES
 from coopqp_site.pages import written
 from coopqp_site.writing import ROOT
 
-import coopqp
 from coopqp import Catalog, Status, cli
-from coopqp.scenario.catalog import COLLECTIONS
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
+from coopqp.scenario.plugin import COLLECTIONS
 
 #: Every page, made once.
 PAGES = cache(written)
@@ -61,7 +61,7 @@ def test_all_else_that_can_be_named_is_there() -> None:
         told = section("command_line.md", name)
         options = (option for option in command.params if isinstance(option, click.Option))
         assert all(option.opts[0] in told for option in options)
-    for name in coopqp._HOMES:
+    for name in HOMES:
         assert f"[`{name}`](python/" in PAGES()["python.md"]
 
 

@@ -11,11 +11,14 @@ from types import ModuleType
 import coopqp
 from coopqp_site.writing import plain, table
 
+#: Module of each public name.
+HOMES: dict[str, str] = vars(coopqp)["_HOMES"]
+
 
 def pages() -> Iterator[tuple[str, str]]:
     """Name and text of each page: an overview, and one for each module with public names."""
     homes: dict[str, list[str]] = {}
-    for name, home in coopqp._HOMES.items():
+    for name, home in HOMES.items():
         homes.setdefault(home, []).append(name)
     yield "python.md", _overview(homes)
     for home, names in homes.items():
@@ -73,7 +76,8 @@ def _definition(name: str, module: ModuleType) -> str:
     body = ast.parse(inspect.getsource(module)).body
     for node, after in zip(body, [*body[1:], None], strict=True):
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
-            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            words = inspect.cleandoc(str(after.value.value)) if told else ""
+            words = ""
+            if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                words = inspect.cleandoc(str(after.value.value))
             return f"```python\n{ast.unparse(node)}\n```\n\n{plain(words)}"
     raise LookupError(f"{module.__name__} has no definition of {name}")

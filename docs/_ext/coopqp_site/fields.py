@@ -76,7 +76,7 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
     meanings = meanings or {}
     known = schema.get("$defs", {})
     needed = set(schema.get("required", ()))
-    return table(
+    rows = table(
         HEAD,
         (
             (
@@ -88,6 +88,7 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
             for key, value in schema.get("properties", {}).items()
         ),
     )
+    return f"````{{container}} keys\n\n{rows}\n````\n" if rows else ""
 
 
 def _default(schema: Schema, known: Mapping[str, Schema]) -> str:

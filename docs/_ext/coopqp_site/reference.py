@@ -103,7 +103,7 @@ def values(catalog: Catalog) -> str:
     classes = {e.cls for kind in COLLECTIONS for e in catalog.entries(kind).values()}
     plugins = {name for cls in classes for name in (cls.__name__, _long(cls))}
     text = "# Values with keys of their own\n"
-    done = set()
+    done: set[str] = set()
     for name in sorted(known, key=lambda name: name.rpartition("__")[2]):
         title = name.rpartition("__")[2]
         if name in plugins or name in SLOTS or title in {"Phase", *done}:
