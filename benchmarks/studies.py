@@ -174,15 +174,12 @@ def on_cluster(folder: Path, variants: int, address: str, kills: int, seed: int)
             """One of the workers, as soon as so many variants are done and one is there."""
             if not moments or state.done < moments[0]:
                 return
-            if found := sorted(client.run(os.getpid).values()):
+            if found := sorted(client.run(os.getpid, on_error="ignore").values()):
                 os.kill(rng.choice(found), signal.SIGKILL)
                 said.append(f"{state.done} (from {moments.pop(0)} on)")
 
         begun = time.perf_counter()
-        engine = Engine(scheduler=address)
-        sweep(
-            study, folder / "there", engine=engine, progress=lambda s: kill(s) if moments else None
-        )
+        sweep(study, folder / "there", engine=Engine(scheduler=address), progress=kill)
     print(f"{variants} variants on {address}: {time.perf_counter() - begun:.1f} s")
     if kills:
         print(f"{len(said)} of {kills} workers killed, after variants: {', '.join(said)}")
