@@ -3,6 +3,8 @@
     python -m benchmarks.studies                      2,000 short variants: loop, then two processes
     python -m benchmarks.studies --kills 10           as many clients and workers killed on the way
     python -m benchmarks.studies --scheduler ADDRESS  the same study on a Dask cluster
+    python -m benchmarks.studies --dask --kills 10    on a scheduler and two workers that it starts,
+                                                      which are killed on the way
 
 The first prints the ratio of the two in one run. Where other programs use the processor it says
 less than the second line, what the engine costs in processor time for each variant.
@@ -15,10 +17,13 @@ import os
 import random
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from joblib.externals.loky import get_reusable_executor
@@ -26,7 +31,7 @@ from pyarrow import parquet as pq
 
 from coopqp.scenario.loader import shipped
 from coopqp.study.engine import Engine
-from coopqp.study.sweep import Study, read_study, sweep
+from coopqp.study.sweep import Progress, Study, read_study, sweep
 from coopqp.study.sweep.variant import job_of, run_variants
 
 STUDY = """scenario: short.yaml
@@ -131,12 +136,53 @@ def _workers(pid: int) -> list[int]:
     return found
 
 
-def on_cluster(folder: Path, variants: int, address: str) -> None:
+@contextmanager
+def started() -> Iterator[str]:
+    """The address of a scheduler with two workers, by the commands of docs/studies.md."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    address = f"tcp://127.0.0.1:{port}"
+    commands = [
+        ["scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
+        ["worker", address, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"],
+    ]
+    running = [
+        subprocess.Popen([sys.executable, "-m", "dask", *words], stderr=subprocess.DEVNULL)
+        for words in commands
+    ]
+    try:
+        yield address
+    finally:
+        for process in reversed(running):
+            process.terminate()
+            process.wait()
+
+
+def on_cluster(folder: Path, variants: int, address: str, kills: int, seed: int) -> None:
+    """The rows are those of this machine's processes, also where workers are killed."""
+    from distributed import Client
+
     study: Study = read_study(written(folder, variants))
     sweep(study, folder / "here", engine=Engine(2))
-    begun = time.perf_counter()
-    sweep(study, folder / "there", engine=Engine(scheduler=address))
+    rng, said = random.Random(seed), list[str]()
+    moments = sorted(rng.sample(range(1, variants // 2), kills))
+
+    with Client(address, set_as_default=False) as client:
+
+        def kill(state: Progress) -> None:
+            """One of the workers, as soon as so many variants are done and one is there."""
+            if not moments or state.done < moments[0]:
+                return
+            if found := sorted(client.run(os.getpid, on_error="ignore").values()):
+                os.kill(rng.choice(found), signal.SIGKILL)
+                said.append(f"{state.done} (from {moments.pop(0)} on)")
+
+        begun = time.perf_counter()
+        sweep(study, folder / "there", engine=Engine(scheduler=address), progress=kill)
     print(f"{variants} variants on {address}: {time.perf_counter() - begun:.1f} s")
+    if kills:
+        print(f"{len(said)} of {kills} workers killed, after variants: {', '.join(said)}")
     print("rows equal:", rows(folder / "here").equals(rows(folder / "there")))  # type: ignore[attr-defined]
 
 
@@ -152,12 +198,16 @@ def main() -> None:
     asked.add_argument("--kills", type=int, default=0)
     asked.add_argument("--seed", type=int, default=0)
     asked.add_argument("--scheduler", default="")
+    asked.add_argument("--dask", action="store_true")
     given = asked.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        if given.kills:
+        if given.dask:
+            with started() as address:
+                on_cluster(Path(place), given.variants, address, given.kills, given.seed)
+        elif given.kills and not given.scheduler:
             killed(Path(place), given.kills, given.seed)
         elif given.scheduler:
-            on_cluster(Path(place), given.variants, given.scheduler)
+            on_cluster(Path(place), given.variants, given.scheduler, given.kills, given.seed)
         else:
             throughput(Path(place), given.variants, given.jobs)
 

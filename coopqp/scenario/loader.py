@@ -73,13 +73,19 @@ def load_file(file: YamlFile, catalog: Catalog) -> Scenario:
     """
     scenario = _Reader(file, catalog).scenario()
     if file.data.get("start") == SOLVE:
-        scenario = replace(scenario, start=_solved(file, scenario, scenario.seed, None).start)
+        scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
     elif file.data.get("start_deg") is not None:
         robot = built(file, ["robot"], lambda: scenario.robot_model)
-        start = from_degrees(robot, scenario.grasps, scenario.start)
-        scenario = replace(scenario, start=start)
+        scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
     check_start(file, scenario)
     return scenario
+
+
+def _starting(scenario: Scenario, start: Start) -> Scenario:
+    """The scenario with a start; its robot, which is built by now, is not built again."""
+    changed = replace(scenario, start=start)
+    vars(changed)["robot_model"] = scenario.robot_model
+    return changed
 
 
 def load_and_solve(
