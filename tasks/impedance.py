@@ -51,6 +51,9 @@ class Impedance(Task):
     """Of every mode, where damping is omitted; 1 does not overshoot."""
     mass: Springs | None = None
     """M of the same axes [kg, kg m2]; what object and arms have there if omitted."""
+    weight: NonNegative = 100.0
+    """Cost of a squared error; with that of other tasks, 1, hands that press sag by some per cent
+    of F/K to squeeze less [s2/unit2]."""
     profile: Profile = Profile()
     """How the reference moves from the start to the goal."""
     tolerance_angle: Positive = 5e-3
