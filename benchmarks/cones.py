@@ -210,7 +210,8 @@ def drawn(law: TorqueQpLaw, plant: PlantModel, every: int, count: int) -> Iterat
     assert isinstance(anew, TorqueQpLaw)
     for i, _ in enumerate(drive(law, plant, state, every * count)):
         if i % every == 0:
-            alone = copy.deepcopy(state)
+            alone = copy.copy(state)
+            alone.memory = copy.copy(state.memory)
             alone.memory["answer"][:] = 0.0
             if anew.tick(alone).causes == (Status.OPTIMAL,):
                 yield costs(anew, alone)
@@ -222,9 +223,10 @@ def main() -> None:
     pose = scenario.grasps["left/arm"].object_in_hand
     tip = {**scenario.grasps, "left/arm": PointContact(object_in_hand=pose)}
     soft = {arm: replace(grasp, torsion=0.5) for arm, grasp in scenario.grasps.items()}
+    aside = replace(scenario.held, com=(0.0, 0.03, 0.0))
     kinds = {
         "two pads": scenario,
-        "two soft pads, torsion 0.5": replace(scenario, grasps=soft),
+        "two soft pads, 3 cm from the mass": replace(scenario, grasps=soft, held=aside),
         "a fingertip and a pad": replace(scenario, grasps=tip),
     }
     print("| held by | ticks | between | loss mean [%] | worst [%] | allowed mean [%] |")
