@@ -13,7 +13,7 @@ NEAR: Rgb = (240, 228, 66)  # on the way to a limit
 AT: Rgb = (213, 94, 0)
 BEYOND: Rgb = (150, 20, 110)
 GOAL: Rgb = (0, 158, 115)
-FORCE: Rgb = (204, 121, 167)
+FORCE: Rgb = (194, 24, 127)  # as in reports
 WEIGHT: Rgb = (70, 70, 70)
 #: Share of half the range that is left where a joint begins to change its colour, and is at it.
 WARNS, AT_LIMIT = 0.25, 2e-3

@@ -11,6 +11,7 @@ from coopqp.task import Task
 from coopqp.viewer.messages import Dial
 
 KAPPA = "kappa"
+SQUEEZE = "squeeze"
 #: What sliders go up to at least; twice what a scenario says where that is more.
 MOST_GAIN, MOST_WEIGHT, MOST_PRIORITY = 20.0, 10.0, 3
 #: Least gain [1/s], and steps of a slider.
@@ -65,7 +66,7 @@ def task_and_field(key: str) -> tuple[str, int, int, str]:
 
 def _turned(task: Task, place: str, values: Mapping[str, float]) -> Task:
     found: dict[str, Any] = {}
-    for field in ("gain", "weight", "priority"):
+    for field in ("gain", "weight", "priority", SQUEEZE):
         key = f"{place}.{field}"
         if key in values:
             found[field] = round(values[key]) if field == "priority" else values[key]
@@ -86,7 +87,11 @@ def _of_tasks(scenario: Scenario) -> Iterator[Dial]:
 
 
 def _of_task(task: Task, place: str, group: str, dt: float) -> Iterator[Dial]:
-    if not task.asks_velocity:
+    wanted = getattr(task, SQUEEZE, None) if task.of_forces else None
+    if isinstance(wanted, float | int) and wanted > 0.0:
+        most = 2.0 * wanted
+        yield Dial(f"{place}.{SQUEEZE}", group, "squeeze [N]", 0.0, most, most / STEPS, wanted)
+    if not (task.asks_velocity or task.of_forces):
         most = max(min(max(MOST_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         least = min(LEAST_GAIN, task.gain)
         step = (most - least) / STEPS

@@ -162,7 +162,7 @@ def _own(scenario: Scenario) -> Iterator[Live]:
     """What the scenario itself lets inputs say."""
     for i, phase in enumerate(scenario.schedule):
         for j, task in enumerate(phase.tasks):
-            for name, kind in followed_fields(task):
+            for name, kind in followed_fields(task) if not task.of_forces else ():
                 value = getattr(task, name)
                 if isinstance(value, Input):
                     yield Live(value.name, i, j, name, kind)
@@ -172,8 +172,8 @@ def _loosened(
     task: Task, name: str, place: tuple[int, int], start: State
 ) -> tuple[Task, list[Live]]:
     """A task with inputs for its constants, as far as it can follow any."""
-    if any(isinstance(mark, RelativeMark) for mark in task.marks(Moment(0.0))):
-        return task, []  # seen from an arm that moves
+    if task.of_forces or any(isinstance(mark, RelativeMark) for mark in task.marks(Moment(0.0))):
+        return task, []  # without a place, or seen from an arm that moves
     found: list[Live] = []
     constants = [
         (field, kind, value)

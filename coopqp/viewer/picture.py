@@ -28,9 +28,9 @@ FORCES = "hand_wrench"
 AT_LIMIT = 1e-4
 #: The longest force is drawn as long as this share of the object.
 ARROW = 0.8
-#: So far above the hands, and the weight below the object, in its longest edge: inside them nobody
-#: would see an arrow.
-ABOVE = 0.6
+#: So far above the hands, and the weight below the object's middle, in its longest edge: inside
+#: them nobody would see an arrow.
+ABOVE, BELOW = 1.0, 0.6
 #: Corners of a circle.
 ROUND = 48
 MOST_NAMED = 2
@@ -181,7 +181,7 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
 
 
 def _forces(lane: Lane, state: State) -> tuple[Array, Array, str]:
-    """What each hand does to the object, from above the hand on, shape (arms, 2, 3) [m].
+    """What each hand does to the object, ending above the hand, shape (arms, 2, 3) [m].
 
     And its weight, from below the object on, shape (1, 2, 3), and the squeeze in words; nothing
     where the plant tells no forces.
@@ -195,8 +195,8 @@ def _forces(lane: Lane, state: State) -> tuple[Array, Array, str]:
     scale = ARROW * size / longest
     hands = _hands(state, lane.scenario.chain.robot)
     hands[:, 2] += ABOVE * size
-    below = state.p_WO - [0.0, 0.0, ABOVE * size]
-    arrows = np.stack([hands, hands + scale * forces], axis=1)
+    below = state.p_WO - [0.0, 0.0, BELOW * size]
+    arrows = np.stack([hands - scale * forces, hands], axis=1)
     words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
     return arrows, np.array([[below, below - [0.0, 0.0, scale * down]]]), words
 

@@ -40,6 +40,8 @@ from coopqp.viewer.recording import Recording
 #: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
 RESTS, ARRIVED = 3e-4, 1e-6
 SLOWEST, FASTEST = 0.05, 4.0
+#: What the slider of a force goes up to where its input has no bounds [N, N m].
+MOST_FORCE = 100.0
 ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
 UNTOLD = Told(False, "", (), "")
 
@@ -267,7 +269,8 @@ class Player:
     def _travel(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
         """Between what a slider of an input goes: its bounds, within those of joints."""
         settings, chain = self.scenario.inputs[name], self.lanes[0].begun.problem.chain
-        low, high = (-settings.velocity, settings.velocity) if kind.velocity else (-np.pi, np.pi)
+        most = settings.velocity if kind.velocity else np.pi if kind.each else MOST_FORCE
+        low, high = -most, most
         if kind.each:
             joint = chain.joint_names.index(kind.columns[i])
             if np.isfinite(chain.upper[joint] - chain.lower[joint]):

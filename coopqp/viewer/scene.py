@@ -186,7 +186,7 @@ class _Law:
         self._arrows, self._weight = (
             scene.add_arrows(
                 f"/law{i}/{name}", np.zeros((1, 2, 3)), color,
-                shaft_radius=0.02 * size, head_radius=0.05 * size, head_length=0.1 * size,
+                shaft_radius=0.03 * size, head_radius=0.07 * size, head_length=0.14 * size,
                 visible=False,
             )
             for name, color in (("forces", colors.FORCE), ("weight", colors.WEIGHT))
