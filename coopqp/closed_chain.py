@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -230,14 +231,24 @@ class ClosedChain:
         Args:
             q: configuration, shape (n,).
         """
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, vector("q", q, self.n))
-        X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
-        p, turn = X_0.translation.copy(), np.zeros(3)
-        for weight, X in zip(self.alpha[1:], others, strict=False):
-            p += weight * (X.translation - X_0.translation)
-            turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
-        return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
+        with self._data() as data:
+            pin.framesForwardKinematics(self.model, data, vector("q", q, self.n))
+            X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
+            p, turn = X_0.translation.copy(), np.zeros(3)
+            for weight, X in zip(self.alpha[1:], others, strict=False):
+                p += weight * (X.translation - X_0.translation)
+                turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
+            return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
+
+    @contextmanager
+    def _data(self) -> Iterator[pin.Data]:
+        """Pinocchio's memory for one computation; used again, for its pages cost more than that."""
+        spare = self.once(_spare)
+        data = spare.pop() if spare else self.model.createData()
+        try:
+            yield data
+        finally:
+            spare.append(data)
 
     @cached_property
     def reach(self) -> float:
@@ -246,13 +257,13 @@ class ClosedChain:
         Sliding joints count with a metre, so that their share of a second derivative is bounded
         by it too.
         """
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, self.q_start)
         longest = 0.0
-        for frame, (joints, slides) in zip(self.frames, self.once(_ways), strict=True):
-            places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
-            way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
-            longest = max(longest, way + 1.0 if slides else way)
+        with self._data() as data:
+            pin.framesForwardKinematics(self.model, data, self.q_start)
+            for frame, (joints, slides) in zip(self.frames, self.once(_ways), strict=True):
+                places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
+                way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
+                longest = max(longest, way + 1.0 if slides else way)
         return longest
 
     @property
@@ -276,16 +287,16 @@ class ClosedChain:
         Where q does not close the loops the object counts as grasped anew, midway between where
         the arms carry it, so that all Jacobians belong to one point.
         """
-        model, data = self.model, self.model.createData()
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        places = [data.oMf[frame].translation.copy() for frame in self.frames]
-        middle = np.mean(places[: self.holding], axis=0)
-        jacobians = []
-        for frame, place in zip(self.frames, places, strict=True):
-            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
-            J[:3] -= pin.skew(middle - place) @ J[3:]
-            jacobians.append(J)
+        model, jacobians = self.model, []
+        with self._data() as data:
+            pin.computeJointJacobians(model, data, q)
+            pin.updateFramePlacements(model, data)
+            places = [data.oMf[frame].translation.copy() for frame in self.frames]
+            middle = np.mean(places[: self.holding], axis=0)
+            for frame, place in zip(self.frames, places, strict=True):
+                J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
+                J[:3] -= pin.skew(middle - place) @ J[3:]
+                jacobians.append(J)
         return np.array(jacobians)
 
     def loop_jacobian(self, q: Array) -> Array:
@@ -342,6 +353,11 @@ class ClosedChain:
             [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
              for X in others]
         )  # fmt: skip
+
+
+def _spare(chain: ClosedChain) -> list[pin.Data]:
+    """Memory that nobody uses now, of which a thread takes its own."""
+    return []
 
 
 def _ways(chain: ClosedChain) -> list[tuple[list[int], bool]]:

@@ -83,7 +83,7 @@ class KernelLaw(Law):
         self._limits = limits = Limits(problem, start)
         self._settings = limits, damping, error_damping, self.command.v
         hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
-        first, *later = deciding(problem)
+        first, *later = deciding(problem, start)
         self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
         whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, start, whole, *self._settings)

@@ -88,7 +88,7 @@ class QPLaw(Law):
             way_back.bounds, way_back.recovery, way_back.probe
         )  # fmt: skip
         self.exact = exact = ExactTasks(problem, start)
-        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem)]
+        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, start)]
         rows = (*chain.loops.solver_rows, *exact.rows)
         self.first = Level(problem, stacks[0], rows, self.bounds, damping, exact.scaled_names)
         self._later = [

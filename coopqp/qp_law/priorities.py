@@ -55,28 +55,32 @@ def groups(problem: ControlProblem) -> list[list[Task]]:
     return [*first_alone, *main, *later]
 
 
-def deciding(problem: ControlProblem) -> list[list[Task]]:
+def deciding(problem: ControlProblem, start: State) -> list[list[Task]]:
     """The :func:`groups` that have anything left to decide: none after all joints are decided.
 
     Ranks are taken only where the number of rows does not tell.
+
+    Args:
+        problem: whose tasks.
+        start: the state from which their references set out.
     """
-    chain, found = problem.chain, list[list[Task]]()
+    found = list[list[Task]]()
     exact = [task for task in problem.tasks if task.mode != "soft"]
     for group in groups(problem):
         before = [*exact, *(task for earlier in found for task in earlier)]
-        if found and _all_decided(chain, before):
+        if found and _all_decided(start, before):
             break
         found.append(group)
     return found
 
 
-def _all_decided(chain: ClosedChain, tasks: Sequence[Task]) -> bool:
+def _all_decided(start: State, tasks: Sequence[Task]) -> bool:
     """Whether the loops and these tasks leave no joint free."""
+    chain = start.chain
     if any(task.joint_space and task.all_joints for task in tasks):
         return True
     if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
         return False
-    start = State(chain)
     if most_rank(tasks, start) < chain.n:
         return False
     return Decided(chain, [TaskStack(tasks, start)]).rank == chain.n
