@@ -3,7 +3,8 @@
 python benchmarks/pushes.py      # the tables of docs/forces.md, some minutes
 
 The box of the scenario impedance, pushed by 10 N. While the push is observed it goes round on a
-circle of 5 cm, twice in 4 s; springs are looked at after 2.5 s of push. The last table has pads instead of firm hands.
+circle of 5 cm, twice in 4 s; springs are looked at after 2.5 s of push. The last table has pads
+instead of firm hands.
 """
 
 from __future__ import annotations
