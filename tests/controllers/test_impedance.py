@@ -102,7 +102,7 @@ def ran(
 def test_a_steady_push_moves_it_by_force_over_stiffness(plant: str, law: TorqueQp) -> None:
     """Along and about every axis, whether the arms count or another mass is feigned."""
     mass = None if law is UNKNOWN else M
-    trace = ran(Impedance(goal=here(), stiffness=K, mass=mass), law, 0.6, dt=0.002, plant=plant)
+    trace = ran(Impedance(goal=here(), stiffness=K, mass=mass), law, 0.5, dt=0.002, plant=plant)
     np.testing.assert_allclose(trace.e[-1], PUSHED / STIFF, rtol=0.02)
 
 
@@ -134,17 +134,16 @@ def mobility(chain: ClosedChain) -> Array:
     return np.array([J @ (dynamics.direct(still + J.T @ w).a - at_rest) for w in np.eye(6)]).T
 
 
-@pytest.mark.parametrize("ratio", [0.3, 1.0])
-def test_a_feigned_mass_swings_at_its_frequency_and_damping(ratio: float) -> None:
+def test_a_feigned_mass_swings_at_its_frequency_and_damping() -> None:
     """Let go 2 mm off, nobody pushes: e_0 exp(-z w t) (cos + z/sqrt(1-z^2) sin), w = sqrt(K/M)."""
+    ratio = 0.3
     task = Impedance(
         goal=here(-OFF, 0.0, 0.0), stiffness=K, mass=M, damping_ratio=ratio, profile=STEP
     )
     trace = ran(task, OBSERVED, 0.3, disturbance=NOBODY)
     t, w = trace.t, np.sqrt(K["x"] / M["x"])
     bent = w * np.sqrt(1.0 - ratio**2)
-    sine = np.sin(bent * t) / bent if bent else t
-    wanted = OFF * np.exp(-ratio * w * t) * (np.cos(bent * t) + ratio * w * sine)
+    wanted = OFF * np.exp(-ratio * w * t) * (np.cos(bent * t) + ratio * w / bent * np.sin(bent * t))
     np.testing.assert_allclose(trace.e[:, 0], wanted, atol=0.02 * OFF)
     assert np.abs(trace.e[:, 1:3]).max() < 0.02 * OFF
 
@@ -178,7 +177,7 @@ def test_hands_bear_an_observed_push_and_other_tasks_stay() -> None:
     """Without an integral a push moves the box unless it is known."""
     stay = PoseTask(goal=here(), gain=15.0)
     gone = [
-        np.linalg.norm(ran(stay, replace(law, integral=0.0), 0.4, dt=0.002).e[-1, :3])
+        np.linalg.norm(ran(stay, replace(law, integral=0.0), 0.25, dt=0.002).e[-1, :3])
         for law in (UNKNOWN, OBSERVED, MEASURED)
     ]
     assert max(gone[1:]) < 0.02 * gone[0]
