@@ -66,7 +66,7 @@ def test_validate_reports_every_file(short: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["compare", "no_such"], "no_such: cannot be read"),
+        (["compare", "no_such"], "no_such: no such file, and unknown shipped scenario"),
         (["compare", "SHORT", "--controllers", "qpp"], "unknown controller 'qpp'; did you mean"),
         (["compare", "SHORT", "--solver", "dapq"], "unknown solver 'dapq'; did you mean 'daqp'?"),
         (["run", "SHORT"], "Missing option '--controller'"),

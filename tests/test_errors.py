@@ -63,7 +63,9 @@ WRONG: dict[str, tuple[Callable[[], object], list[str]]] = {
     ),
     "a key": (
         lambda: QPController(dampin=1),  # type: ignore[call-arg]
-        ["QPController.dampin: unknown key 'dampin'; did you mean 'damping' or 'error_damping'?"],
+        [
+            "QPController.dampin: unknown key 'dampin'; did you mean 'damping' or 'error_damping' or 'admittance'?"
+        ],
     ),
     "a key inside": (
         lambda: PointOnPoint(goal=(0, 0, 0), profile={"durration": 1}),  # type: ignore[arg-type]
@@ -339,7 +341,7 @@ def entries(s: Scenario) -> dict[str, tuple[Build, str]]:
         "start": (scenario(start={"lft": [1.0]}), "did you mean 'left'"),
         "controllers": (scenario(controllers={}), "controllers: none given"),
         "run": (lambda: coopqp.run(s, controller="q"), "did you mean 'qp'?"),
-        "load": (lambda: coopqp.load("nothing"), "cannot be read"),
+        "load": (lambda: coopqp.load("nothing"), "no such file, and unknown shipped scenario"),
         "load a folder": (lambda: coopqp.load("/"), "cannot be read"),
         "mobility, seed": (lambda: mobility(chain, seed=-1), "seed: found -1"),
         "mobility, samples": (lambda: mobility(chain, samples=0), "samples: found 0"),

@@ -18,8 +18,8 @@ from coopqp.task import Task, TaskStack
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 
-#: What is left to Python, because it is no geometry.
-PYTHONS = ("RelativeMotion", "MinimumKineticEnergy")
+#: What is left to Python, because it is no geometry, or for laws that command torques.
+PYTHONS = ("RelativeMotion", "MinimumKineticEnergy", "Impedance")
 
 
 @over(EXAMPLES)

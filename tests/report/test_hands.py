@@ -19,6 +19,8 @@ from coopqp.solver import Status
 from coopqp.trace import Failure
 from coopqp.verdict import verdict
 
+SHIPPED = Path(coopqp.__file__).parent / "scenarios"
+
 
 @pytest.fixture(scope="module")
 def pressed() -> Comparison:
@@ -66,8 +68,12 @@ def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
     assert said.startswith("Loses the object at 0.082 s: right slips; reaches no goal")
 
 
-def test_mobility_says_how_hard_the_hands_can_squeeze() -> None:
-    result = typed("mobility", "nao_presses", "--json")
+def test_mobility_says_how_hard_the_hands_can_squeeze(tmp_path: Path) -> None:
+    """The whole pads, as in the reference notes, and what is counted on of them by default."""
+    whole = (SHIPPED / "nao_presses.yaml").read_text(encoding="utf-8")
+    whole = whole.replace("friction: 0.5", "friction: 0.5\n      reach: 1.0\n      least: 0.0")
+    given = write(tmp_path, whole)
+    result = typed("mobility", given, "--json")
     assert result.exit_code == 0
     found = json.loads(result.stdout)
     (squeeze,) = found["forces"]["squeeze"]
@@ -76,6 +82,9 @@ def test_mobility_says_how_hard_the_hands_can_squeeze() -> None:
     assert "motor RShoulderRoll" in squeeze["most"]["by"]
     assert found["forces"]["all"]["commanded"] == 6
     assert "Squeeze of right and left at rest: 4.16 to 12.1 N" in found["verdict"]
+    counted = json.loads(typed("mobility", "nao_presses", "--json").stdout)
+    (counted,) = counted["forces"]["squeeze"]
+    assert 4.16 < counted["most"]["value"] < squeeze["most"]["value"]
 
 
 def test_a_force_on_a_plant_without_forces_is_refused(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import coopqp
 import coopqp.tasks
 from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.geometry import Turn
 from coopqp.limits import Workspace
 from coopqp.mark import (
@@ -35,6 +35,7 @@ from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
+    Impedance,
     LineOnLine,
     LineOnPlane,
     Orientation,
@@ -162,6 +163,14 @@ PLACED: dict[str, tuple[Task, tuple[slice | None, ...]]] = {
         Pose(goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE),
         (slice(3), None),
     ),
+    "impedance": (
+        Impedance(
+            goal=PoseValue(position=AT, rpy=RPY),
+            stiffness=dict.fromkeys(AXES, 100.0),  # type: ignore[arg-type]
+            profile=AT_ONCE,
+        ),
+        (slice(3), None),
+    ),
 }
 
 #: By name: the task, its rows that are an angle, and that angle from the first mark or the last.
@@ -201,11 +210,14 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]
         slice(0, 3),
         lambda marks, state: turned_off(marks[0], state),
     ),
-    "pose": (
-        PLACED["pose"][0],
-        slice(3, 6),
-        lambda marks, state: turned_off(marks[0], state),
-    ),
+    **{
+        name: (
+            PLACED[name][0],
+            slice(3, 6),
+            lambda marks, state: turned_off(marks[0], state),
+        )
+        for name in ("pose", "impedance")
+    },
 }
 
 #: These have nothing to go to.
