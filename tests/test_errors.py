@@ -62,10 +62,8 @@ WRONG: dict[str, tuple[Callable[[], object], list[str]]] = {
         ["JointPosition.margin: found -1; needs greater than or equal to 0"],
     ),
     "a key": (
-        lambda: QPController(dampin=1),  # type: ignore[call-arg]
-        [
-            "QPController.dampin: unknown key 'dampin'; did you mean 'damping' or 'error_damping' or 'admittance'?"
-        ],
+        lambda: QPController(enginee="python"),  # type: ignore[call-arg]
+        ["QPController.enginee: unknown key 'enginee'; did you mean 'engine'?"],
     ),
     "a key inside": (
         lambda: PointOnPoint(goal=(0, 0, 0), profile={"durration": 1}),  # type: ignore[arg-type]
