@@ -74,7 +74,7 @@ class Impedances:
                 self._D[part] = i.damping
         self._level = level
         self.B, self.R = np.zeros((r, r)), np.zeros((r, r))
-        self._by_wrench, self._X = np.zeros((r, 6)), np.zeros((len(stack.J.T), len(stack.J.T)))
+        self._X = np.zeros((len(stack.J.T), len(stack.J.T)))
         self._fill_stated()
 
     def _fill_stated(self) -> None:
@@ -83,7 +83,6 @@ class Impedances:
         self.B[own, own] = 1.0 / self._M[own]
         omega = np.sqrt(self.K[own] / self._M[own])
         self.R[own, own] = self._D[own] / self._M[own] + 2.0 * self._z[own] * omega
-        self._by_wrench[own, self._axes[own]] = 1.0 / self._M[own]
 
     def update(self) -> None:
         """Follow the arms; the level must be up to date."""
@@ -94,9 +93,7 @@ class Impedances:
         if not len(real):
             return
         J = self._level.tasks.J[self.rows[real]]
-        JX = J @ self._X
-        self._by_wrench[real] = JX @ self._level.dynamics.J_object.T
-        W, S = JX @ J.T, np.sqrt(self.K[real])
+        W, S = J @ self._X @ J.T, np.sqrt(self.K[real])
         squares, U = np.linalg.eigh(S[:, None] * W * S)
         root = (U * np.maximum(squares, 0.0) ** 0.25) @ U.T
         R = 2.0 * (root * self._z[real]) @ root * S / S[:, None] + W * self._D[real]
@@ -122,8 +119,8 @@ class Impedances:
             correction: c of the loop rows, shape (m,).
         """
         level, rows = self._level, self.rows
-        found = self._by_wrench.dot(wrench)
-        found -= self.B.dot(self.K * level.tasks.e[rows]) + self.R.dot(level.e_dot[rows])
+        found = self.B.dot(wrench[self._axes] - self.K * level.tasks.e[rows])
+        found -= self.R.dot(level.e_dot[rows])
         if correction.any():
             d = least_squares(level.dynamics.J, correction)
             found -= level.tasks.J[rows].dot(d - self._X.dot(level.dynamics.A.dot(d)))

@@ -6,7 +6,6 @@ masses of their own; what comes of it is compared with closed forms.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -29,7 +28,7 @@ from coopqp.profile import Profile
 from coopqp.rollout import rollout
 from coopqp.state import State
 from coopqp.task import Task
-from coopqp.tasks import Impedance
+from coopqp.tasks import Impedance, Orientation, PointOnLine
 from coopqp.tasks import Pose as PoseTask
 from coopqp.trace import Trace
 
@@ -80,13 +79,13 @@ def ran(
     task: Task,
     law: TorqueQp,
     duration: float,
-    *,
+    *others: Task,
     dt: float = 0.001,
     plant: str = "rigid_body",
     disturbance: Disturbance | None = None,
 ) -> Trace:
     """The box is pushed from the beginning, unless told otherwise."""
-    asked = problem(small_pair(), task, dt=dt, kappa=100.0)
+    asked = problem(small_pair(), task, *others, dt=dt, kappa=100.0)
     model = PLANTS[plant].build(asked, 0, disturbance or push_by(1.0))
     ticks = round(duration / asked.dt)
     trace = rollout(law.build(asked), model, ticks, controller="torque_qp", solver="daqp")
@@ -96,14 +95,28 @@ def ran(
 
 @pytest.mark.parametrize(
     ("plant", "law"),
-    list(itertools.product(PLANTS, (UNKNOWN, OBSERVED, MEASURED))),
+    [
+        ("rigid_body", UNKNOWN), ("rigid_body", OBSERVED),
+        ("mujoco", UNKNOWN), ("mujoco", OBSERVED), ("mujoco", MEASURED),
+    ],
     ids=lambda value: value if isinstance(value, str) else value.external_wrench,
-)
+)  # fmt: skip
 def test_a_steady_push_moves_it_by_force_over_stiffness(plant: str, law: TorqueQp) -> None:
     """Along and about every axis, whether the arms count or another mass is feigned."""
     mass = None if law is UNKNOWN else M
-    trace = ran(Impedance(goal=here(), stiffness=K, mass=mass), law, 0.5, dt=0.002, plant=plant)
+    trace = ran(Impedance(goal=here(), stiffness=K, mass=mass), law, 0.6, dt=0.002, plant=plant)
     np.testing.assert_allclose(trace.e[-1], PUSHED / STIFF, rtol=0.02)
+
+
+@pytest.mark.parametrize("settings", [{"mode": "hard"}, {"priority": 1}], ids=["hard", "later"])
+def test_one_axis_gives_way_beside_other_tasks(settings: dict[str, Any]) -> None:
+    """The box stays on a line and level, and moves along it by the push along it over K."""
+    line = PointOnLine(direction=(0, 1, 0), through=here().position, gain=20.0)
+    level = Orientation(rpy=here().rpy, gain=20.0)
+    springs = Impedance(goal=here(), stiffness={"y": K["y"]}, **settings)
+    trace = ran(springs, OBSERVED, 0.6, line, level, dt=0.002)
+    assert trace.e[-1, 0] == pytest.approx(FORCE[1] / K["y"], rel=0.02)
+    assert np.abs(trace.e[-1, 1:3]).max() < 0.02 * abs(FORCE[1] / K["y"])
 
 
 def test_without_knowing_who_pushes_a_step_swings_as_masses_on_springs_do() -> None:
@@ -177,7 +190,7 @@ def test_hands_bear_an_observed_push_and_other_tasks_stay() -> None:
     """Without an integral a push moves the box unless it is known."""
     stay = PoseTask(goal=here(), gain=15.0)
     gone = [
-        np.linalg.norm(ran(stay, replace(law, integral=0.0), 0.25, dt=0.002).e[-1, :3])
+        np.linalg.norm(ran(stay, replace(law, integral=0.0), 0.4, dt=0.002).e[-1, :3])
         for law in (UNKNOWN, OBSERVED, MEASURED)
     ]
     assert max(gone[1:]) < 0.02 * gone[0]
