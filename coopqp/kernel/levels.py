@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
 from coopqp.program import sees_twist

@@ -84,9 +84,7 @@ class QPLaw(Law):
         self.exact = exact = ExactTasks(problem, start)
         self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, start)]
         rows = (*chain.loops.solver_rows, *exact.rows)
-        self.first = Level(
-            problem, stacks[0], rows, self.bounds, damping, exact.scaled_names
-        )
+        self.first = Level(problem, stacks[0], rows, self.bounds, damping, exact.scaled_names)
         self._later = [
             LaterLevel(problem, stacks[:i], exact, stack, self.bounds, damping)
             for i, stack in enumerate(stacks[1:], 1)

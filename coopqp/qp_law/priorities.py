@@ -132,9 +132,7 @@ class LaterLevel:
     ) -> None:
         stacks = (*before, exact.hard, exact.scaled)
         self._decided = Decided(problem.chain, stacks)
-        rows = tuple(
-            Row(name=f"decided[{i}]", kind="decided") for i in range(self._decided.rank)
-        )
+        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(self._decided.rank))
         self.level = Level(problem, tasks, rows, bounds, damping)
         self.pull = 0.0
 

@@ -47,9 +47,7 @@ def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Reco
     """One joint with limits of 1 rad and 1 rad/s that did what v says, at 10 ms a tick."""
     one = np.ones(1)
     q = np.concatenate([[q_0], q_0 + 0.01 * np.cumsum(v)])
-    return Record(
-        -one, one, one, ("rad",), q[:, None], v[:, None], [causes] * len(v)
-    )
+    return Record(-one, one, one, ("rad",), q[:, None], v[:, None], [causes] * len(v))
 
 
 # A small share of it.

@@ -75,9 +75,7 @@ def _note(record: Record, plant: PlantModel, state: State) -> None:
         record.saturated.append(plant.signals["saturated"] > 0.0)
 
 
-def _ended(
-    problem: ControlProblem, state: State, record: Record, errors: PartErrors
-) -> bool:
+def _ended(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> bool:
     """Whether the references have arrived and nothing changes any more."""
     if state.t < max(task.end for task in problem.tasks):
         return False

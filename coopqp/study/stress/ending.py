@@ -90,9 +90,7 @@ class PartErrors:
         return self._tasks.J
 
 
-def ending(
-    problem: ControlProblem, state: State, record: Record, errors: PartErrors
-) -> Ending:
+def ending(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
     """Judge the end of a rollout.
 
     Args:
@@ -130,9 +128,7 @@ def _nears(errors: Array, before: Array) -> bool:
     return change > CHANGE * float(errors.max())
 
 
-def _rest(
-    problem: ControlProblem, state: State, record: Record, errors: PartErrors
-) -> Ending:
+def _rest(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
     law = LAW.plain(problem)  # whose program has names for all that it says
     tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))

@@ -68,9 +68,7 @@ class Rollout:
     plain: int = 0
 
 
-def judged(
-    seed: int, drawn: Draw, state: State, record: Record, errors: PartErrors
-) -> Rollout:
+def judged(seed: int, drawn: Draw, state: State, record: Record, errors: PartErrors) -> Rollout:
     """Judge a rollout whose time is up.
 
     Args:
