@@ -1,4 +1,4 @@
-"""The kernel climbs the manipulability as the plain law, whose gradient tests/tasks differentiates."""
+"""The kernel climbs the manipulability as the plain law does, which tests/tasks differentiates."""
 
 from __future__ import annotations
 
