@@ -312,7 +312,7 @@ class ClosedChain:
         return rng.uniform(lower, upper, (count, self.n))
 
     def _independent_rows(self) -> LoopRows:
-        """Loop rows that follow from others; fewer may be left where the loops are closed."""
+        """Which loop rows are independent, here and in general."""
         found = self.once(_generic_rows)
         if found.closed and matrix_rank(self.loop_jacobian(self.q_start)) < found.rank:
             return replace(found, rank=self._rank_where_closed() or found.rank)

@@ -1,4 +1,4 @@
-"""What a tick may do: the limits, the way back of joints outside of them, the loops' drift."""
+"""What a tick may do at all: limits, the way back of joints outside of them, the loops' drift."""
 
 from __future__ import annotations
 

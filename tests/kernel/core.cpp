@@ -185,8 +185,10 @@ Case random_case(Random& random) {
         p.gain = 0.5;
         if (last) {
             level.joint_weight = 1.0;
-            p.kind = Kind::Centering;
+            p.kind = n % 2 ? Kind::Centering : Kind::Manipulability;
             p.numbers.assign(2 * n, 0.1);
+            p.rows = {0, 2};
+            p.length = 0.1;
         } else {
             p.kind = Kind::Twist;
             for (int r = 0; r < rows; r++) p.rows.push_back((r + l) % 6);
@@ -195,6 +197,7 @@ Case random_case(Random& random) {
         program.primitives.push_back(p);
         levels.push_back(level);
     }
+    program.open(*model, *arena);
     std::vector<std::vector<int>> kept(std::size_t(std::max(model->loops(), 0)),
                                        {0, 1, 2, 3, 4, 5});
     Case made;

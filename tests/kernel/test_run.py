@@ -14,6 +14,8 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
+from coopqp.study.stress.draw import LAW as STRESSED
+from coopqp.study.stress.draw import draw
 from coopqp.tasks import JointCentering, PointOnPoint
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
@@ -48,6 +50,21 @@ def test_a_run_is_its_ticks(
         again.advance(command.v, law.problem.dt)
     np.testing.assert_array_equal(state.q, again.q)
     assert state.t == again.t
+
+
+@pytest.mark.parametrize("seed", [7, 72, 90, 268])
+def test_a_drawn_run_is_its_ticks(seed: int) -> None:
+    """Hard tasks that are given up, ticks that stand still, steps that are shortened."""
+    given = draw(seed).problem
+    law, other = (STRESSED.build(given, prepared=done) for done in (False, True))
+    state, again = law.start(), other.start()
+    found = law.run(state, TICKS)
+    for k in range(TICKS):
+        command = other.tick(again)
+        np.testing.assert_array_equal(found.v[k], command.v)
+        assert (found.causes[k], found.compiled[k]) == (command.causes, other.compiled)
+        again.advance(command.v, given.dt)
+    np.testing.assert_array_equal(state.memory.numbers, again.memory.numbers)
 
 
 def test_two_threads_give_the_bits_of_one(chain: ClosedChain, closed_loop_walk: Walk) -> None:
