@@ -269,8 +269,8 @@ class Engine {
         }
     }
 
-    // Without the GIL for a tick that takes long. Of a short one it would be a twentieth to let go of
-    // it, and another thread may then keep it for milliseconds.
+    // Without the GIL for a tick that takes long. To let go of it and take it again is 2 % of a short
+    // one, and another thread may keep it for milliseconds meanwhile.
     struct Unlocked {
         explicit Unlocked(const coopqp::Kernel& kernel) {
             if (kernel.model().blocks > SHORT) released.emplace();

@@ -26,7 +26,8 @@ class Hierarchy {
           V_(arena.take(std::size_t(width_) * std::size_t(width_))),
           Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
-          h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))), sigma_(std::size_t(most_rows + 1)) {}
+          h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
+          sigma_(std::size_t(most_rows + 1)) {}
 
     int decided = 0;  // coordinates of y
     int rows = 0;     // of all levels so far

@@ -258,13 +258,13 @@ class Kernel {
         move(x_, v_);
     }
 
-    // v += Z U y
+    // v += Z V' y
     void move(const double* y, double* v) const {
         hierarchy_.to_z(y, w_);
         add_rows(v, loops_->Z, stride(), loops_->free, w_, m_->blocks);
     }
 
-    // y = U' Z' t
+    // y = V Z' t
     void reduce(const double* t, double* y) {
         multiply(w_, loops_->Z, stride(), loops_->free, t, m_->blocks);
         hierarchy_.to_y(w_, y);

@@ -24,7 +24,8 @@ class Multipliers {
           spare(std::size_t(levels[0].exact)),
           m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), levels_(levels),
           y_(arena.take(std::size_t(hierarchy.width()))),
-          z_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
+          z_(arena.take(std::size_t(hierarchy.width()))),
+          of_g_(arena.take(std::size_t(hierarchy.width()))), step_(std::size_t(hierarchy.width())) {}
 
     double* g;       // the gradient, with all that pushes, over the joints
     double* box;     // of bounds on v, over the joints
@@ -34,6 +35,7 @@ class Multipliers {
 
     // Add what active limits push to g; multipliers of others begin at zero.
     void push_limits(const LeastDistance& nearest, const double* G) {
+        reduced_ = false;
         std::fill(of_loops.begin(), of_loops.end(), 0.0);
         std::fill(of_rows.begin(), of_rows.end(), 0.0);
         std::fill(of_shares.begin(), of_shares.end(), 0.0);
@@ -44,6 +46,7 @@ class Multipliers {
         const int n = m_.blocks * LANES, shares = n + padded(int(of_rows.size()));
         const int exact = shares + padded(int(of_shares.size()));
         double tau[6] = {0, 0, 0, 0, 0, 0};
+        bool of_exact_rows = false;
         for (int i = 0; i < nearest.active; i++) {
             const int row = nearest.row(i);
             const double by = nearest.multiplier(i);
@@ -57,9 +60,10 @@ class Multipliers {
             } else {
                 spare[std::size_t(row - exact)] = -by;
                 rows_.pull_row(levels_[0], row - exact, -by, tau, g);
+                of_exact_rows = true;
             }
         }
-        rows_.pull_object(tau, g);
+        if (of_exact_rows) rows_.pull_object(tau, g);
         add(g, box, 1.0, m_.blocks);
     }
 
@@ -76,18 +80,18 @@ class Multipliers {
         for (int k = 0; k < l; k++)
             for (double of_row : levels_[std::size_t(k)].lever) lever = std::max(lever, of_row);
         if (lever == 0.0 || first == 0) return 0.0;
-        reduce(g);
-        copy(lambda, y_, hierarchy_.blocks());
-        reduce(v);
-        for (int k = 0; k < first; k++) lambda[k] -= damping * y_[k];
-        for (int k = first; k < hierarchy_.width(); k++) lambda[k] = 0.0;
+        const int blocks = hierarchy_.blocks();
+        reduce(v, y_);
+        reduce(g, of_g_);
+        reduced_ = true;
+        for (int b = 0; b < blocks; b++)
+            lanes(y_)[b] = lanes(of_g_)[b] - lanes(y_)[b] * damping;
+        put_end(y_, first - 1, y_[first - 1], blocks);
         for (int s = 0; s < hierarchy_.singular(); s++) {
             const double sigma = hierarchy_.sigma(s);
             if (sigma > NOISE)
-                all += std::fabs(dot(hierarchy_.direction(s), lambda, hierarchy_.blocks())) /
-                       (sigma * sigma);
+                all += std::fabs(dot(hierarchy_.direction(s), y_, blocks)) / (sigma * sigma);
         }
-        clear(lambda, hierarchy_.blocks());
         return lever * all;
     }
 
@@ -117,16 +121,17 @@ class Multipliers {
     }
 
   private:
-    // y = U' Z' x
-    void reduce(const double* x) {
+    // y = V Z' x
+    void reduce(const double* x, double* y) {
         multiply(z_, loops_.Z, int(rows_.stride()), loops_.free, x, m_.blocks);
-        hierarchy_.to_y(z_, y_);
+        hierarchy_.to_y(z_, y);
     }
 
     void balance_decided(int first) {
-        reduce(g);
+        if (!reduced_) reduce(g, of_g_);
+        reduced_ = false;
         for (int k = first; k-- > 0;) {
-            double rest = -y_[k];
+            double rest = -of_g_[k];
             for (int j = k + 1; j < first; j++)
                 rest -= hierarchy_.row(hierarchy_.pivot_row(j))[k] * step_[std::size_t(j)];
             step_[std::size_t(k)] = rest / hierarchy_.row(hierarchy_.pivot_row(k))[k];
@@ -146,7 +151,8 @@ class Multipliers {
     const Loops& loops_;
     Hierarchy& hierarchy_;
     const std::vector<Level>& levels_;
-    double *y_, *z_;
+    double *y_, *z_, *of_g_;
+    bool reduced_ = false;  // whether of_g_ is that of g
     std::vector<double> step_;
 };
 

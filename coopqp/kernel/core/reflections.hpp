@@ -8,14 +8,12 @@
 
 namespace coopqp {
 
-__attribute__((always_inline)) inline void reflect(double* x, const double* h, double beta,
-                                                   int blocks) {
+template <int B>
+__attribute__((always_inline)) inline void reflect(double* x, const double* h, double beta) {
     v4* a = lanes(x);
     const v4* t = lanes(h);
-    v4 s = t[0] * a[0];
-    for (int b = 1; b < blocks; b++) s += t[b] * a[b];
-    const double u = beta * sum(s);
-    for (int b = 0; b < blocks; b++) a[b] -= t[b] * u;
+    const double u = beta * dot<B>(x, h);
+    for (int b = 0; b < B; b++) a[b] -= t[b] * u;
 }
 
 // The same for P vectors of B blocks side by side in registers, one after the other in memory.
@@ -57,13 +55,20 @@ inline double reflection(const double* row, int first, int blocks, double least,
     const int at = first / LANES, lane = first % LANES;
     const v4i index = {0, 1, 2, 3};
     for (int b = 0; b < at; b++) t[b] = v4{};
-    v4 head = index >= v4i{} + lane ? a[at] : v4{}, squares = at ? v4{} : head * head;
-    for (int b = 1; b < blocks; b++) {
-        const v4 x = b > at ? a[b] : head;
-        if (b > at) t[b] = x;
-        if (b >= at) squares += x * x;
+    const v4 head = index >= v4i{} + lane ? a[at] : v4{};
+    v4 squares = head * head, odd = v4{};
+    int b = at + 1;
+    for (; b + 1 < blocks; b += 2) {
+        t[b] = a[b];
+        t[b + 1] = a[b + 1];
+        odd += a[b] * a[b];
+        squares += a[b + 1] * a[b + 1];
     }
-    const double size2 = sum(squares), pivot = row[first];
+    if (b < blocks) {
+        t[b] = a[b];
+        odd += a[b] * a[b];
+    }
+    const double size2 = sum(squares + odd), pivot = row[first];
     if (!(size2 > least * least)) return 0.0;
     const double size = std::sqrt(size2), onto = pivot > 0 ? -size : size, longer = pivot - onto;
     t[at] = index == v4i{} + lane ? v4{} + longer : head;
@@ -80,7 +85,7 @@ inline void put_end(double* row, int last, double onto, int blocks) {
     for (int b = at + 1; b < blocks; b++) a[b] = v4{};
 }
 
-// Up to `most` rows of B blocks of four lanes; `coordinates` says which lanes hold any, the others
+// Up to `most` rows of B blocks of four lanes; `coordinates` says which lanes hold one, the others
 // are zero.
 template <int B>
 class Reflections {
@@ -116,7 +121,7 @@ class Reflections {
             }
             beta_[std::size_t(rank_)] = beta;
             inverse_[std::size_t(rank_)] = 1.0 / onto;
-            for (int j = s + 1; j < count; j++) reflect(rows + j * WIDTH, h, beta, B);
+            for (int j = s + 1; j < count; j++) reflect<B>(rows + j * WIDTH, h, beta);
             rank_++;
         }
         return true;
