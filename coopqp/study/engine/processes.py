@@ -88,10 +88,23 @@ def _unsignalled() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without joblib's warnings about work that is given up, or done by a process anew."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module=r"joblib\.")
-        yield
+    """Without joblib's warnings about work that is given up, or done by a process anew.
+
+    Nor with what a thread of loky says that hands out work while it is being given up.
+    """
+    told = threading.excepthook
+
+    def tell(args: threading.ExceptHookArgs) -> None:
+        if not (args.exc_type is KeyError and "ExecutorManagerThread" in str(args.thread)):
+            told(args)
+
+    threading.excepthook = tell
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"joblib\.")
+            yield
+    finally:
+        threading.excepthook = told
 
 
 def _leave_with(parent: int) -> None:
