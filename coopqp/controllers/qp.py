@@ -7,7 +7,8 @@ from typing import ClassVar, Literal
 from coopqp.checked import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, squeezer
 from coopqp.controller import HEEDS_ALL, Controller, ControlProblem, Heeds, Law
-from coopqp.kernel.law import KernelLaw, required, why_not
+from coopqp.kernel.fit import required, why_not
+from coopqp.kernel.law import KernelLaw
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
 
 

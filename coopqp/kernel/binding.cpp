@@ -9,8 +9,8 @@
 #include <cstdlib>
 #include <optional>
 
-#include "core/slide.hpp"
 #include "reading.hpp"
+#include "sliding.hpp"
 
 using namespace nb::literals;
 
@@ -345,32 +345,13 @@ class Engine {
     double *stopped_ = nullptr, *soft_ = nullptr;
 };
 
-class Slide {
-  public:
-    explicit Slide(const nb::dict& d) {
-        auto arena = std::make_unique<coopqp::Arena>();
-        auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
-        slide_ = std::make_unique<coopqp::Slide>(std::move(arena), std::move(model),
-                                                 kept_of(numbers(d, "kept")));
-    }
-
-    // With the GIL held, which keeps other threads out.
-    double step(const Written& q, const Numbers& direction, double size, int newton) {
-        const auto n = std::size_t(slide_->n());
-        if (q.size() != n || direction.size() != n) throw nb::value_error("a number for each joint");
-        return slide_->step(q.data(), direction.data(), size, newton);
-    }
-
-  private:
-    std::unique_ptr<coopqp::Slide> slide_;
-};
-
 }  // namespace KERNEL_MODULE
 
 using KERNEL_MODULE::Engine;
 using KERNEL_MODULE::Slide;
 
 NB_MODULE(KERNEL_MODULE, m) {
+    nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
     nb::class_<Engine>(m, "Engine")
         .def(nb::init<const nb::dict&>())
         .def("bind_state", &Engine::bind_state)

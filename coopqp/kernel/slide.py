@@ -8,8 +8,8 @@ from typing import Any
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.kernel import native
+from coopqp.kernel.fit import unfit
 from coopqp.kernel.flat import flat_model, kept_rows
-from coopqp.kernel.law import unfit
 
 #: Moves q, which is written, along what the loops leave of a direction, by a length, and closes the
 #: loops by so many Newton steps; returns the largest gap of a loop [m, rad]. Below zero where rows

@@ -21,7 +21,7 @@ from judged import Seen, compare
 from scenario_files import LOADABLE
 
 from coopqp.controllers.qp import QPController
-from coopqp.kernel.law import why_not
+from coopqp.kernel.fit import why_not
 from coopqp.scenario.loader import load
 from coopqp.study.stress.draw import draw
 

@@ -9,7 +9,7 @@ from side_by_side import drive
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel import native
-from coopqp.kernel.law import why_not
+from coopqp.kernel.fit import why_not
 from coopqp.scenario.loader import load
 from coopqp.study.stress.draw import draw
 

@@ -23,7 +23,8 @@ from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.kernel import native
-from coopqp.kernel.law import KernelLaw, why_not
+from coopqp.kernel.fit import why_not
+from coopqp.kernel.law import KernelLaw
 from coopqp.robot_files.mdh import MdhParameters as Parameters
 from coopqp.scenario.loader import load
 from coopqp.solver import Status

@@ -15,7 +15,8 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
-from coopqp.kernel.law import KernelLaw, why_not
+from coopqp.kernel.fit import why_not
+from coopqp.kernel.law import KernelLaw
 from coopqp.limits import Workspace
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
