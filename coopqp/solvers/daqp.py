@@ -27,7 +27,8 @@ STATUS = {
     -6: Status.INFEASIBLE,  # equality rows contradict each other
 }
 
-WORTH_ANOTHER_TRY = (-1, -2)  # infeasible, cycling
+INFEASIBLE, CYCLING = -1, -2
+WORTH_ANOTHER_TRY = (INFEASIBLE, CYCLING)
 
 
 @spec
@@ -56,7 +57,8 @@ class Daqp(Solver):
         tight tolerance finds nothing. Where the cost is steep along some joints and nearly flat
         along others, as for joints on their way back, rounding hides what there is; proximal steps
         see it, but end less accurately. So it is asked up to three times, and what the later
-        answers overrun is clipped and checked before it is used.
+        answers overrun is clipped and checked before it is used. Proximal steps may go round and
+        round where there is nothing to find: then what the second try found stands.
         """
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY
@@ -70,13 +72,17 @@ class Daqp(Solver):
         last = {**first, "primal_tol": self.last_tol, "eps_prox": self.prox}
 
         def solve() -> None:
+            flag = CYCLING
             for settings in (first, second, last):
+                before = flag
                 sense[:] = clean
                 v, _, flag, info = daqp.solve(
                     qp.P, qp.q, qp.C, qp.upper, qp.lower, sense, **settings
                 )
                 if flag not in WORTH_ANOTHER_TRY:
                     break
+            if flag == CYCLING and before == INFEASIBLE:
+                flag = INFEASIBLE
             solution.v[:] = v
             solution.multipliers[:] = info["lam"]
             solution.status = STATUS.get(flag, Status.SOLVER_ERROR)
