@@ -25,7 +25,10 @@ MOVING: dict[str, Kind] = {
     "through": POINT, "to": POINT, "center": POINT, "direction": DIRECTION, "normal": DIRECTION,
 }  # fmt: skip
 #: By task, the kind of its goal.
-GOALS = {"point_on_point": POINT, "pose": POSE, "orientation": ROTATION, "relative_motion": POSE}
+GOALS = {
+    "point_on_point": POINT, "pose": POSE, "impedance": POSE, "orientation": ROTATION,
+    "relative_motion": POSE,
+}  # fmt: skip
 
 
 def moving_fields(task: Task, chain: ClosedChain) -> dict[str, Kind]:

@@ -19,7 +19,7 @@ from coopqp.task import Task, TaskStack
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 
 #: What is left to Python, because it is no geometry.
-PYTHONS = ("RelativeMotion", "MinimumKineticEnergy", "Manipulability")
+PYTHONS = ("RelativeMotion", "MinimumKineticEnergy", "Manipulability", "Impedance")
 
 
 @over(EXAMPLES)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import coopqp
 import coopqp.tasks
 from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.geometry import Turn
 from coopqp.limits import Workspace
 from coopqp.mark import (
@@ -35,6 +35,7 @@ from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
+    Impedance,
     LineOnLine,
     LineOnPlane,
     Orientation,
@@ -63,6 +64,7 @@ MOVES: dict[str, Any] = {
 }  # fmt: skip
 TIMES = (0.0, 0.4, 0.9, 3.0)  # before, during and after the turn [s]
 RPY = (0.3, -0.2, 0.5)
+STIFF = dict.fromkeys(AXES, 1.0)
 
 
 @singledispatch
@@ -158,6 +160,10 @@ PLACED: dict[str, tuple[Task, tuple[slice | None, ...]]] = {
         Prismatic(direction=ALONG, through=AT, rpy=RPY, **MOVES),
         (slice(2), None, None),
     ),
+    "impedance": (
+        Impedance(goal=PoseValue(position=AT, rpy=RPY), stiffness=STIFF, profile=AT_ONCE),
+        (slice(3), None),
+    ),
     "pose": (
         Pose(goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE),
         (slice(3), None),
@@ -199,6 +205,11 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]
     "orientation": (
         Orientation(rpy=RPY, profile=AT_ONCE),
         slice(0, 3),
+        lambda marks, state: turned_off(marks[0], state),
+    ),
+    "impedance": (
+        PLACED["impedance"][0],
+        slice(3, 6),
         lambda marks, state: turned_off(marks[0], state),
     ),
     "pose": (
