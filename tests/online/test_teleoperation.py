@@ -35,6 +35,9 @@ def test_killing_the_leader_brings_the_arms_to_rest_and_says_why(tmp_path: Path)
     def lead(port: int) -> None:
         leader = subprocess.Popen([sys.executable, str(FOLDER / "leader.py"), str(port)])
         started.append(leader)
+        until = time.monotonic() + 30.0
+        while not any("follow" in words for words in said) and time.monotonic() < until:
+            time.sleep(0.02)  # as long as Python takes to start
         time.sleep(1.2)
         leader.kill()
 
