@@ -24,13 +24,14 @@ from pydantic import Field
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import Approach, RotationError, last_end, pose_course
+from coopqp.geometry import last_end, pose_course
 from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
-from coopqp.signal import Instant, MovingPose, quaternion_of
+from coopqp.signal import Instant, MovingPose
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 from coopqp.task import Impedance as OfRows
+from coopqp.tasks.pose import Pose
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
 Springs = Annotated[dict[Axis, Positive], Field(min_length=1)]
@@ -105,23 +106,14 @@ class Impedance(Task):
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from where the object is now."""
-        here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
-        goal, world = pose_course(self.goal, start, here), np.eye(3)
-        goal.update(start)
-        p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
-        rotation = RotationError(goal, self.profile, start.R_WO)
-        approach = Approach(self.profile, start.p_WO - p_goal)
+        whole = Pose(goal=self.goal, profile=self.profile).bind(start)
+        every = TaskRows(np.zeros(6), np.zeros((6, start.chain.n)), np.zeros(6))
         chosen = np.array([AXES.index(axis) for axis in self._axes])
-        e, J, rate = np.zeros(6), np.zeros((6, start.chain.n)), np.zeros(6)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            goal.update(state)
-            np.subtract(state.p_WO, p_goal, e[:3])
-            J[:3], rate[:3] = state.J_task[:3], p_goal_dot
-            approach.shift(state.t, e[:3], rate[:3])
-            out = e[3:], J[3:], rate[3:]
-            rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
-            rows.e[:], rows.J[:], rows.rate[:] = e[chosen], J[chosen], rate[chosen]
+            whole(state, every)
+            rows.e[:], rows.J[:] = every.e[chosen], every.J[chosen]
+            rows.rate[:] = every.rate[chosen]
 
         return evaluate
 
