@@ -10,6 +10,7 @@ that the kernel does not: drift that is corrected in part, acceleration limits t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +27,7 @@ from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
 from coopqp.qp_law.priorities import deciding
 from coopqp.qp_law.way_back import WayBack
+from coopqp.signal import Followed
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.ticks import Ticks
@@ -235,10 +237,8 @@ class KernelLaw(Law):
             and self._runs
             and not (inputs.stale or inputs.refused)
         ):
-            for name, course, value, rate in heard:
-                now = inputs.get(name)
-                if now is not course or (now and (now.value is not value or now.rate is not rate)):
-                    return super().step(state)
+            if heard and _others(inputs, heard):
+                return super().step(state)
             said = self._engine_step(state.t)
             if said in ALL_WELL:
                 state.t += self._dt
@@ -322,13 +322,9 @@ class KernelLaw(Law):
             and state.v is v
             and state.gap is gap
             and state.memory is memory
+            and not (heard and _others(state.inputs, heard))
         ):
-            for name, course, value, rate in heard:
-                now = state.inputs.get(name)
-                if now is not course or (now and (now.value is not value or now.rate is not rate)):
-                    break
-            else:
-                return True
+            return True
         return self._shows(state)
 
     def _shows(self, state: State) -> bool:
@@ -347,3 +343,12 @@ class KernelLaw(Law):
         self._stopped, self._soft = memory["stopped"], memory["soft"]
         self._pull, self._missing = memory["pull"], memory["missing"]
         return True
+
+
+def _others(inputs: Followed, heard: Sequence[tuple[Any, ...]]) -> bool:
+    """Whether inputs have other arrays than the kernel was shown, :meth:`Compiled.heard`."""
+    for name, course, value, rate in heard:
+        now = inputs.get(name)
+        if now is not course or (now and (now.value is not value or now.rate is not rate)):
+            return True
+    return False
