@@ -6,6 +6,12 @@ A comment right above a block says what is special about it; readers of the sour
     <!-- run by tests.pages: 20 s -->          not in the suite, but by python -m tests.pages
     <!-- file: out/my.yaml -->                 its text is that of a file, for the blocks after it
     <!-- run first: robot = ... -->            Python that the block needs and readers do not
+
+A block of text is what the block before it prints. Here, too, a comment says what is special:
+
+    <!-- not run: a list of files -->          nothing prints it
+    <!-- printed by: coopqp list -->           this does, not the block before it
+    <!-- differs: 2.5e-12, which is rounding -->   these numbers may be others
 """
 
 from __future__ import annotations
@@ -13,13 +19,14 @@ from __future__ import annotations
 import re
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
 MARKS = ("not run", "run by tests.pages", "file", "run first")
+MARKS_OF_TEXT = ("not run", "run by tests.pages", "printed by", "differs")
 BLOCK = re.compile(
     r"(?P<marks>(?:^ *<!--(?:(?!-->).)*-->\n+)*)"
     r"^(?P<indent> *)(?P<fence>`{3,})(?P<language>[^\n`]*)\n(?P<code>.*?)^(?P=indent)(?P=fence)$",
@@ -59,6 +66,11 @@ class Block:
         """Whether it is run in the suite."""
         return self.runs and "run by tests.pages" not in self.marks
 
+    @property
+    def is_output(self) -> bool:
+        """Whether it is what the block before it prints."""
+        return self.language == "text" and self.runs and "printed by" not in self.marks
+
 
 def pages() -> dict[str, Path]:
     """Every page that people write, by its name."""
@@ -82,6 +94,25 @@ def blocks(name: str, text: str) -> Iterator[Block]:
         marks = dict(MARK.findall(found["marks"]))
         code = textwrap.dedent(found["code"])
         yield Block(f"{name}:{line}", found["language"].strip(), code, marks)
+
+
+def with_outputs(found: Iterable[Block]) -> Iterator[tuple[Block, Block | None]]:
+    """Every block but outputs, each with the block that is its output.
+
+    Raises:
+        AssertionError: a block of text is not below one that prints something.
+    """
+    before: Block | None = None
+    for block in [*found, None]:
+        if block is None or not block.is_output:
+            if before:
+                yield before, None
+            before = block
+        else:
+            prints = before and before.runs and before.language in ("python", "sh")
+            assert prints, f"{block.place}: nothing prints this; mark it 'not run', or 'printed by'"
+            yield before, block
+            before = None
 
 
 def spans(text: str) -> Iterator[str]:
