@@ -32,7 +32,8 @@ def main(asked: list[str]) -> int:
                     failed += 1
                     traceback.print_exc()
                     click.echo(f"{block.place}: FAILED")
-                click.echo(f"{block.place}: {time.monotonic() - began:.1f} s")
+                lacking = f", {block.lacks} is not installed" if block.lacks else ""
+                click.echo(f"{block.place}: {time.monotonic() - began:.1f} s{lacking}")
     return failed
 
 

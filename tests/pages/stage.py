@@ -73,7 +73,7 @@ class Page:
             AssertionError: it prints something else.
             Exception: what its code raises.
         """
-        if not (block.runs if self._whole else block.at_once):
+        if block.lacks or not (block.runs if self._whole else block.at_once):
             return
         if block.language == "text":
             check_output(block, self._commands(block.marks["printed by"]))
