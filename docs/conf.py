@@ -44,6 +44,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "within_subsection_order": "coopqp_site.gallery.Order",
     "write_computation_times": False,
+    "min_reported_time": 3600,  # [s], so that pages do not tell how long they took
 }
 
 html_theme = "furo"

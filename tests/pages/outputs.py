@@ -9,8 +9,12 @@ from .blocks import Block
 NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
+#: A line across a table, as long as it may be.
+RULE = re.compile("[─━]{3,}")
+
+
 def check_output(block: Block, printed: str) -> None:
-    """See whether a page shows what was printed: the same words, wherever lines are broken.
+    """See whether a page shows what was printed: the same words, however far apart.
 
     A page may leave out what stands before and after, and where it has a word ``...``. Numbers that
     its mark ``differs`` names may be any.
@@ -25,8 +29,8 @@ def check_output(block: Block, printed: str) -> None:
     named = set(NUMBER.findall(block.marks.get("differs", "")))
     missing = named - set(NUMBER.findall(block.code))
     assert not missing, f"{block.place}: the mark names {missing}, which are not in the block"
-    words = r"\s+".join(_pattern(word, named) for word in block.code.split())
-    found = re.search(rf"(?<!\S){words}(?!\S)", printed)
+    words = r"\s+".join(_pattern(word, named) for word in RULE.sub("───", block.code).split())
+    found = re.search(rf"(?<!\S){words}(?!\S)", RULE.sub("───", printed))
     assert found, f"{block.place}: the page has\n{block.code}\nbut this was printed\n{printed}"
 
 
