@@ -133,7 +133,9 @@ def spans(text: str) -> Iterator[str]:
 def commands(code: str) -> Iterator[list[str]]:
     """The words of each command in a shell's code, with 1 for what the shell would fill in."""
     for line in code.replace("\\\n", " ").splitlines():
-        lexer = shlex.shlex(STREAM.sub("", VARIABLE.sub("1", line)), posix=True, punctuation_chars=True)
+        lexer = shlex.shlex(
+            STREAM.sub("", VARIABLE.sub("1", line)), posix=True, punctuation_chars=True
+        )
         lexer.commenters, lexer.whitespace_split = "#", True
         words: list[str] = []
         for word in [*lexer, ";"]:
