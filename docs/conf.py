@@ -51,6 +51,7 @@ html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_search_scorer = str(HERE / "search_scorer.js")
 html_show_copyright = False
 html_show_sphinx = False
 html_copy_source = False
