@@ -1,7 +1,7 @@
 """Every variant of the kernel gives the same bits: ``python -m tests.kernel.bits --problems 300``.
 
-Whole motions of the shipped scenarios, and some ticks of random problems, are driven by all variants
-that this processor can run. Exit code 1 where velocities, joints, what the law remembers, or who
+Whole motions of the shipped scenarios, and some ticks of random problems, are driven by all of them
+that run on this processor. Exit code 1 where velocities, joints, what the law remembers, or who
 decided a tick are not equal to the last bit; it then says by how much they differ.
 """
 
