@@ -176,18 +176,14 @@ class Kernel {
         if (fault(Fault::ActiveForgotten)) constraints.nearest.active = 0;
         copy(V_, check_.V, 2);
         Outcome outcome = check_.judge(l, first, d, v_, before_, constraints);
-        if (outcome.off > SHORT_OF_DIGITS && is_feasible(outcome.status))
+        if (outcome.status == Status::Optimal && outcome.off > SHORT_OF_DIGITS)
             outcome = refined(l, first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
         return outcome.status;
     }
 
-    static bool is_feasible(Status status) {
-        return status == Status::Optimal || status == Status::Inaccurate;
-    }
-
     // The outcome after the rest of the way to the optimum, which the gradient that the check has
-    // left tells. What is worse than before is taken back.
+    // left tells. What is worse than before is taken back. What the check refuses is not mended.
     Outcome refined(int l, int first, double d, const Outcome& found) {
         copy(kept_v_, v_, m_->blocks);
         copy(kept_V_, check_.V, 2);
@@ -195,7 +191,7 @@ class Kernel {
         go_on(l, first, d + levels[std::size_t(l)].joint_weight);
         copy(check_.V, V_, 2);
         const Outcome outcome = check_.judge(l, first, d, v_, before_, constraints);
-        if (is_feasible(outcome.status) && outcome.off < found.off) return outcome;
+        if (outcome.status == Status::Optimal && outcome.off < found.off) return outcome;
         copy(v_, kept_v_, m_->blocks);
         copy(check_.V, kept_V_, 2);
         shares_.take_back();
