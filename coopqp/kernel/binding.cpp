@@ -251,8 +251,9 @@ class Engine {
         const auto& m = kernel_->model();
         const auto& bound = kernel_->bound;
         program_.run(t, kernel_->kinematics, m, bound.q, kernel_->levels);
-        bounds_.update(m, bound.q, bound.v_last, kernel_->lb, kernel_->ub);
-        twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), kernel_->G, kernel_->h);
+        auto& limits = kernel_->constraints;
+        bounds_.update(m, bound.q, bound.v_last, limits.lb, limits.ub);
+        twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), limits.G, limits.h);
         return 0;
     }
 
@@ -292,8 +293,9 @@ class Engine {
     // Also where they are no numbers.
     void take_bounds(const double* least, const double* most) {
         const auto& joints = kernel_->model().joints;
+        auto& limits = kernel_->constraints;
         for (std::size_t j = 0; j < joints.size(); j++) {
-            double &lb = kernel_->lb[joints[j].lane], &ub = kernel_->ub[joints[j].lane];
+            double &lb = limits.lb[joints[j].lane], &ub = limits.ub[joints[j].lane];
             if (!(least[j] <= lb)) lb = least[j];
             if (!(most[j] >= ub)) ub = most[j];
         }
@@ -304,11 +306,12 @@ class Engine {
         const auto& joints = kernel_->model().joints;
         const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
         take_bounds(f.lb, f.ub);
-        const std::size_t first = kernel_->h.size() - f.rows;
+        auto& limits = kernel_->constraints;
+        const std::size_t first = limits.h.size() - f.rows;
         for (std::size_t i = 0; i < f.rows; i++) {
-            kernel_->h[first + i] = f.h[i];
+            limits.h[first + i] = f.h[i];
             for (std::size_t j = 0; j < n; j++)
-                kernel_->G[(first + i) * stride + std::size_t(joints[j].lane)] = f.G[i * n + j];
+                limits.G[(first + i) * stride + std::size_t(joints[j].lane)] = f.G[i * n + j];
         }
     }
 

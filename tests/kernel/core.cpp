@@ -74,9 +74,9 @@ struct Case {
         if (status != Status::Optimal) return status;
         for (Level& level : kernel->levels) clear(level.wish, kernel->model().blocks);
         program.run(t, kernel->kinematics, kernel->model(), owner.q.data(), kernel->levels);
-        bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), kernel->lb, kernel->ub);
-        twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), kernel->G,
-                            kernel->h);
+        Constraints& limits = kernel->constraints;
+        bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), limits.lb, limits.ub);
+        twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), limits.G, limits.h);
         return kernel->solve();
     }
 };

@@ -32,7 +32,7 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     assert seen.v < SAME
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", [*range(24), 381])  # the last needs its answer refined
 def test_random_problems_move_alike(seed: int) -> None:
     """All modes, limits that bind, several levels; where they differ the plain law is off."""
     problem = draw(seed).problem

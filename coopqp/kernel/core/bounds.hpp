@@ -26,7 +26,7 @@ class Bounds {
   public:
     Bounds() = default;
     Bounds(std::size_t joints, double dt)
-        : lower(joints, -1e300), upper(joints, 1e300), rate_(1.0 / dt), rounding_(OUTSIDE / dt),
+        : lower(joints, -1e300), upper(joints, 1e300), least_(joints), most_(joints), rate_(1.0 / dt), rounding_(OUTSIDE / dt),
           dt_(dt) {}
 
     std::vector<double> lower, upper;  // constant ones
@@ -41,30 +41,45 @@ class Bounds {
     }
 
     // Limits tighten in their order, since braking heeds those before it.
-    void update(const Model& m, const double* q, const double* v, double* lb, double* ub) const {
-        for (std::size_t j = 0; j < lower.size(); j++) {
-            double least = lower[j], most = upper[j];
-            for (const JointLimit& limit : limits_) {
-                if (limit.kind == JointLimit::Position)
-                    keep_place(limit, j, q[j], least, most);
-                else if (limit.kind == JointLimit::Braking)
-                    brake(limit, j, q[j], v[j], least, most);
-                else if (q_measured && std::isfinite(q_measured[j]))
-                    lead(limit, j, q[j] - q_measured[j], least, most);
+    void update(const Model& m, const double* q, const double* v, double* lb, double* ub) {
+        const std::size_t n = lower.size();
+        double *least = least_.data(), *most = most_.data();
+        std::copy_n(lower.data(), n, least);
+        std::copy_n(upper.data(), n, most);
+        for (const JointLimit& limit : limits_) {
+            if (limit.kind == JointLimit::Position) {
+                keep_place(limit, n, q, least, most);
+                continue;
             }
-            lb[m.joints[j].lane] = least;
-            ub[m.joints[j].lane] = most;
+            for (std::size_t j = 0; j < n; j++) {
+                if (limit.kind == JointLimit::Braking)
+                    brake(limit, j, q[j], v[j], least[j], most[j]);
+                else if (q_measured && std::isfinite(q_measured[j]))
+                    lead(limit, j, q[j] - q_measured[j], least[j], most[j]);
+            }
+        }
+        for (std::size_t j = 0; j < n; j++) {
+            lb[m.joints[j].lane] = least[j];
+            ub[m.joints[j].lane] = most[j];
         }
     }
 
   private:
-    void keep_place(const JointLimit& p, std::size_t j, double q, double& least,
-                    double& most) const {
-        const double below = (p.lower[j] - q) * rate_, above = (p.upper[j] - q) * rate_;
-        least = std::max(least, std::min(below, 0.0));
-        most = std::min(most, std::max(above, 0.0));
-        if (below > rounding_) most = std::min(most, p.speed);
-        if (above < -rounding_) least = std::max(least, -p.speed);
+    // Without branches, so that compilers take several joints at once.
+    void keep_place(const JointLimit& p, std::size_t n, const double* q, double* __restrict least,
+                    double* __restrict most) const {
+        const double *low = p.lower.data(), *high = p.upper.data();
+        const double rate = rate_, rounding = rounding_, speed = p.speed;
+        for (std::size_t j = 0; j < n; j++) {
+            const double below = (low[j] - q[j]) * rate, above = (high[j] - q[j]) * rate;
+            const double down = below < 0.0 ? below : 0.0, up = above > 0.0 ? above : 0.0;
+            const double slowest = least[j] < down ? down : least[j];
+            const double quickest = most[j] > up ? up : most[j];
+            const double in = below > rounding ? speed : quickest;
+            const double out = above < -rounding ? -speed : slowest;
+            most[j] = quickest > in ? in : quickest;
+            least[j] = slowest < out ? out : slowest;
+        }
     }
 
     // Braking comes before the acceleration limit, other limits come before both.
@@ -93,6 +108,7 @@ class Bounds {
     }
 
     std::vector<JointLimit> limits_;
+    std::vector<double> least_, most_;  // of all joints, while they tighten
     double rate_ = 0.0, rounding_ = 0.0, dt_ = 0.0;
 };
 

@@ -8,8 +8,8 @@
 #include <limits>
 #include <vector>
 
+#include "constraints.hpp"
 #include "multipliers.hpp"
-#include "shares.hpp"
 
 namespace coopqp {
 
@@ -22,6 +22,7 @@ constexpr double CLEARLY = 3.5e-7;   // [rad/s] by which all constraints may giv
 struct Outcome {
     Status status;
     double pull;  // LaterLevel.pull, or the sum of the hard rows' multipliers
+    double off;   // estimate of |v - v*|
 };
 
 class Check {
@@ -44,16 +45,15 @@ class Check {
     //   first: how many coordinates of the hierarchy were decided when the level could choose.
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
-                  const LeastDistance& nearest, const double* lb, const double* ub,
-                  const double* G, const std::vector<double>& h) {
+                  const Constraints& c) {
         const double mu = std::min(d, SCALE_WEIGHT);
-        const double overrun = std::sqrt(clip(v, lb, ub) + (l == 0 ? clip_shares() : 0.0));
+        const double overrun = std::sqrt(clip(v, c.lb, c.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
         const int p = s_.inequalities;
         for (int i = 0; i < p; i++) {
             const std::size_t at = std::size_t(i);
-            slack_[at] = h[at] - dot(G + at * rows_.stride(), v, m_.blocks);
+            slack_[at] = c.h[at] - dot(c.G + at * rows_.stride(), v, m_.blocks);
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
         above = std::sqrt(above);
@@ -61,13 +61,13 @@ class Check {
         rows_.twists(v, of_arms_);
         rows_.mean(of_arms_, V);
         const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
-        gradient(l, d, v, nearest, G);
+        gradient(l, d, v, c.nearest, c.G);
         double off = 0.0;
-        Outcome outcome{Status::Optimal, 0.0};
+        Outcome outcome{Status::Optimal, 0.0, 0.0};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
             y_.balance(first);
-            off = distance(v, lb, ub, mu, nearest.active > 0);
+            off = distance(v, c.lb, c.ub, mu, c.nearest.active > 0);
             if (l == 0 && shares_.count()) off = std::sqrt(off * off + share_distance2(mu));
             if (off <= s_.budget.accuracy) break;
         }
@@ -83,32 +83,39 @@ class Check {
         else if (!(gap <= s_.budget.equality))
             outcome.status = Status::Equality;
         else if (!(off <= s_.budget.accuracy) &&
-                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, G) / mu))
+                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, c.G) / mu))
             outcome.status = Status::Inaccurate;
+        outcome.off = off;
         return outcome;
+    }
+
+    // What is left of the gradient over the joints, and over a share, of the answer judged last.
+    const double* left() const { return y_.g; }
+    double left_of_share(int k) const {
+        return SCALE_WEIGHT * (shares_.share(k) - 1.0) - y_.at_share(k) +
+               y_.of_shares[std::size_t(k)];
     }
 
     // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
     // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
     //   first: how many rows are exact, all of level 0.
-    bool excludes(int first, const LeastDistance& nearest, const double* lb, const double* ub,
-                  const double* G, const std::vector<double>& h) {
+    bool excludes(int first, const Constraints& c) {
         const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
-        y_.push_limits(nearest, G);
+        y_.push_limits(c.nearest, c.G);
         for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
         double all = 0.0, asked = 0.0, widest2 = 0.0;
         for (int i = 0; i < m_.blocks * LANES; i++) {
-            const double by = y_.box[i], most = std::max(std::fabs(lb[i]), std::fabs(ub[i]));
+            const double by = y_.box[i], most = std::max(std::fabs(c.lb[i]), std::fabs(c.ub[i]));
             all += std::fabs(by);
-            if (by != 0.0) asked -= by * (by > 0.0 ? ub[i] : lb[i]);
+            if (by != 0.0) asked -= by * (by > 0.0 ? c.ub[i] : c.lb[i]);
             widest2 += std::min(most, FASTEST) * std::min(most, FASTEST);
         }
         for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
             if (y_.of_rows[i] == 0.0) continue;
             if (y_.of_rows[i] < 0.0) return false;
             all += y_.of_rows[i];
-            asked -= y_.of_rows[i] * h[i];
+            asked -= y_.of_rows[i] * c.h[i];
         }
         std::size_t rows = 0;
         for (const auto& of_loop : kept_) rows += of_loop.size();

@@ -113,15 +113,31 @@ class Hierarchy {
     const double* direction(int s) const { return S_ + s * width_; }
 
   private:
+    // Cosine c and sine s of the angle whose double has the tangent across / apart, by the shorter
+    // way; small ones by their series, which is much faster and as exact.
+    static void turn(double apart, double across, double& c, double& s) {
+        constexpr double SMALL = 1e-3;
+        if (std::fabs(across) <= SMALL * std::fabs(apart)) {
+            const double twice = across / apart, x2 = twice * twice;
+            const double t = 0.5 * twice * (1.0 - 0.25 * x2), t2 = t * t;
+            c = 1.0 - 0.5 * t2 * (1.0 - 0.75 * t2);
+            s = c * t;
+            return;
+        }
+        const double size = std::fabs(apart), far = std::sqrt(size * size + across * across);
+        const double t = (apart >= 0.0 ? across : -across) / (size + far);
+        c = std::sqrt((size + far) / (2 * far));
+        s = c * t;
+    }
+
     // One-sided Jacobi.
     bool make_orthogonal(int i, int j, int b) {
         double *x = S_ + i * width_, *y = S_ + j * width_;
         const double xx = dot(x, x, b), yy = dot(y, y, b), xy = dot(x, y, b);
         if (!(xy * xy > ORTHOGONAL * ORTHOGONAL * (xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
             return false;
-        const double apart = std::fabs(yy - xx), far = std::sqrt(apart * apart + 4 * xy * xy);
-        const double t = (yy >= xx ? 2.0 : -2.0) * xy / (apart + far);
-        const double c = std::sqrt((apart + far) / (2 * far)), s = c * t;
+        double c, s;
+        turn(yy - xx, 2.0 * xy, c, s);
         v4 *p = lanes(x), *q = lanes(y);
         for (int k = 0; k < b; k++) {
             const v4 a = p[k], d = q[k];

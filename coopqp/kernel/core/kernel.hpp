@@ -8,10 +8,10 @@
 
 #include "ahead.hpp"
 #include "check.hpp"
+#include "constraints.hpp"
 #include "damping.hpp"
 #include "faults.hpp"
 #include "hierarchy.hpp"
-#include "least_distance.hpp"
 #include "loops.hpp"
 #include "problem.hpp"
 #include "rows.hpp"
@@ -20,7 +20,9 @@
 
 namespace coopqp {
 
-constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
+// By how much a certificate may be short of zero before the answer is refined: as far as the kernel
+// and the plain law agree [rad/s].
+constexpr double SHORT_OF_DIGITS = 1e-10;
 
 class Kernel {
   public:
@@ -38,17 +40,14 @@ class Kernel {
           hierarchy_(loops_->free, most_rows(), *arena_),
           shares_(levels[0], hierarchy_, stride(), *arena_),
           damping_(rows_, s_, levels, *arena_),
-          nearest_(stride() + padded(s_.inequalities) + padded(shares_.count()) +
-                       padded(levels[0].exact),
-                   loops_->free + shares_.count(), *arena_),
-          lb(arena_->take(std::size_t(stride()))),
-          ub(arena_->take(std::size_t(stride()))),
-          G(arena_->take(std::size_t(stride() * (s_.inequalities + 1)))),
-          h(std::size_t(s_.inequalities)),
+          constraints(stride(), s_.inequalities, loops_->free, levels[0], shares_, *arena_),
           check_(*m_, rows_, *loops_, hierarchy_, shares_, s_, levels, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
           v_(arena_->take(std::size_t(stride()))),
           before_(arena_->take(std::size_t(stride()))),
+          kept_v_(arena_->take(std::size_t(stride()))),
+          V_(arena_->take(TWIST)),
+          kept_V_(arena_->take(TWIST)),
           last_(arena_->take(std::size_t(stride()))),
           t_(arena_->take(std::size_t(stride()))),
           W_(arena_->take(std::size_t(TWIST * hierarchy_.width()))),
@@ -58,7 +57,6 @@ class Kernel {
           X_(arena_->take(std::size_t(loops_->free + 1) * std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows() + 1)),
           small_(most_rows() + 1, std::min(most_rows(), loops_->free) + 1, *arena_),
-          turn_(std::size_t(shares_.count() + 1)),
           pulls_(levels.size()) {}
 
     // Kinematics of q; what follows from them is written to the bound arrays.
@@ -171,14 +169,53 @@ class Kernel {
         if (fault(Fault::WrongAnswer)) add(v_, loops_->Z, 1e-4, m_->blocks);
         const Status status = bring_inside(l, first, d + level.joint_weight);
         if (status == Status::Infeasible || fault(Fault::FalseProof))
-            return l == 0 && check_.excludes(first, nearest_, lb, ub, G, h) ? Status::Infeasible
-                                                                        : Status::Unproven;
+            return l == 0 && check_.excludes(first, constraints) ? Status::Infeasible
+                                                                 : Status::Unproven;
         if (status != Status::Optimal) return status;
-        if (fault(Fault::WrongMultiplier)) nearest_.spoil();
-        if (fault(Fault::ActiveForgotten)) nearest_.active = 0;
-        const Outcome outcome = check_.judge(l, first, d, v_, before_, nearest_, lb, ub, G, h);
+        if (fault(Fault::WrongMultiplier)) constraints.nearest.spoil();
+        if (fault(Fault::ActiveForgotten)) constraints.nearest.active = 0;
+        copy(V_, check_.V, 2);
+        Outcome outcome = check_.judge(l, first, d, v_, before_, constraints);
+        if (outcome.status == Status::Optimal && outcome.off > SHORT_OF_DIGITS)
+            outcome = refined(l, first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
         return outcome.status;
+    }
+
+    // The outcome after the rest of the way to the optimum, which the gradient that the check has
+    // left tells. What is worse than before is taken back. What the check refuses is not mended.
+    Outcome refined(int l, int first, double d, const Outcome& found) {
+        copy(kept_v_, v_, m_->blocks);
+        copy(kept_V_, check_.V, 2);
+        shares_.keep();
+        go_on(l, first, d + levels[std::size_t(l)].joint_weight);
+        copy(check_.V, V_, 2);
+        const Outcome outcome = check_.judge(l, first, d, v_, before_, constraints);
+        if (outcome.status == Status::Optimal && outcome.off < found.off) return outcome;
+        copy(v_, kept_v_, m_->blocks);
+        copy(check_.V, kept_V_, 2);
+        shares_.take_back();
+        return found;
+    }
+
+    // A Newton step of a level, with the limits active that are.
+    void go_on(int l, int first, double curvature) {
+        LeastDistance& nearest = constraints.nearest;
+        const int shares = l == 0 ? shares_.count() : 0, own = hierarchy_.decided - first;
+        if (nearest.active) {
+            double* slope = nearest.zeros();
+            copy(slope, check_.left(), m_->blocks);
+            for (int k = 0; k < shares; k++)
+                slope[constraints.share_row(k)] = check_.left_of_share(k);
+            nearest.descend(slope);
+            return constraints.step(shares + loops_->free - first, shares, v_);
+        }
+        reduce(check_.left(), z_);
+        small_.descend(z_ + first);
+        clear(x_, hierarchy_.blocks());
+        for (int k = 0; k < own; k++) x_[first + k] = small_.x(k);
+        for (int i = first + own; i < loops_->free; i++) x_[i] = -z_[i] / curvature;
+        move(x_, v_);
     }
 
     // Rows of a level in coordinates of z, appended to those of the levels before.
@@ -272,38 +309,26 @@ class Kernel {
 
     // Change v and the shares by as little as limits ask for, in the metric of the level's cost.
     Status bring_inside(int l, int first, double curvature) {
-        nearest_.active = 0;
-        const bool keeps = inside(), agrees = agree(l);
-        if ((keeps && agrees) || fault(Fault::LimitsForgotten)) return Status::Optimal;
-        const int shares = l == 0 ? shares_.count() : 0, n = stride(), p = s_.inequalities;
-        const int own = hierarchy_.decided - first, K = loops_->free - first;
-        for (int b = 0; b < m_->blocks; b++) {
-            lanes(nearest_.lower)[b] = lanes(lb)[b] - lanes(v_)[b];
-            lanes(nearest_.upper)[b] = lanes(ub)[b] - lanes(v_)[b];
-        }
-        for (int i = 0; i < p; i++) nearest_.lower[n + i] = -1e300;
+        LeastDistance& nearest = constraints.nearest;
+        nearest.active = 0;
+        if (constraints.hold(l, v_) || fault(Fault::LimitsForgotten)) return Status::Optimal;
+        const int shares = l == 0 ? shares_.count() : 0, K = loops_->free - first;
+        constraints.begin(v_);
         for (int a = 0; a < padded(shares + K); a++)
-            clear(nearest_.column(a), nearest_.stride() / LANES);
-        for (int a = 0; a < shares; a++) share_column(a);
+            clear(nearest.column(a), nearest.stride() / LANES);
+        for (int a = 0; a < shares; a++) constraints.share_column(a);
         for (int a = 0; a < K; a++) {
-            level_direction(a, first, own, curvature);
-            add_rows(nearest_.column(shares + a), loops_->Z, n, loops_->free,
+            level_direction(a, first, hierarchy_.decided - first, curvature);
+            add_rows(nearest.column(shares + a), loops_->Z, stride(), loops_->free,
                      X_ + a * hierarchy_.width(), m_->blocks);
         }
-        for (int i = 0; i < p; i++)
-            for (int a = 0; a < shares + K; a++)
-                nearest_.column(a)[n + i] = dot(G + std::size_t(i) * std::size_t(n),
-                                                nearest_.column(a), m_->blocks);
-        Status status = nearest_.solve(shares + K);
+        constraints.see_limits(shares + K);
+        Status status = nearest.solve(shares + K);
         if (status == Status::Infeasible && l == 0 && levels[0].exact > first) {
-            nearest_.widen(spare_row(0), levels[0].exact, CONSISTENT);
-            status = nearest_.solve(shares + K);
+            constraints.widen();
+            status = nearest.solve(shares + K);
         }
-        if (status != Status::Optimal) return status;
-        add_rows(v_, nearest_.M, nearest_.stride(), shares + K, nearest_.u, m_->blocks);
-        for (int k = 0; k < shares; k++)
-            for (int a = 0; a < shares; a++)
-                shares_.share(k) += nearest_.column(a)[share_row(k)] * nearest_.u[a];
+        if (status == Status::Optimal) constraints.step(shares + K, shares, v_);
         return status;
     }
 
@@ -318,78 +343,23 @@ class Kernel {
         for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
     }
 
-    // Whether all limits hold as it is; what inequalities leave is written for bring_inside.
-    bool inside() {
-        bool inside = true;
-        const v4 *lo = lanes(lb), *hi = lanes(ub), *x = lanes(v_);
-        v4 over = v4{};
-        for (int b = 0; b < m_->blocks; b++) over = larger(over, larger(lo[b] - x[b], x[b] - hi[b]));
-        for (int k = 0; k < LANES; k++) inside &= over[k] <= INSIDE;
-        double* slack = nearest_.upper + stride();
-        for (int i = 0; i < s_.inequalities; i++) {
-            slack[i] = h[std::size_t(i)] -
-                       dot(G + std::size_t(i) * std::size_t(stride()), v_, m_->blocks);
-            inside &= slack[i] >= -INSIDE;
-        }
-        for (int k = 0; k < shares_.count(); k++)
-            inside &= shares_.share(k) >= 0.0 && shares_.share(k) <= 1.0;
-        return inside;
-    }
-
-    // What rows of the first level lack that depend on others, and whether that is nothing.
-    bool agree(int l) {
-        bool agree = true;
-        for (int s = 0; s < levels[0].exact; s++) {
-            const double lacks = l == 0 ? shares_.lacks(s) : 0.0;
-            nearest_.lower[spare_row(s)] = nearest_.upper[spare_row(s)] = -lacks;
-            agree &= std::fabs(lacks) <= INSIDE;
-        }
-        for (int k = 0; l > 0 && k < shares_.count(); k++)
-            nearest_.lower[share_row(k)] = nearest_.upper[share_row(k)] = 0.0;
-        return agree;
-    }
-
-    // Which constraint keeps a share between 0 and 1.
-    int share_row(int k) const { return stride() + padded(s_.inequalities) + k; }
-
-    // Which constraint keeps a row that depends on others.
-    int spare_row(int s) const { return share_row(0) + padded(shares_.count()) + s; }
-
-    // How all shares, and the joints with them, go along their a-th direction.
-    void share_column(int a) {
-        double* column = nearest_.column(a);
-        shares_.direction(a, turn_.data());
-        for (int k = 0; k < shares_.count(); k++) {
-            column[share_row(k)] = turn_[std::size_t(k)];
-            nearest_.lower[share_row(k)] = -shares_.share(k);
-            nearest_.upper[share_row(k)] = 1.0 - shares_.share(k);
-            add(column, shares_.way(k), turn_[std::size_t(k)], m_->blocks);
-        }
-        for (int s = 0; s < levels[0].exact; s++)
-            for (int k = 0; k < shares_.count(); k++)
-                column[spare_row(s)] += shares_.asks(s, k) * turn_[std::size_t(k)];
-    }
-
     Ahead ahead_;
     Rows rows_;
     std::unique_ptr<Loops> loops_;
     Hierarchy hierarchy_;
     Shares shares_;
     StepDamping damping_;
-    LeastDistance nearest_;
 
   public:
-    double *lb, *ub;        // in lanes
-    double* G;              // (p, lanes)
-    std::vector<double> h;
+    Constraints constraints;
 
   private:
     Check check_;
     std::vector<double> b_;
-    double *v_, *before_, *last_, *t_, *W_, *w_, *x_, *z_, *X_;
+    double *v_, *before_, *kept_v_, *V_, *kept_V_, *last_, *t_, *W_, *w_, *x_, *z_, *X_;
     std::vector<double> residual_;
     SmallLeastSquares small_;
-    std::vector<double> turn_, pulls_;
+    std::vector<double> pulls_;
 };
 
 }  // namespace coopqp

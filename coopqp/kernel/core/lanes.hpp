@@ -3,6 +3,7 @@
 // Sums are taken in one order whatever the instruction set, and contraction is switched off where
 // this is compiled, so that every build gives the same bits.
 #pragma once
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -46,6 +47,10 @@ __attribute__((always_inline)) inline v4 sums(const v4& a, const v4& b, const v4
 
 __attribute__((always_inline)) inline v4 larger(const v4& a, const v4& b) { return a > b ? a : b; }
 __attribute__((always_inline)) inline v4 smaller(const v4& a, const v4& b) { return a < b ? a : b; }
+
+__attribute__((always_inline)) inline bool any_above(const v4& a, double most) {
+    return std::max(std::max(a[0], a[1]), std::max(a[2], a[3])) > most;
+}
 
 // Products of padded arrays; `blocks` counts vectors of four.
 __attribute__((always_inline)) inline double dot(const double* a, const double* b, int blocks) {

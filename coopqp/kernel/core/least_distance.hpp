@@ -86,6 +86,23 @@ class LeastDistance {
         return Status::Iterations;
     }
 
+    // Numbers for the rows, all zero.
+    double* zeros() {
+        clear(values_, row_blocks_);
+        return values_;
+    }
+
+    // u: the step to the optimum with the active constraints as they are, from where the rows'
+    // gradient is g.
+    void descend(const double* g) {
+        multiply(normal_, M, stride(), K_, g, row_blocks_);
+        multiply(d_, Q_, width_, K_, normal_, blocks_);
+        copy_from(h_, d_, active, blocks_);
+        for (int b = 0; b < blocks_; b++) lanes(h_)[b] = -lanes(h_)[b];
+        clear(u, blocks_);
+        add_rows(u, Q_, width_, K_, h_, blocks_);
+    }
+
   private:
     double& R(int i, int j) { return R_[std::size_t(i * most_ + j)]; }
 

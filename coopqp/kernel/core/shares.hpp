@@ -23,11 +23,14 @@ class Shares {
           width_(hierarchy.width()), ways_(arena.take(std::size_t((count_ + 1) * lanes))),
           coordinates_(arena.take(std::size_t((count_ + 1) * width_))),
           R_(std::size_t((count_ + 1) * (count_ + 1))), s_(std::size_t(count_ + 1)),
-          c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
+          kept_(std::size_t(count_ + 1)), c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
 
     int count() const { return count_; }
     double share(int k) const { return s_[std::size_t(k)]; }
     double& share(int k) { return s_[std::size_t(k)]; }
+    // Remember the shares, and have them again.
+    void keep() { kept_ = s_; }
+    void take_back() { s_ = kept_; }
     double* way(int k) { return ways_ + k * lanes_; }              // V_k, over the joints
     double* coordinates(int k) { return coordinates_ + k * width_; }  // x_k
 
@@ -123,7 +126,7 @@ class Shares {
     Hierarchy& hierarchy_;
     int count_, exact_, lanes_, width_;
     double *ways_, *coordinates_;
-    std::vector<double> R_, s_, c_, spare_;
+    std::vector<double> R_, s_, kept_, c_, spare_;
 };
 
 }  // namespace coopqp

@@ -34,7 +34,13 @@ inline void sines(const v4& angle, v4& sine, v4& cosine) {
 
 // Of `blocks` times four angles.
 inline void sines(const double* angles, int blocks, double* sine, double* cosine) {
-    for (int b = 0; b < blocks; b++) sines(lanes(angles)[b], lanes(sine)[b], lanes(cosine)[b]);
+    v4 most = v4{};
+    for (int b = 0; b < blocks; b++) {
+        const v4& x = lanes(angles)[b];
+        sines(x, lanes(sine)[b], lanes(cosine)[b]);
+        most = larger(most, larger(x, -x));
+    }
+    if (!any_above(most, MOST_TURNED)) return;
     for (int i = 0; i < blocks * LANES; i++) {
         if (std::fabs(angles[i]) <= MOST_TURNED) continue;
         sine[i] = std::sin(angles[i]);

@@ -38,11 +38,18 @@ class SmallLeastSquares {
             diagonal_[std::size_t(k)] = reflection(column(k), k, blocks_, 0.0, h_, beta);
             reflect_rows(column(k + 1), width_, columns_ - k, h_, beta, blocks_);
         }
-        for (int k = columns_; k-- > 0;) {
-            double rest = b(k);
-            for (int j = k + 1; j < columns_; j++) rest -= R(k, j) * x_[std::size_t(j)];
+        for (int k = 0; k < columns_; k++) x_[std::size_t(k)] = b(k);
+        back();
+    }
+
+    // The step to the minimum from where half the gradient is g.
+    void descend(const double* g) {
+        for (int k = 0; k < columns_; k++) {
+            double rest = -g[k];
+            for (int j = 0; j < k; j++) rest -= R(j, k) * x_[std::size_t(j)];
             x_[std::size_t(k)] = rest / R(k, k);
         }
+        back();
     }
 
     // The triangular factor: R'R is the curvature.
@@ -51,6 +58,15 @@ class SmallLeastSquares {
     }
 
   private:
+    // x becomes R^-1 x.
+    void back() {
+        for (int k = columns_; k-- > 0;) {
+            double rest = x_[std::size_t(k)];
+            for (int j = k + 1; j < columns_; j++) rest -= R(k, j) * x_[std::size_t(j)];
+            x_[std::size_t(k)] = rest / R(k, k);
+        }
+    }
+
     double* column(int k) { return A_ + std::size_t(k) * std::size_t(width_); }
 
     int width_;

@@ -1,0 +1,124 @@
+// What keeps a level from its optimum, as rows of a LeastDistance over joints, limits G v <= h, shares
+// of scaled tasks, and exact rows that depend on others, in this order.
+#pragma once
+#include <cmath>
+#include <vector>
+
+#include "least_distance.hpp"
+#include "problem.hpp"
+#include "shares.hpp"
+
+namespace coopqp {
+
+constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
+
+class Constraints {
+  public:
+    Constraints(int lanes, int inequalities, int columns, const Level& first, Shares& shares,
+                Arena& arena)
+        : nearest(lanes + padded(inequalities) + padded(shares.count()) + padded(first.exact),
+                  columns + shares.count(), arena),
+          lb(arena.take(std::size_t(lanes))), ub(arena.take(std::size_t(lanes))),
+          G(arena.take(std::size_t(lanes * (inequalities + 1)))), h(std::size_t(inequalities)),
+          lanes_(lanes), inequalities_(inequalities), exact_(first.exact), shares_(shares),
+          turn_(std::size_t(shares.count() + 1)) {}
+
+    LeastDistance nearest;
+    double *lb, *ub;  // in lanes
+    double* G;        // (p, lanes)
+    std::vector<double> h;
+
+    // Whether level l may have v and the shares as they are; sides of all rows but those of joints
+    // and shares are written for who may not.
+    bool hold(int l, const double* v) {
+        const bool inside = limits_hold(v), agree = rows_agree(l);
+        return inside && agree;
+    }
+
+    // Sides of joints and of limits.
+    void begin(const double* v) {
+        for (int b = 0; b < lanes_ / LANES; b++) {
+            coopqp::lanes(nearest.lower)[b] = coopqp::lanes(lb)[b] - coopqp::lanes(v)[b];
+            coopqp::lanes(nearest.upper)[b] = coopqp::lanes(ub)[b] - coopqp::lanes(v)[b];
+        }
+        for (int i = 0; i < inequalities_; i++) nearest.lower[lanes_ + i] = -1e300;
+    }
+
+    // How all shares, and the joints with them, go along their a-th direction.
+    void share_column(int a) {
+        double* column = nearest.column(a);
+        shares_.direction(a, turn_.data());
+        for (int k = 0; k < shares_.count(); k++) {
+            column[share_row(k)] = turn_[std::size_t(k)];
+            nearest.lower[share_row(k)] = -shares_.share(k);
+            nearest.upper[share_row(k)] = 1.0 - shares_.share(k);
+            add(column, shares_.way(k), turn_[std::size_t(k)], lanes_ / LANES);
+        }
+        for (int s = 0; s < exact_; s++)
+            for (int k = 0; k < shares_.count(); k++)
+                column[spare_row(s)] += shares_.asks(s, k) * turn_[std::size_t(k)];
+    }
+
+    // What columns that are known over the joints do to limits.
+    void see_limits(int columns) {
+        for (int i = 0; i < inequalities_; i++)
+            for (int a = 0; a < columns; a++)
+                nearest.column(a)[lanes_ + i] =
+                    dot(G + std::size_t(i) * std::size_t(lanes_), nearest.column(a), lanes_ / LANES);
+    }
+
+    // Let exact rows that depend on others give way a little, as solvers let equalities.
+    void widen() { nearest.widen(spare_row(0), exact_, CONSISTENT); }
+
+    // Go along the first columns by nearest.u, with so many of the shares.
+    void step(int columns, int shares, double* v) {
+        add_rows(v, nearest.M, nearest.stride(), columns, nearest.u, lanes_ / LANES);
+        for (int k = 0; k < shares; k++)
+            for (int a = 0; a < shares; a++)
+                shares_.share(k) += nearest.column(a)[share_row(k)] * nearest.u[a];
+    }
+
+    // Which row keeps a share between 0 and 1.
+    int share_row(int k) const { return lanes_ + padded(inequalities_) + k; }
+
+  private:
+    // Which row keeps an exact one that depends on others.
+    int spare_row(int s) const { return share_row(0) + padded(shares_.count()) + s; }
+
+    bool limits_hold(const double* v) {
+        bool inside = true;
+        const v4 *lo = coopqp::lanes(lb), *hi = coopqp::lanes(ub), *x = coopqp::lanes(v);
+        v4 over = v4{};
+        for (int b = 0; b < lanes_ / LANES; b++)
+            over = larger(over, larger(lo[b] - x[b], x[b] - hi[b]));
+        for (int k = 0; k < LANES; k++) inside &= over[k] <= INSIDE;
+        double* slack = nearest.upper + lanes_;
+        for (int i = 0; i < inequalities_; i++) {
+            slack[i] = h[std::size_t(i)] -
+                       dot(G + std::size_t(i) * std::size_t(lanes_), v, lanes_ / LANES);
+            inside &= slack[i] >= -INSIDE;
+        }
+        for (int k = 0; k < shares_.count(); k++)
+            inside &= shares_.share(k) >= 0.0 && shares_.share(k) <= 1.0;
+        return inside;
+    }
+
+    // What rows of the first level lack that depend on others, and whether that is nothing.
+    bool rows_agree(int l) {
+        bool agree = true;
+        for (int s = 0; s < exact_; s++) {
+            const double lacks = l == 0 ? shares_.lacks(s) : 0.0;
+            nearest.lower[spare_row(s)] = nearest.upper[spare_row(s)] = -lacks;
+            agree &= std::fabs(lacks) <= INSIDE;
+        }
+        for (int k = 0; l > 0 && k < shares_.count(); k++)
+            nearest.lower[share_row(k)] = nearest.upper[share_row(k)] = 0.0;
+        return agree;
+    }
+
+    int lanes_, inequalities_, exact_;
+    Shares& shares_;
+    std::vector<double> turn_;
+};
+
+}  // namespace coopqp

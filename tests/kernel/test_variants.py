@@ -1,0 +1,27 @@
+"""Processors with and without AVX2 make the same motions, to the last bit."""
+
+from __future__ import annotations
+
+import pytest
+from variants import apart, variants
+
+from coopqp.scenario.loader import load
+from coopqp.study.stress.draw import draw
+
+pytestmark = pytest.mark.skipif(len(variants()) < 2, reason="there are no two variants here")
+
+TICKS = 100
+
+
+@pytest.mark.parametrize("name", ["point_on_point", "baxter_tray", "three_ur", "tiago_torso"])
+def test_scenarios_have_the_same_bits(name: str) -> None:
+    off, decided = apart(load(name).problem(), TICKS)
+    assert (off, decided) == (0.0, TICKS)
+
+
+@pytest.mark.parametrize("seed", [7, 72, 90, 268])
+def test_drawn_problems_have_the_same_bits(seed: int) -> None:
+    """Limits that bind, hard tasks that are given up, steps that are shortened."""
+    off, decided = apart(draw(seed).problem, TICKS)
+    assert off == 0.0
+    assert decided > 0
