@@ -56,7 +56,7 @@ class Instants:
         self._survey: Survey | None = None
         self.points: dict[str, Array] = {}
         if alone and plant.as_told and not problem.wrenches:
-            points = itertools.chain.from_iterable(joint_points(chain).values())
+            points = itertools.chain.from_iterable(chain.once(joint_points).values())
             tasks = (*problem.tasks, *self._goals)
             self._survey = survey(chain, tasks, self._begin, tuple(points))
         self.at_end = self._survey is not None
@@ -147,7 +147,7 @@ class Instants:
                     error[1:, i] = np.linalg.norm(missed, axis=1)
         self.e, self.rate = found.e[:, :rows], found.rate[:, :rows]
         self.points, at = {}, 0
-        for arm, points in joint_points(chain).items():
+        for arm, points in chain.once(joint_points).items():
             self.points[arm] = found.points[:, at : at + len(points)]
             at += len(points)
 

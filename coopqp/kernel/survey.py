@@ -106,7 +106,10 @@ def survey(
     if native.module() is None or model is None:
         return None
     levels = Levels([Group((), hard=tasks)], start)
+    rows = sum(len(task.rows(chain)) for task in tasks)
     if not levels.compiled or levels.arriving or levels.followed:
+        return None
+    if len(levels.flat[0]["gain"]) != rows:  # a posture of some joints has no rows for the others
         return None
     return Survey(chain, levels, points)
 
