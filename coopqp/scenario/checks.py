@@ -93,7 +93,7 @@ def check_start(file: YamlFile, scenario: Scenario, known: Known) -> None:
     places = _places(scenario, alike)
     _check_contacts(file, places)
     first, others = places[scenario.schedule[0].name], [
-        placed for placed in placed_tasks(scenario) if not alike.task(*placed)
+        placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])
     ]  # fmt: skip
     faults = _broken_tasks(file, others, places)
     faults += [] if alike.limits else _broken_limits(file, scenario, first)

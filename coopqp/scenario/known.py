@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.trial import Places
 from coopqp.task import Task
@@ -80,13 +80,20 @@ class Alike:
         """Where plug-ins were tried in a phase."""
         return self.last.places.get(phase) if self.last else None
 
-    def task(self, at: Location, task: Task, phase: Phase) -> bool:
-        """Whether a task is the same, in a phase as long."""
-        if self.last is None or task.of_forces or not _same(self.last.data, self.data, ("inputs",)):
+    def task(self, at: Location, task: Task) -> bool:
+        """Whether a task is the same, in phases as long."""
+        if self.last is None or task.of_forces or not self._as_long:
             return False
-        before = {own.name: own.duration for own in self.last.scenario.schedule}
-        found = _at(self.last.data, at)
-        return before.get(phase.name) == phase.duration and found == _at(self.data, at)
+        return bool(_at(self.last.data, at) == _at(self.data, at))
+
+    @cached_property
+    def _as_long(self) -> bool:
+        """Whether all phases take as long as they did, and inputs are followed alike."""
+        last = self.last
+        if last is None or not _same(last.data, self.data, ("inputs", "duration")):
+            return False
+        phases = ([p["duration"] for p in x.get("phases") or ()] for x in (last.data, self.data))
+        return next(phases) == next(phases)
 
     @property
     def limits(self) -> bool:
