@@ -159,17 +159,8 @@ class ClosedChain:
         released: Collection[str] = (),
     ) -> ClosedChain:
         """Close the loops where the arms are; arguments and errors of :func:`hold.take_hold`."""
-        return cls(
-            take_hold(
-                robot,
-                q_start,
-                grasps,
-                held,
-                alpha=alpha,
-                passive_start=passive_start,
-                released=released,
-            )
-        )
+        others = {"alpha": alpha, "passive_start": passive_start, "released": released}
+        return cls(take_hold(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
 
     def moved(self, q: Array) -> ClosedChain:
         """The same chain with another start, the object held as it is.
@@ -178,19 +169,27 @@ class ClosedChain:
             q: configuration with the loops closed, passive joints included, shape (n,).
         """
         start = vector("q", q, self.n)
-        p_WO = self.object_pose(start).translation.copy()
-        moved = copy.copy(self)
-        moved._made = self._made
+        moved = self._with(q=start, p_WO=self.object_pose(start).translation.copy())
         vars(moved).pop("reach", None)  # which is measured at the start
-        moved.hold = replace(self.hold, q=start, p_WO=p_WO)
         moved._start()
         return moved
+
+    def carrying(self, held: HeldObject) -> ClosedChain:
+        """The same chain with another object, held where that one is."""
+        other = self._with(held=held)
+        other.held = held
+        return other
+
+    def _with(self, **changes: Any) -> ClosedChain:
+        other = copy.copy(self)
+        other._made, other.hold = self._made, replace(self.hold, **changes)
+        return other
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_made": {}}  # made again where it is asked for
 
     def once(self, make: Callable[[ClosedChain], Made]) -> Made:
-        """What is the same wherever the chain starts, made once for all that :meth:`moved` gives.
+        """What is the same wherever it starts, whatever it carries, made once for all of them.
 
         Args:
             make: makes it; found again by this function.

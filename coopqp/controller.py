@@ -263,18 +263,27 @@ class Law(ABC):
             state: where it begins, of :meth:`start`; written, so that it is where it ends.
             ticks: how many.
         """
-        found = Ticks.room(ticks, self.problem.chain.n)
+        found = self._room(state, ticks)
         for k in range(ticks):
             self._keep(state, found, k)
         found.q[ticks] = state.q
         state.update()
         return found
 
+    def _room(self, state: State, ticks: int) -> Ticks:
+        """For so many ticks from a state, whose memory is then this law's."""
+        if state.memory.sizes != self.memory_sizes:
+            state.memory = Memory(self.memory_sizes)
+        return Ticks.room(ticks, self.problem.chain.n, len(state.memory.numbers))
+
     def _keep(self, state: State, found: Ticks, k: int) -> None:
         """One of them."""
-        found.q[k] = state.q
+        found.q[k], found.memory[k] = state.q, state.memory.numbers
         command = self.step(state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
+        found.scale[k] = command.scale
+        if command.note:
+            found.notes[k] = command.note
 
     def step(self, state: State) -> Command:
         """A tick, after which the joints have done as told for dt.
@@ -385,3 +394,7 @@ class Controller(ABC):
         Raises:
             CoopqpError: the controller cannot be used for this problem.
         """
+
+    def unprepared(self, problem: ControlProblem) -> Law:
+        """The same, but what only rare ticks need waits for them: for many short runs."""
+        return self.build(problem)

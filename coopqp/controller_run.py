@@ -24,13 +24,21 @@ Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
 
 
-def run(scenario: Scenario, *, controller: str, progress: Progress | None = None) -> Trace:
+def run(
+    scenario: Scenario,
+    *,
+    controller: str,
+    progress: Progress | None = None,
+    timed: bool = True,
+) -> Trace:
     """Run one controller of a scenario.
 
     Args:
         scenario: from :func:`coopqp.load`.
         controller: its name in the scenario, or any controller's type name.
         progress: called every few ticks.
+        timed: whether it is asked how long each tick takes; if not, many are done at once where
+            joints do exactly as told, which is faster, and :attr:`Trace.tick_us` is NaN.
 
     Raises:
         UnknownNameError: no such controller.
@@ -41,7 +49,8 @@ def run(scenario: Scenario, *, controller: str, progress: Progress | None = None
     scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
     with _own_words(controller):
-        legs = list(_legs(scenario.held_by(controller), chosen, controller, solver, progress))
+        held = scenario.held_by(controller)
+        legs = list(_legs(held, chosen, controller, solver, progress, timed=timed))
         return join(legs) if scenario.phases else legs[0][1]
 
 
@@ -117,7 +126,12 @@ class BegunPhase:
 
 
 def begin_phase(
-    scenario: Scenario, chosen: Controller, phase: int, before: BegunPhase | None
+    scenario: Scenario,
+    chosen: Controller,
+    phase: int,
+    before: BegunPhase | None,
+    *,
+    timed: bool = True,
 ) -> BegunPhase:
     """Build what a phase needs.
 
@@ -126,6 +140,7 @@ def begin_phase(
         chosen: the controller.
         phase: index into the schedule.
         before: the phase before, which has been run; None for the first.
+        timed: whether its ticks are, so that none may wait for what is built late.
 
     Raises:
         CoopqpError: the controller or the plant cannot be built.
@@ -133,7 +148,7 @@ def begin_phase(
     asked = scenario.schedule[phase]
     chain = before.problem.chain.handed_over(before.q, asked.released) if before else None
     problem = scenario.problem(asked, chain)
-    law = chosen.build(problem)
+    law = chosen.build(problem) if timed else chosen.unprepared(problem)
     plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
     if law.squeezer and plant.hand_wrench is None:
         raise InvalidValueError(
@@ -154,12 +169,14 @@ def _legs(
     name: str,
     solver: str | None,
     progress: Progress | None,
+    *,
+    timed: bool,
 ) -> Iterator[tuple[PhaseInfo, Trace]]:
     """Run the phases one after the other, each from where the one before has ended."""
     begun: BegunPhase | None = None
     spans = zip(scenario.schedule, scenario.first_ticks, strict=True)
     for i, (phase, first) in enumerate(spans):
-        begun = begin_phase(scenario, chosen, i, begun)
+        begun = begin_phase(scenario, chosen, i, begun, timed=timed)
         leg = rollout(
             begun.law,
             begun.plant,
@@ -170,6 +187,7 @@ def _legs(
             progress=_shifted(progress, name, first),
             state=begun.state,
             feed=scenario.feed(begun.problem, begun.state, first),
+            timed=timed,
         )
         yield PhaseInfo(phase.name, first, phase.released), leg
         last = first == scenario.first_ticks[-1]

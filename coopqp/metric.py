@@ -15,6 +15,8 @@ class Metric(ABC):
 
     unit: ClassVar[str] = ""
     """Unit of its numbers."""
+    timed: ClassVar[bool] = False
+    """Whether it reads how long ticks took; studies that have it do one tick after the other."""
 
     @abstractmethod
     def measure(self, trace: Trace) -> Any:

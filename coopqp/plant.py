@@ -28,6 +28,8 @@ class PlantModel(ABC):
         self.signals = {}
         self.measured = None
 
+    as_told: bool = False
+    """Whether a step is :meth:`State.advance` alone, so that many may be done at once."""
     signals: dict[str, Array]
     measured: Array | None
     lost: str

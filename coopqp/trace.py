@@ -249,7 +249,7 @@ class Trace:
             no effort for passive joints.
         tasks: in the order of task_error.
         leverage: how much of what is missed of each task in the end joints with closed loops can
-            still bring about, over what they could at the start, shape (K,); 0 at a singular pose.
+            still bring about, over the start's, shape (K,); 0 where singular, 1 if none is missed.
         t: shape (T + 1,) [s].
         q: what the plant's joints did, before noise, shape (T + 1, n) [rad or m].
         v: commanded velocity, or the plant's after the tick when torques were commanded, shape
@@ -279,7 +279,7 @@ class Trace:
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
-        tick_us: time of a tick, kinematics to verified command, shape (T,) [us].
+        tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
         failures: ticks that held still, and why.

@@ -29,24 +29,25 @@ class QPController(Controller):
     admittance: Admittance | None = None
     """How it comes to the squeeze that an internal_wrench task wants; needed there."""
 
-    def build(self, problem: ControlProblem, *, prepared: bool = True) -> Law:
+    def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver, or the kernel, on them.
-
-        Args:
-            problem: what to control.
-            prepared: whether what only rare ticks need is built as well. Many short runs take less
-                time without; a loop in real time would wait in such a tick.
 
         Raises:
             InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
                 for that admittance cannot bring about, or without a stated stiffness.
         """
+        return self._law(problem).prepare()
+
+    def unprepared(self, problem: ControlProblem) -> Law:
+        """The same; what only rare ticks need is built in the first of them."""
+        return self._law(problem)
+
+    def _law(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         if self.engine == "kernel":
             required(problem)
         kind = QPLaw if self.engine == "python" or why_not(problem) else KernelLaw
         pressing = squeezer(problem, self.admittance)
-        law = kind(problem, self.damping, self.error_damping, pressing)
-        return law.prepare() if prepared else law
+        return kind(problem, self.damping, self.error_damping, pressing)
 
     def plain(self, problem: ControlProblem) -> QPLaw:
         """The law in Python, whatever the engine: what studies look into."""

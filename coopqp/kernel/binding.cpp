@@ -11,6 +11,7 @@
 
 #include "reading.hpp"
 #include "sliding.hpp"
+#include "surveying.hpp"
 
 using namespace nb::literals;
 
@@ -159,25 +160,32 @@ class Engine {
     }
 
     // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
-    // each tick and at the end, shape (T + 1, n), v of each of T ticks, and who decided it and how.
+    // each tick and at the end, shape (T + 1, n), v of each of T ticks, who decided it and how, the
+    // least share of a scaled task's speed, and what of `memory` was there before it.
     // Returns how many were done; signals of the process wait as long.
-    int run(double t, const Written& q, const Written& v, const Said& said, Engine* softened,
-            double soft_ticks, bool gives_up, bool stops, bool all_corrected) {
+    int run(double t, const Written& q, const Written& v, const Said& said, const Written& scale,
+            const Numbers& memory, const Written& remembered, Engine* softened, double soft_ticks,
+            bool gives_up, bool stops, bool all_corrected) {
         const Use use(*this);
         if (!use.alone || !q_now_ || softened == this) return BUSY;
         std::optional<Use> other;
         if (softened) other.emplace(*softened);
         if (other && !other->alone) return BUSY;
         const std::size_t n = kernel_->model().joints.size(), ticks = said.size();
-        if (q.size() < n * (ticks + 1) || v.size() < n * ticks) return BUSY;
+        const std::size_t kept = memory.size();
+        if (q.size() < n * (ticks + 1) || v.size() < n * ticks || scale.size() < ticks ||
+            remembered.size() < kept * ticks)
+            return BUSY;
         nb::gil_scoped_release released;
         GivingUp given{softened, soft_ticks, gives_up, stops, all_corrected};
         std::size_t done = 0;
         for (; done < ticks; done++) {
             std::copy(q_now_, q_now_ + n, q.data() + done * n);
+            std::copy_n(memory.data(), kept, remembered.data() + done * kept);
             const int how = decide(t, given);
             if (how == BUSY) break;
             said.data()[done] = std::uint8_t(how);
+            scale.data()[done] = scale_of(how);
             advance();
             std::copy(v_now_, v_now_ + n, v.data() + done * n);
             t += kernel_->settings().dt;
@@ -227,6 +235,14 @@ class Engine {
         *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
         forget_exact();
         return SOFTENED + int(status);
+    }
+
+    // As coopqp.kernel.law says it.
+    double scale_of(int how) const {
+        const int shares = kernel_->levels[0].shares;
+        if (!shares) return 1.0;
+        const double* missing = kernel_->bound.missing;
+        return how < SOFTENED ? 1.0 - *std::max_element(missing, missing + shares) : 0.0;
     }
 
     static bool is_answer(coopqp::Status status) {
@@ -352,6 +368,7 @@ class Engine {
 
 using KERNEL_MODULE::Engine;
 using KERNEL_MODULE::Slide;
+using KERNEL_MODULE::Survey;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
@@ -367,13 +384,17 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("tick_coming_back", &Engine::tick_coming_back)
         .def("step", &Engine::step)
-        .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "softened"_a.none(),
-             "soft_ticks"_a, "gives_up"_a, "stops"_a, "all_corrected"_a)
+        .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
+             "remembered"_a, "softened"_a.none(), "soft_ticks"_a, "gives_up"_a, "stops"_a,
+             "all_corrected"_a)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);
+    nb::class_<Survey>(m, "Survey")
+        .def(nb::init<const nb::dict&>())
+        .def("look", &Survey::look);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

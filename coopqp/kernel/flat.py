@@ -29,25 +29,25 @@ def flat_model(chain: ClosedChain) -> Flat | None:
 
 def _flat_model(chain: ClosedChain) -> Flat | None:
     model = chain.model
-    turned = {0: np.eye(3)}
     slides, parents, placements = [], [], []
     for j in range(1, model.njoints):
         axis = _axis(model.joints[j])
         if axis is None or model.idx_vs[j] != j - 1:
             return None
         slides.append(float(axis[0]))
-        turned[j] = _z_along(axis[1])
+    axes = chain.once(turned)
+    for j in range(1, model.njoints):
         parent = int(model.parents[j])
         parents.append(float(parent - 1))
         X = model.jointPlacements[j]
         placements.append(
-            _placement(turned[parent].T @ X.rotation @ turned[j], turned[parent].T @ X.translation)
+            _placement(axes[parent].T @ X.rotation @ axes[j], axes[parent].T @ X.translation)
         )
     tips, objects = [], []
     for frame in chain.frames:
         f = model.frames[frame]
         tips.append(float(f.parentJoint - 1))
-        A = turned[f.parentJoint].T
+        A = axes[f.parentJoint].T
         objects.append(_placement(A @ f.placement.rotation, A @ f.placement.translation))
     return {
         "parents": np.array(parents),
@@ -58,6 +58,16 @@ def _flat_model(chain: ClosedChain) -> Flat | None:
         "alpha": np.ascontiguousarray(chain.alpha),
         "holding": float(chain.holding),
     }
+
+
+def turned(chain: ClosedChain) -> list[Array]:
+    """The kernel's frame of each joint in the joint's own, a rotation; of the world first.
+
+    Args:
+        chain: the closed chain, whose joints have one axis each.
+    """
+    axes = [_axis(chain.model.joints[j]) for j in range(1, chain.model.njoints)]
+    return [np.eye(3), *(np.eye(3) if axis is None else _z_along(axis[1]) for axis in axes)]
 
 
 def flat_settings(

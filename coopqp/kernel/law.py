@@ -259,7 +259,7 @@ class KernelLaw(Law):
         Python fills rows or limits, tasks follow signals, or joints are measured, every tick is one
         of :meth:`tick`.
         """
-        found = Ticks.room(ticks, self.problem.chain.n)
+        found = self._room(state, ticks)
         done = 0
         while done < ticks:
             if self._runs and self._alone(state):
@@ -278,10 +278,11 @@ class KernelLaw(Law):
     def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
         """As many as the kernel does in one go; how many."""
         said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
-        room = found.q[done:], found.v[done:], said
+        room = found.q[done:], found.v[done:], said, found.scale[done:]
+        remembered = state.memory.numbers, found.memory[done:]
         softened = self.softened.engine if self.softened else None
         giving_up = softened, self._soft_ticks, self._gives_up, self._stops, whole
-        made: int = max(self.whole.engine.run(state.t, *room, *giving_up), 0)
+        made: int = max(self.whole.engine.run(state.t, *room, *remembered, *giving_up), 0)
         found.causes[done : done + made] = map(IN_A_RUN.__getitem__, said[:made].tolist())
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit

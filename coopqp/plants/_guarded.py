@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.controller import Command
 from coopqp.plant import PlantModel
 from coopqp.solver import Status
@@ -29,6 +30,7 @@ class GuardedPlant(PlantModel):
         super().__init__()
         self._plant, self.broken, self.why = plant, "", Status.PLANT_FAILED
         self.signals, self.measured = plant.signals, plant.measured
+        self.as_told = plant.as_told
         self._told: State | None = None  # what is true, where that is not the state itself
 
     def step(self, state: State, command: Command) -> None:
@@ -98,6 +100,12 @@ def _check(state: State) -> None:
     q, v = state.q, state.v
     if not (q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2):
         raise _BreakdownError("its joints run away")
+
+
+def settled(q: Array, v: Array) -> bool:
+    """Whether joints were somewhere at all instants, shapes (T, n) [rad, m; rad/s, m/s]."""
+    far, fast = (np.einsum("ti,ti->t", x, x) for x in (q, v))
+    return bool((far < FARTHEST**2).all() and (fast < FASTEST**2).all())
 
 
 class _BreakdownError(Exception):

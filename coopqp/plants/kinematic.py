@@ -22,6 +22,8 @@ class KinematicModel(PlantModel):
         n: number of joints.
     """
 
+    as_told = True
+
     def __init__(self, dt: float, n: int) -> None:
         super().__init__()
         self._dt = np.array(dt)

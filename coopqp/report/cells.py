@@ -82,7 +82,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
         "loop": Cell(gap, opened),
         "failed": _failed(metrics),
-        "tick": Cell((f"{metrics['tick_us']['median']:.0f}",)),
+        "tick": Cell((f"{metrics['tick_us']['median']:.0f}" if metrics["tick_us"] else "-",)),
         "solver": Cell(_solver(metrics)),
     }
 

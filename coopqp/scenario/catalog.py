@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 
@@ -63,6 +64,10 @@ class Catalog:
         return isinstance(other, Catalog) and self._collections == other._collections
 
     def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
         return hash(tuple(frozenset(known.values()) for known in self._collections.values()))
 
     def entries(self, kind: str) -> dict[str, Entry]:

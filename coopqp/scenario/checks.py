@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -24,6 +24,7 @@ from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
+from coopqp.scenario.known import Alike, Checked, Known
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
@@ -34,12 +35,14 @@ from coopqp.task import Task
 from coopqp.wording import Location
 
 T = TypeVar("T")
+Placed = tuple[Location, Task, Phase]
+"""A task with its place in the file, and its phase."""
 
 #: A control period that no robot has; with it, dt is what makes a run too long [s].
 SHORT = 1e-4
 
 
-def placed_tasks(scenario: Scenario) -> Iterator[tuple[Location, Task, Phase]]:
+def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
     """Every task with its place in the file; secondary ones count in the shortest phase."""
     for i, phase in enumerate(scenario.schedule):
         inside: Location = ["phases", i] if scenario.phases else []
@@ -50,8 +53,14 @@ def placed_tasks(scenario: Scenario) -> Iterator[tuple[Location, Task, Phase]]:
         yield ["secondary", j], task, shortest
 
 
-def check_start(file: YamlFile, scenario: Scenario) -> None:
-    """Build what can fail and refuse a start outside the limits."""
+def check_start(file: YamlFile, scenario: Scenario, known: Known) -> None:
+    """Build what can fail and refuse a start outside the limits.
+
+    Args:
+        file: of the scenario.
+        scenario: as read.
+        known: what is the same as before is not tried again; written.
+    """
     key = "start" if "start" in file.data else "start_deg"
     robot = built(file, ["robot"], lambda: scenario.robot_model)
     of_robot, passive = built(file, [key], lambda: start_of(robot, scenario.start))
@@ -68,6 +77,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     if faults:
         raise ScenarioError(faults)
     built(file, _longest(scenario), scenario.check_size)
+    alike = known.lend_chain(file.data, scenario)
     try:
         chain = scenario.chain
     except CoopqpError as error:
@@ -80,12 +90,15 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
         raise ScenarioError([Fault(file.place(["object", "size"]), wrong)])
     if not allowed:
         _check_passive(file, chain, passive, key)
-    places = _places(scenario)
+    places = _places(scenario, alike)
     _check_contacts(file, places)
-    first = places[scenario.schedule[0].name]
-    faults = [*_broken_tasks(file, scenario, places), *_broken_limits(file, scenario, first)]
-    faults = faults or list(_broken_inputs(file, scenario, places))
-    if not allowed and not faults:
+    first, others = places[scenario.schedule[0].name], [
+        placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])
+    ]  # fmt: skip
+    faults = _broken_tasks(file, others, places)
+    faults += [] if alike.limits else _broken_limits(file, scenario, first)
+    faults = faults or list(_broken_inputs(file, scenario, others, places))
+    if not allowed and not faults and not alike.limits:
         faults = [
             Fault(file.place(["limits", i]), words)
             for i, limit in enumerate(scenario.limits)
@@ -94,6 +107,7 @@ def check_start(file: YamlFile, scenario: Scenario) -> None:
     if faults:
         raise ScenarioError(faults)
     _check_plant(file, scenario)
+    known.last = Checked(file.data, scenario, places)
 
 
 def _check_plant(file: YamlFile, scenario: Scenario) -> None:
@@ -143,20 +157,22 @@ def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
     return faults
 
 
-def _places(scenario: Scenario) -> dict[str, Places]:
+def _places(scenario: Scenario, alike: Alike) -> dict[str, Places]:
     """Where plug-ins are tried, by phase.
 
     The later phases are tried where the first begins: nobody knows yet where the motion leads.
     """
     problems = scenario.problems(lambda _: scenario.chain.q_start)
     phases = zip(scenario.schedule, problems, strict=True)
-    return {phase.name: Places(problem.chain) for phase, problem in phases}
+    return {phase.name: Places(problem.chain, alike.place(phase.name)) for phase, problem in phases}
 
 
-def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Places]) -> list[Fault]:
+def _broken_tasks(
+    file: YamlFile, tasks: Sequence[Placed], places: Mapping[str, Places]
+) -> list[Fault]:
     """Tasks that name what is not there or break a promise; each is tried in its phase."""
     faults = []
-    for place, task, phase in placed_tasks(scenario):
+    for place, task, phase in tasks:
         try:
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
@@ -165,10 +181,10 @@ def _broken_tasks(file: YamlFile, scenario: Scenario, places: Mapping[str, Place
 
 
 def _broken_inputs(
-    file: YamlFile, scenario: Scenario, places: Mapping[str, Places]
+    file: YamlFile, scenario: Scenario, tasks: Sequence[Placed], places: Mapping[str, Places]
 ) -> Iterator[Fault]:
     """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
-    for place, task, phase in placed_tasks(scenario):
+    for place, task, phase in tasks:
         start, used = State(places[phase.name].start.chain), partial(_used, file.data, place)
         for name, (_, here) in wanted([task], start).items():
             if name not in scenario.inputs:

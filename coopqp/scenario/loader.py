@@ -24,6 +24,7 @@ from coopqp.reading import absolute
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen
+from coopqp.scenario.known import Known
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
@@ -65,19 +66,26 @@ def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
     return load_file(parsed(path, text), catalog)
 
 
-def load_file(file: YamlFile, catalog: Catalog) -> Scenario:
+def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> Scenario:
     """The same from a file that has been read.
+
+    Args:
+        file: read.
+        catalog: what it can name.
+        known: the same for all variants of one file, so that each only builds and tries what is
+            different from the one before.
 
     Raises:
         ScenarioError: as :func:`load`.
     """
-    scenario = _Reader(file, catalog).scenario()
+    known, scenario = known or Known(), _Reader(file, catalog).scenario()
+    known.lend_robot(file.data, scenario)
     if file.data.get("start") == SOLVE:
         scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
     elif file.data.get("start_deg") is not None:
         robot = built(file, ["robot"], lambda: scenario.robot_model)
         scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
-    check_start(file, scenario)
+    check_start(file, scenario, known)
     return scenario
 
 

@@ -73,11 +73,12 @@ class Places:
 
     Args:
         chain: the closed chain.
+        like: places of another chain that moves alike, which are then the same.
     """
 
-    def __init__(self, chain: ClosedChain) -> None:
+    def __init__(self, chain: ClosedChain, like: Places | None = None) -> None:
         self.start = State(chain)
-        self.nearby = self._around(NEARBY)
+        self.nearby: tuple[_Nearby, ...] = like.nearby if like else self._around(NEARBY)
 
     @cached_property
     def farther(self) -> tuple[_Nearby, ...]:
@@ -262,12 +263,12 @@ def _check_inequalities(chain: ClosedChain, names: Sequence[str], rows: LimitRow
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
     """Refuse a column, or a matrix with a column a joint, that is not finite."""
-    wrong = np.argwhere(~np.isfinite(values))
-    if not len(wrong):
+    finite = np.isfinite(values)
+    if finite.all():
         return
-    row, *column = wrong[0].tolist()
+    row, *column = first = np.argwhere(~finite)[0].tolist()
     what = f"{key} of {chain.joint_names[column[0]]}" if column else key
-    found = values[tuple(wrong[0])]
+    found = values[tuple(first)]
     raise _PromiseError(f"row {names[row]}: {what} is {found}, needs a finite number")
 
 

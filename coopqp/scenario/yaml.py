@@ -105,7 +105,7 @@ class YamlFile:
         Args:
             data: plain, such as JSON can hold.
         """
-        return replace(self, data=data, text=json.dumps(data, indent=2) + "\n")
+        return replace(self, data=data, text=json.dumps(data) + "\n")
 
 
 def read_yaml(path: Path) -> YamlFile:

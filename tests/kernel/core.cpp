@@ -11,6 +11,7 @@
 #include "../../coopqp/kernel/core/bounds.hpp"
 #include "../../coopqp/kernel/core/kernel.hpp"
 #include "../../coopqp/kernel/core/program.hpp"
+#include "../../coopqp/kernel/core/survey.hpp"
 #include "../../coopqp/kernel/core/twist_limits.hpp"
 
 using namespace coopqp;
@@ -254,6 +255,56 @@ int wrong_sines(Random& random) {
     return wrong;
 }
 
+// How many numbers of a survey are wrong: J v of the object's place against differences of it, and a
+// point of the world.
+int wrong_survey(Random& random) {
+    auto arena = std::make_unique<Arena>();
+    auto model = std::make_unique<Model>();
+    for (int i = 0; i < 2; i++) {
+        int parent = -1;
+        for (int left = whole(random, 1, 5); left > 0; left--) {
+            model->joints.push_back({parent, whole(random, 0, 3) == 0, somewhere(random, 0.3), -1});
+            parent = int(model->joints.size()) - 1;
+        }
+        Arm arm;
+        arm.tip = parent;
+        arm.at = somewhere(random, 0.1);
+        arm.alpha = i ? 0.75 : 0.25;
+        model->arms.push_back(arm);
+    }
+    model->holding = 2;
+    lay_out(*model, *arena);
+    const std::size_t n = model->joints.size(), rows = 3, points = 2;
+    Level level;
+    for (auto* a : {&level.e, &level.rate}) a->assign(rows, 0.0);
+    level.twist.assign(rows, 1);
+    level.T = arena->take(8 * (rows + 1));
+    Primitive p{};
+    p.kind = Kind::Twist;
+    p.rows = {0, 1, 2};
+    constexpr double STEP = 1e-5;
+    std::vector<double> q(3 * n), v(2 * n), t(3);
+    for (std::size_t j = 0; j < n; j++) {
+        q[n + j] = uniform(random, -1.0, 1.0);
+        v[j] = v[n + j] = uniform(random, -1.0, 1.0);
+        q[j] = q[n + j] - STEP * v[j];
+        q[2 * n + j] = q[n + j] + STEP * v[j];
+    }
+    std::vector<double> e(3 * rows), rate(3 * rows), moved(2 * rows), p_WO(9), R_WO(27), loops(18);
+    std::vector<double> at(9 * points);
+    Survey survey(std::move(arena), std::move(model), {level}, {p},
+                  {{-1, {1.0, 2.0, 3.0}}, {int(n) - 1, {0.1, 0.0, 0.0}}});
+    survey.look(3, t.data(), q.data(), v.data(),
+                {e.data(), rate.data(), moved.data(), p_WO.data(), R_WO.data(), loops.data(), at.data()});
+    int wrong = 0;
+    for (std::size_t r = 0; r < 3; r++) {
+        const double found = (p_WO[6 + r] - p_WO[r]) / (2 * STEP);
+        wrong += !(std::fabs(moved[rows + r] - found) < 1e-6);
+        wrong += at[6 * points + r] != 1.0 + double(r);
+    }
+    return wrong;
+}
+
 }  // namespace
 
 int main(int count, char** given) {
@@ -319,7 +370,7 @@ int main(int count, char** given) {
             c.owner.remember(pulls, hard, missing, *c.kernel);
 #endif
         }
-        wrong += garbage(random, c);
+        wrong += garbage(random, c) + wrong_survey(random);
     }
     std::printf("%d ticks, %d optimal, %d proved infeasible, %d wrong, %d faults caught, %d missed\n",
                 ticks, optimal, proofs, wrong, faults, missed);

@@ -56,7 +56,7 @@ def test_a_run_is_its_ticks(
 def test_a_drawn_run_is_its_ticks(seed: int) -> None:
     """Hard tasks that are given up, ticks that stand still, steps that are shortened."""
     given = draw(seed).problem
-    law, other = (STRESSED.build(given, prepared=done) for done in (False, True))
+    law, other = STRESSED.unprepared(given), STRESSED.build(given)
     state, again = law.start(), other.start()
     found = law.run(state, TICKS)
     for k in range(TICKS):

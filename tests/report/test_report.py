@@ -19,6 +19,7 @@ from rich.console import Console
 import coopqp
 from coopqp.comparison import Comparison, summarize
 from coopqp.errors import CoopqpError
+from coopqp.kernel import native
 from coopqp.report import curves, files
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.groups import groups
@@ -248,3 +249,15 @@ def test_table_fits_the_terminal_and_shows_names_as_they_are(comparison: Compari
     assert max(map(len, lines)) <= 100
     assert "[red]" in " ".join(lines)
     assert "✗ no" in " ".join(lines)
+
+
+@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+def test_runs_that_nobody_timed_have_a_page_without_times() -> None:
+    scenario = coopqp.load("planar_pair")
+    laws = "qp", "pseudoinverse"
+    given = {law: coopqp.run(scenario, controller=law, timed=law == "qp") for law in laws}
+    found = summarize(scenario, given)
+    assert found.metrics["qp"]["tick_us"]["median"] > 0.0
+    assert found.metrics["pseudoinverse"]["tick_us"] is None
+    assert "Time of a tick" in render(found)
+    assert "Time of a tick" not in render(summarize(scenario, {"-": given["pseudoinverse"]}))

@@ -47,6 +47,9 @@ class Kinematics {
     std::vector<double> loop_error;  // as State.loop_error
     double p_WO[3], R_WO[9];
 
+    // Of a joint, its axis turned to z.
+    const Frame& joint(std::size_t j) const { return joints_[j]; }
+
     // Frames alone, for the look after the step.
     void place(const double* q) {
         std::copy(q, q + joints_.size(), angles_);

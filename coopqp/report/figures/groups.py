@@ -164,7 +164,7 @@ def _torques(chart: Chart) -> Group:
 
 
 def _rest(chart: Chart) -> Group:
-    active = audit.timeline(chart.traces, chart.styles)
+    others = audit.timeline(chart.traces, chart.styles), tick_times(chart)
     return Group(
         title="Loops, active limits and computing time",
         hint="",
@@ -173,6 +173,6 @@ def _rest(chart: Chart) -> Group:
             "pulls it back.",
             "Active": "a limit that the QP is at, which then decides with it what is done.",
         },
-        folded=[*loop_errors(chart), *([active] if active else []), tick_times(chart)],
+        folded=[*loop_errors(chart), *(figure for figure in others if figure)],
         more="Loop errors, active limits, time of a tick",
     )

@@ -15,11 +15,14 @@ from coopqp.report.figures.chart import Chart
 MOST_TICKS = 5  # as many as fit side by side on a narrow page
 
 
-def tick_times(chart: Chart) -> Figure:
-    """A box a controller."""
-    boxes = [_box(chart, name) for name in reversed(chart.names)]
+def tick_times(chart: Chart) -> Figure | None:
+    """A box a controller; None where no tick was timed."""
+    timed = [name for name in chart.names if np.isfinite(chart.traces[name].tick_us).all()]
+    if not timed:
+        return None
+    boxes = [_box(chart, name) for name in reversed(timed)]
     layout = curves.layout(chart.end, {"type": "category", "automargin": True})
-    times = np.concatenate([chart.traces[name].tick_us for name in chart.names])
+    times = np.concatenate([chart.traces[name].tick_us for name in timed])
     low, high = float(times.min() / 1.3), float(times.max() * 1.3)
     ticks = _ticks(low, high)
     layout["xaxis"] |= {"type": "log", "range": [math.log10(low), math.log10(high)]}

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.instants import arm_points
 from coopqp.report.scene.marks import POSTURE, RELATIVE, TRACKED, Shown, short
-from coopqp.rollout import arm_points
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace

@@ -75,7 +75,7 @@ def rerun(scenario: Scenario, controller: str, phase: int, change: Change) -> Le
         change: of what.
     """
     other = _changed(scenario, phase, change)
-    trace = run(other, controller=controller)
+    trace = run(other, controller=controller, timed=False)
     return list(legs(other, recording_of(trace)))[phase]
 
 

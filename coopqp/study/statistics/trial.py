@@ -141,10 +141,10 @@ def one_goal(robot: str, seed: int) -> GoalRun:
 
 def _run(name: str, compared: Compared, problem: ControlProblem) -> LawRun:
     given = replace(problem, secondary=compared.secondary or problem.secondary)
-    law = compared.controller.build(given)
+    law = compared.controller.unprepared(given)
     plant = Kinematic().build(given, 0, Disturbance())
     ticks = round((max(task.end for task in given.tasks) + AFTER) / given.dt)
-    trace = rollout(law, plant, ticks, controller=name, solver=None)
+    trace = rollout(law, plant, ticks, controller=name, solver=None, timed=False)
     return _judge(name, trace, given)
 
 

@@ -106,7 +106,7 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 
 
 def _run(drawn: Draw, seed: int) -> Rollout:
-    law = LAW.build(drawn.problem, prepared=False)
+    law = LAW.unprepared(drawn.problem)
     state = law.start()
     record, errors = record_of(drawn.problem), PartErrors(drawn.problem)
     drive_on(law, state, record, errors)

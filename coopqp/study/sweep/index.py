@@ -82,6 +82,8 @@ class Index:
 
 def kind_of(value: Any) -> str:
     """What a column must be to hold a value; empty for None."""
+    if (known := PLAIN.get(type(value))) is not None:
+        return known
     for kind, cls in KINDS.items():
         if isinstance(value, cls):
             return kind
@@ -96,3 +98,5 @@ def wider(one: str, other: str) -> str:
 
 
 KINDS: dict[str, type] = {"bool": bool, "int": int, "float": float, "text": str}
+#: The same of the types themselves, which most values have.
+PLAIN: dict[type, str] = {**{cls: kind for kind, cls in KINDS.items()}, type(None): ""}

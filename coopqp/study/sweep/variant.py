@@ -22,6 +22,7 @@ from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.limit import ROUNDING
 from coopqp.overrun import at_limits, broken, matters, outside
 from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.known import Known
 from coopqp.scenario.loader import load_file
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, parsed
@@ -82,14 +83,14 @@ def lost_rows(job: Job, reason: str) -> list[Row]:
 
 
 @lru_cache(maxsize=2)
-def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog]:
-    return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders)
+def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog, Known]:
+    return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders), Known()
 
 
 def _rows(job: Job, variant: Variant) -> list[Row]:
-    file, data, catalog = _prepared(job)
+    file, data, catalog, known = _prepared(job)
     try:
-        scenario = load_file(file.changed(changed(data, job.places, variant)), catalog)
+        scenario = load_file(file.changed(changed(data, job.places, variant)), catalog, known)
     except CoopqpError as error:
         return [_without(INVALID, str(error)) for _ in job.controllers]
     except Exception as error:  # noqa: BLE001 - one variant is not to end a study
@@ -99,15 +100,17 @@ def _rows(job: Job, variant: Variant) -> list[Row]:
 
 def _row(job: Job, scenario: Scenario, controller: str) -> Row:
     try:
-        trace = run(scenario, controller=controller)
+        entries = scenario.catalog.entries("metrics")
+        measured = {name: entries[name].cls() for name in job.metrics}
+        timed = any(metric.timed for metric in measured.values())
+        trace = run(scenario, controller=controller, timed=timed)
         own: Row = {
             "success": succeeds(trace),
             "blocked_by": ", ".join(_blocked_by(trace)),
             "broken": ", ".join(_broken(trace)),
         }
-        entries = scenario.catalog.entries("metrics")
-        for name in job.metrics:
-            own |= _flat(name, _measured(entries[name].cls(), trace))
+        for name, metric in measured.items():
+            own |= _flat(name, _measured(metric, trace))
     except InternalError as error:
         return _without(FAILED, str(error))
     except CoopqpError as error:
