@@ -34,8 +34,8 @@ class QPController(Controller):
 
         Args:
             problem: what to control.
-            prepared: whether what only rare ticks need is built as well. Many short runs take less
-                time without; a loop in real time would wait in such a tick.
+            prepared: whether the kernel's law builds what only rare ticks need as well. Many short
+                runs take less time without; a loop in real time would wait in such a tick.
 
         Raises:
             InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
@@ -43,9 +43,10 @@ class QPController(Controller):
         """
         if self.engine == "kernel":
             required(problem)
-        kind = QPLaw if self.engine == "python" or why_not(problem) else KernelLaw
+        if self.engine == "python" or why_not(problem):
+            return self.plain(problem)
         pressing = squeezer(problem, self.admittance)
-        law = kind(problem, self.damping, self.error_damping, pressing)
+        law = KernelLaw(problem, self.damping, self.error_damping, pressing)
         return law.prepare() if prepared else law
 
     def plain(self, problem: ControlProblem) -> QPLaw:
