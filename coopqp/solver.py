@@ -201,8 +201,8 @@ class Verifier:
         inside = np.minimum(np.maximum(solution.v, qp.lb), qp.ub)
         overrun = norm(np.maximum(solution.v, qp.lb) - np.minimum(solution.v, qp.ub))
         solution.v[:] = inside
-        above = norm(np.maximum(qp.G @ inside - qp.h, 0.0))
-        gap = norm(qp.A @ inside - qp.b)
+        above = norm(np.maximum(qp.G.dot(inside) - qp.h, 0.0))
+        gap = norm(qp.A.dot(inside) - qp.b)
         off = self._distance() + self._idle()
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self.curvature
@@ -232,13 +232,13 @@ class Verifier:
     def _idle(self) -> float:
         """How far z is from belonging to active rows only."""
         qp, z = self.qp, self.solution.z
-        slack = qp.h - qp.G @ self.solution.v
+        slack = qp.h - qp.G.dot(self.solution.v)
         return norm(np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z)))
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
         qp, solution = self.qp, self.solution
-        g = qp.P @ solution.v + qp.q + solution.multipliers[qp.n :] @ qp.C
+        g = qp.P.dot(solution.v) + qp.q + solution.multipliers[qp.n :].dot(qp.C)
         step = g / self.curvature
         free = norm(step)
         if free <= self.budget.accuracy:  # no bound holds v back
@@ -256,4 +256,4 @@ class Verifier:
 
 def norm(x: Array) -> float:
     """Euclidean; NaN where a number is none, infinite where squares overflow."""
-    return math.sqrt(float(x @ x))
+    return math.sqrt(x.dot(x))

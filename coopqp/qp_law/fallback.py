@@ -45,10 +45,8 @@ class Fallback:
     def __init__(
         self, problem: ControlProblem, start: State, way_back: WayBack, damping: Damping
     ) -> None:
-        self._tasks, self._way_back, self._damping = (
-            TaskStack(problem.tasks, start), way_back, damping
-        )  # fmt: skip
-        self.drift = 0.0
+        self._way_back, self._damping, self.drift = way_back, damping, 0.0
+        self._tasks = TaskStack(problem.tasks, start)
         rows, bounds = problem.chain.loops.solver_rows, way_back.bounds
         self._attempts = []
         if any(task.mode != "soft" for task in problem.tasks):

@@ -102,14 +102,9 @@ class QPLaw(Law):
             return self._stand_still(Status.INFEASIBLE)
         self.assemble(state)
         status = self._solve_first(state)
-        command, way_back, v, causes = self.command, self.way_back, self.first.v, (status,)
+        command, way_back = self.command, self.way_back
         command.scale, command.drift = self.first.scale, 1.0
-        if status.usable:
-            v, causes = self._improve(state, status)
-        elif self.problem.on_infeasible == "scale":
-            v, causes = self._give_up(state, status)
-        elif self.problem.on_infeasible == "stop":
-            state.memory["stopped"][0] = 1.0
+        v, causes = (self._improve if status.usable else self._give_up)(state, status)
         if way_back.active:
             v, causes = way_back.rescue(v, causes)
             command.drift = min(command.drift, way_back.share)
@@ -162,7 +157,7 @@ class QPLaw(Law):
             memory["soft"][0] = soft_ticks(self.problem)
         pulls, shares = answer.y[len(state.e_loop) :], answer.v[self.problem.chain.n :]
         memory["pull"][0] = np.abs(pulls).sum() if status.usable else 0.0
-        memory["missing"][:] = 1.0 - np.clip(shares, 0.0, 1.0) if status.usable else 0.0
+        memory["missing"][:] = 1.0 - shares if status.usable else 0.0
         return status
 
     def _improve(self, state: State, status: Status) -> tuple[Array, tuple[Status, ...]]:
@@ -173,7 +168,11 @@ class QPLaw(Law):
         return v, (status,)
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
-        """The answer of a smaller problem."""
+        """The answer of a smaller problem, where the problem is to be scaled."""
+        if self.problem.on_infeasible == "stop":
+            state.memory["stopped"][0] = 1.0
+        if self.problem.on_infeasible != "scale":
+            return self.first.v, (failed,)
         v, causes = self.fallback.solve(state, failed)
         self.command.scale, self.command.drift = self._at_rest, self.fallback.drift
         return v, causes

@@ -50,7 +50,7 @@ class Level:
         chain, n = problem.chain, problem.chain.n
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._damping, self._n = tasks, damping, n
+        self.tasks, self._damping, self._n, self._eye = tasks, damping, n, np.eye(n)
         self._slows = DRIFT in shares
         self.qp = qp = QP(Rows(variables, bounds.rows, tuple(equalities)))
         self.solution = Solution(qp)
@@ -74,8 +74,8 @@ class Level:
         needed = self._damping.of(self.tasks.bend(state.v)) + extra_damping
         self.curvature = self._damping.least + needed
         JW = J.T * self.tasks.weights
-        qp.P[:n, :n] = JW @ J + self.curvature * np.eye(n)
-        qp.q[:n] = -(JW @ wanted)
+        qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
+        qp.q[:n] = -JW.dot(wanted)
         qp.lb[:n], qp.ub[:n] = bounds.lb, bounds.ub
         qp.G[:, :n], qp.h[:] = bounds.G, bounds.h
 

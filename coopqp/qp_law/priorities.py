@@ -149,13 +149,13 @@ class LaterLevel:
         level, A, b = self.level, self.level.qp.A, self.level.qp.b
         level.assemble(state, bounds, min(self._damping.of(pull[0]), MOST_DAMPING))
         turns = self._decide(state, A)
-        b[:] = A @ v
+        b[:] = A.dot(v)
         own = level.solve()
         if not own.usable:
             pull[0] = 0.0
             return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
-        pull[0] = np.abs(level.solution.y + level.curvature * b) @ turns
+        pull[0] = np.abs(level.solution.y + level.curvature * b).dot(turns)
         return level.v, status if own is Status.OPTIMAL else own
 
     def _decide(self, state: State, Q: Array) -> Array:
@@ -166,12 +166,12 @@ class LaterLevel:
         direction is noise, which would freeze another motion in each tick: such rows are zero.
         """
         Q[:], turns = 0.0, np.zeros(len(Q))
-        tasks = np.vstack([stack.J for stack in self._before])
+        tasks = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(tasks).all():
             Q[:] = np.nan
             return turns
         loops, _ = _directions(state.J_loop, RANK_TOLERANCE)
-        added, sizes = _directions(tasks - tasks @ loops.T @ loops, NOISE)
+        added, sizes = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)
         m, free = len(loops), len(Q) - len(loops)
         end = m + len(added[:free])
         Q[:m], Q[m:end], turns[m:end] = loops, added[:free], self._lever / sizes[:free]

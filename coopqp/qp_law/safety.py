@@ -24,7 +24,7 @@ class LoopProbe:
 
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._kappa = problem.dt, problem.kappa
-        self._budget = problem.budget.loop_position, problem.budget.loop_orientation
+        self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
         self._after = State(problem.chain)
 
     def shorten(self, state: State, command: Command) -> None:
@@ -50,7 +50,7 @@ class LoopProbe:
             state: of the tick.
             share: of the problem's gain that is wanted.
         """
-        used = float((_sizes(state.closed_error) / self._budget).max(initial=0.0))
+        used = float((_sizes(state.closed_error) / self._most).max(initial=0.0))
         urgent = min(max(2.0 * used - 1.0, 0.0), 1.0) / self._dt
         return max(share * self._kappa, urgent)
 
@@ -61,7 +61,7 @@ class LoopProbe:
         after.update_poses()
         opened = (after.loop_error - state.gap)[: len(closed)]
         # A loop that is open already may be closed by steps that leave it open for now.
-        return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._budget)).all())
+        return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._most)).all())
 
 
 def _sizes(error: Array) -> Array:

@@ -55,16 +55,15 @@ class WayBack:
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
         self._level = Level(problem, nothing, loops, self.bounds, self._damping, [DRIFT])
-        self._back = np.zeros(problem.chain.n)
+        self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
         lower, upper = self._chain.lower, self._chain.upper
-        below, above = state.q < lower - ROUNDING, state.q > upper + ROUNDING
-        self._back = np.where(below, lower - state.q, np.where(above, upper - state.q, 0.0))
-        self.active, self.share, self.v = bool(self._back.any()), 1.0, None
+        self._low, self._high = state.q < lower - ROUNDING, state.q > upper + ROUNDING
+        self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
         kappa = self.probe.kappa(state)
         self.bounds.update(state)
         if self.active:
@@ -75,9 +74,10 @@ class WayBack:
 
     def _find(self, state: State, kappa: float) -> None:
         """The fastest way back for what is outside."""
-        level, bounds, outside = self._level, self.bounds, self._back != 0.0
-        speed = np.maximum(np.abs(self._back) / self._dt, LEAST_RECOVERY)
-        wish = np.clip(np.sign(self._back) * speed, bounds.lb, bounds.ub)
+        level, bounds, lower, upper = self._level, self.bounds, self._chain.lower, self._chain.upper
+        back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
+        wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]
@@ -95,9 +95,9 @@ class WayBack:
         """Let nobody take the way back away."""
         if self.v is None:
             return
-        low, high = self._back > 0.0, self._back < 0.0
-        np.maximum(bounds.lb, np.maximum(KEPT * self.v, 0.0), out=bounds.lb, where=low)
-        np.minimum(bounds.ub, np.minimum(KEPT * self.v, 0.0), out=bounds.ub, where=high)
+        keep, lb, ub = KEPT * self.v, bounds.lb, bounds.ub
+        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
+        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
 
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
         """The tick's answer, or the way back itself where nothing else has one."""
