@@ -198,12 +198,13 @@ class Verifier:
             return self._refuse(Status.NOT_FINITE if self._lacks_numbers() else solution.status)
         if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
-        inside = np.minimum(np.maximum(solution.v, qp.lb), qp.ub)
-        overrun = norm(np.maximum(solution.v, qp.lb) - np.minimum(solution.v, qp.ub))
-        solution.v[:] = inside
-        above = norm(np.maximum(qp.G.dot(inside) - qp.h, 0.0))
-        gap = norm(qp.A.dot(inside) - qp.b)
-        off = self._distance() + self._idle()
+        raised = np.maximum(solution.v, qp.lb)
+        overrun = norm(raised - np.minimum(solution.v, qp.ub))
+        solution.v[:] = np.minimum(raised, qp.ub)
+        slack = qp.h - qp.G.dot(solution.v)
+        above = norm(np.minimum(slack, 0.0))
+        gap = norm(qp.A.dot(solution.v) - qp.b)
+        off = self._distance() + self._idle(slack)
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self.curvature
         held = overrun <= budget.bound and above <= budget.bound
@@ -229,10 +230,9 @@ class Verifier:
         self.solution.primal_residual = self.solution.dual_residual = math.inf
         return status
 
-    def _idle(self) -> float:
-        """How far z is from belonging to active rows only."""
-        qp, z = self.qp, self.solution.z
-        slack = qp.h - qp.G.dot(self.solution.v)
+    def _idle(self, slack: Array) -> float:
+        """How far z is from belonging to active rows only, those without slack."""
+        z = self.solution.z
         return norm(np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z)))
 
     def _distance(self) -> float:

@@ -50,9 +50,11 @@ class LoopProbe:
             state: of the tick.
             share: of the problem's gain that is wanted.
         """
+        slow, most = share * self._kappa, 1.0 / self._dt
+        if slow >= most:
+            return slow
         used = float((_sizes(state.closed_error) / self._most).max(initial=0.0))
-        urgent = min(max(2.0 * used - 1.0, 0.0), 1.0) / self._dt
-        return max(share * self._kappa, urgent)
+        return max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
