@@ -93,12 +93,12 @@ def general_rank(tasks: Sequence[Task], start: State) -> int:
         tasks: any.
         start: the state from which their references set out.
     """
-    chain, stack, rank = start.chain, TaskStack(tasks, start), 0
+    chain, stack, rank, most = start.chain, TaskStack(tasks, start), 0, most_rank(tasks, start)
     samples = chain.sample(np.random.default_rng(0), SAMPLES)
     for state in states_along(chain, np.vstack([chain.q_start, *samples])):
         stack.update(state)
         rank = max(rank, matrix_rank(np.vstack([state.J_loop, stack.J])))
-        if rank == most_rank(tasks, start):
+        if rank == most:
             break
     return rank
 
