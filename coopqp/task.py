@@ -269,7 +269,8 @@ class TaskStack:
         most = self._gains * np.abs(self.e)
         for part in self._asking:
             most[part] = np.abs(self.J[part].dot(v) - self.rate[part])
-        return most * self.levers
+        most *= self.levers
+        return most
 
     def bend(self, v: Array) -> float:
         """All of it in the cost, sum_i w_i g_i |e_i| L_i."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
-from coopqp.solver import Status
+from coopqp.limit import movers
+from coopqp.solver import Status, norm
 from coopqp.state import State
 
 SHORTEN = 0.5  # a step that opens a loop too far is halved ...
@@ -16,7 +17,11 @@ SHORTEST = 2.0**-10  # ... down to this share, and then not made
 class LoopProbe:
     """Looks ahead whether a step would leave the loops within their budget.
 
-    The equality rows take care of the first order alone.
+    The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is
+    bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
+    sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
+    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only where that is not within the
+    budget are the kinematics after the step computed.
 
     Args:
         problem: chain, period and budget.
@@ -25,7 +30,12 @@ class LoopProbe:
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._kappa = problem.dt, problem.kappa
         self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
-        self._after = State(problem.chain)
+        self._after, self._reach = State(problem.chain), problem.chain.reach
+        frames = problem.chain.frames[: problem.chain.holding]
+        carried = [problem.chain.model.frames[frame].parentJoint for frame in frames]
+        moved = movers(problem.chain, carried)
+        per_arm = moved * moved.sum(axis=1, keepdims=True)
+        self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
 
     def shorten(self, state: State, command: Command) -> None:
         """Halve the step until the loops stay within the budget after it."""
@@ -58,6 +68,12 @@ class LoopProbe:
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
+        error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
+        opened = float(self._second_order.dot(v * v).max(initial=0.0))
+        fits = error + self._reach * opened <= gap and error + opened <= turn
+        return bool(fits) or self._look(state, v)
+
+    def _look(self, state: State, v: Array) -> bool:
         after, closed = self._after, state.closed_error
         after.q[:] = state.q + self._dt * v
         after.update_poses()
