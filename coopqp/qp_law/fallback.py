@@ -10,7 +10,7 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, Damping
-from coopqp.qp_law.level import DRIFT, Level
+from coopqp.qp_law.level import Level
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status
 from coopqp.state import State
@@ -52,12 +52,12 @@ class Fallback:
         if any(task.mode != "soft" for task in problem.tasks):
             soft = Level(problem, self._tasks, rows, bounds, damping)
             self._attempts.append(_Attempt(Status.TASKS_GIVEN_UP, soft, bounds))
-        slowed = Level(problem, self._tasks, rows, bounds, damping, [DRIFT])
+        slowed = Level(problem, self._tasks, rows, bounds, damping, slows=True)
         self._attempts.append(_Attempt(Status.DRIFT_SLOWED, slowed, bounds))
         kept = [limit for limit in problem.limits if not limit.sacrificed_first]
         if len(kept) < len(problem.limits):
             wider = Bounds(problem.chain, kept, start, problem.dt)
-            free = Level(problem, self._tasks, rows, wider, damping, [DRIFT])
+            free = Level(problem, self._tasks, rows, wider, damping, slows=True)
             self._attempts.append(_Attempt(Status.ACCELERATION_GIVEN_UP, free, wider))
 
     def solve(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:

@@ -84,6 +84,7 @@ class QPLaw(Law):
         hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
         self.exact = exact = TaskStack([*hard, *scaled], start)
         self._scaled = exact.slices[len(hard) :]
+        self._at_rest = 0.0 if scaled else 1.0  # the scale where scaled tasks do nothing
         self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, start)]
         names = [task.name for task in scaled]
         self.first = Level(problem, stacks[0], [*loops, *exact.rows], bounds, cost, names)
@@ -181,11 +182,6 @@ class QPLaw(Law):
         self.command.v[:], self.command.scale = 0.0, self._at_rest
         self.command.say(*causes)
         return self.command
-
-    @property
-    def _at_rest(self) -> float:
-        """The scale of a command in which scaled tasks do nothing."""
-        return 0.0 if self._scaled else 1.0
 
 
 def memory_sizes(

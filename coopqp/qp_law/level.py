@@ -15,9 +15,6 @@ from coopqp.solver import Solution, Status, Verifier
 from coopqp.state import State
 from coopqp.task import TaskStack
 
-#: The share of the drift correction, where it may be done in part.
-DRIFT = "drift correction"
-
 
 class Level:
     """A QP with its arrays, its solver and its verification.
@@ -30,6 +27,7 @@ class Level:
         damping: cost of |v|^2.
         shares: names of what may be done in part only, each with a share s in [0, 1], the largest
             that is possible.
+        slows: whether the drift correction is that, and nothing else.
 
     Attributes:
         qp, solution: of the last tick. qp's variables are v, then s.
@@ -46,12 +44,15 @@ class Level:
         bounds: Bounds,
         damping: Damping,
         shares: Sequence[str] = (),
+        *,
+        slows: bool = False,
     ) -> None:
         chain, n = problem.chain, problem.chain.n
+        shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._damping, self._n, self._eye = tasks, damping, n, np.eye(n)
-        self._slows = DRIFT in shares
+        self.tasks, self._damping, self._slows = tasks, damping, slows
+        self._n, self._eye = n, np.eye(n)
         self.qp = qp = QP(Rows(variables, bounds.rows, tuple(equalities)))
         self.solution = Solution(qp)
         self.v, self._shares = self.solution.v[:n], self.solution.v[n:]

@@ -77,13 +77,10 @@ def most_rank(tasks: Sequence[Task], start: State) -> int:
         tasks: any.
         start: the state from which their references set out.
     """
-    chain, twist, others = start.chain, 0, len(start.chain.loops.solver_rows)
+    chain, sizes = start.chain, {True: 0, False: len(start.chain.loops.solver_rows)}
     for task in tasks:
-        if sees_twist(task.program(start)):
-            twist += len(task.rows(chain))
-        else:
-            others += len(task.rows(chain))
-    return min(chain.n, others + min(twist, TWIST))
+        sizes[sees_twist(task.program(start))] += len(task.rows(chain))
+    return min(chain.n, sizes[False] + min(sizes[True], TWIST))
 
 
 def general_rank(tasks: Sequence[Task], start: State) -> int:

@@ -18,7 +18,7 @@ from coopqp.controller import ControlProblem
 from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import Damping
-from coopqp.qp_law.level import DRIFT, Level
+from coopqp.qp_law.level import Level
 from coopqp.qp_law.safety import LoopProbe
 from coopqp.solver import Status
 from coopqp.state import State
@@ -54,7 +54,7 @@ class WayBack:
         self._chain, self._dt = problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
-        self._level = Level(problem, nothing, loops, self.bounds, self._damping, [DRIFT])
+        self._level = Level(problem, nothing, loops, self.bounds, self._damping, slows=True)
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
