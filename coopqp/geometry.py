@@ -206,18 +206,16 @@ class PointInReference:
     def __init__(self, p_O: ArrayLike, reference: Reference, n: int) -> None:
         self._tracked, self._reference = PointOfObject(p_O, n), reference
         self.x, self.J, self.rate = np.zeros(3), np.zeros((3, n)), np.zeros(3)
-        self._gap = np.zeros(3)
 
     def update(self, state: State) -> None:
         """Follow the object."""
         tracked, reference = self._tracked, self._reference
         tracked.update(state)
-        np.subtract(tracked.p, reference.c, self._gap)
-        reference.RT.dot(self._gap, self.x)
+        gap = tracked.p - reference.c
+        reference.RT.dot(gap, self.x)
         reference.RT.dot(tracked.J, self.J)
         if reference.moves:
-            drag = pin.skew(reference.omega).dot(self._gap)
-            np.add(drag, reference.c_dot, drag)
+            drag = reference.c_dot + pin.skew(reference.omega).dot(gap)
             reference.RT.dot(drag, self.rate)
 
 
@@ -270,38 +268,31 @@ class Alignment:
 
     def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
         self._a_O, self._reference, self._profile = unit(axis), reference, profile
-        self._C, self._y, self._E = np.zeros((3, 3)), np.zeros(3), np.zeros((2, 3))
-        self._EC = np.zeros((2, 3))
         seen = polar(reference.RT @ start.R_WO @ self._a_O)
         self._phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
         self._lowest = (math.pi - CONE) / math.tan(math.pi - CONE)
 
     def fill(self, state: State, e: Array, J: Array, rate: Array) -> None:
         """Write the rows, shapes (2,) [rad], (2, n) [rad/rad] and (2,) [rad/s]."""
-        reference, C, E, EC = self._reference, self._C, self._E, self._EC
-        share, speed = self._profile.at(state.t)
-        C[:] = reference.RT
-        if share < 1.0:
-            pin.exp3(self._phi * (share - 1.0)).dot(reference.RT, C)
-        C.dot(state.R_WO.dot(self._a_O), self._y)
-        seen = polar(self._y)
-        self._fill_rows(seen)
+        reference, (share, speed) = self._reference, self._profile.at(state.t)
+        C = pin.exp3(self._phi * (share - 1.0)).dot(reference.RT)
+        seen = polar(C.dot(state.R_WO.dot(self._a_O)))
+        E = self._rows(seen)
         e[0], e[1] = seen.angle * seen.way[0], seen.angle * seen.way[1]
-        E.dot(C, EC)
-        EC.dot(state.J_task[3:], J)
-        E.dot(self._phi * -speed, rate)
-        if reference.moves:
-            np.add(rate, EC.dot(reference.omega), rate)
+        J[:] = E.dot(C).dot(state.J_task[3:])
+        rate[:] = E.dot(C.dot(reference.omega) - speed * self._phi)
 
-    def _fill_rows(self, seen: Polar) -> None:
-        theta, (u, w), E = seen.angle, seen.way, self._E
+    def _rows(self, seen: Polar) -> Array:
+        """E, shape (2, 3)."""
+        theta, (u, w) = seen.angle, seen.way
         if seen.sine > TINY:
             h = max(theta * math.cos(theta) / seen.sine, self._lowest)
         else:
             h = 1.0 if theta < 1.0 else self._lowest
         k = 1.0 - h
-        E[0, 0], E[0, 1], E[0, 2] = -k * u * w, h + k * u * u, -theta * w
-        E[1, 0], E[1, 1], E[1, 2] = -h - k * w * w, k * u * w, theta * u
+        return np.array(
+            [[-k * u * w, h + k * u * u, -theta * w], [-h - k * w * w, k * u * w, theta * u]]
+        )
 
 
 class RotationError:

@@ -198,12 +198,13 @@ class Verifier:
             return self._refuse(Status.NOT_FINITE if self._lacks_numbers() else solution.status)
         if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
-        inside = np.minimum(np.maximum(solution.v, qp.lb), qp.ub)
-        overrun = norm(np.maximum(solution.v, qp.lb) - np.minimum(solution.v, qp.ub))
-        solution.v[:] = inside
-        above = norm(np.maximum(qp.G @ inside - qp.h, 0.0))
-        gap = norm(qp.A @ inside - qp.b)
-        off = self._distance() + self._idle()
+        raised = np.maximum(solution.v, qp.lb)
+        overrun = norm(raised - np.minimum(solution.v, qp.ub))
+        solution.v[:] = np.minimum(raised, qp.ub)
+        slack = qp.h - qp.G.dot(solution.v)
+        above = norm(np.minimum(slack, 0.0))
+        gap = norm(qp.A.dot(solution.v) - qp.b)
+        off = self._distance() + self._idle(slack)
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self.curvature
         held = overrun <= budget.bound and above <= budget.bound
@@ -229,16 +230,15 @@ class Verifier:
         self.solution.primal_residual = self.solution.dual_residual = math.inf
         return status
 
-    def _idle(self) -> float:
-        """How far z is from belonging to active rows only."""
-        qp, z = self.qp, self.solution.z
-        slack = qp.h - qp.G @ self.solution.v
+    def _idle(self, slack: Array) -> float:
+        """How far z is from belonging to active rows only, those without slack."""
+        z = self.solution.z
         return norm(np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z)))
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
         qp, solution = self.qp, self.solution
-        g = qp.P @ solution.v + qp.q + solution.multipliers[qp.n :] @ qp.C
+        g = qp.P.dot(solution.v) + qp.q + solution.multipliers[qp.n :].dot(qp.C)
         step = g / self.curvature
         free = norm(step)
         if free <= self.budget.accuracy:  # no bound holds v back
@@ -256,4 +256,4 @@ class Verifier:
 
 def norm(x: Array) -> float:
     """Euclidean; NaN where a number is none, infinite where squares overflow."""
-    return math.sqrt(float(x @ x))
+    return math.sqrt(x.dot(x))

@@ -83,10 +83,8 @@ class State:
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
         self._J_joints: Array = self._data.J
-        self._J_arms = np.zeros((6 * arms, n))
-        self._skew, self._lever_J = np.zeros((3, 3)), np.zeros((3, n))
-        self._mean = np.zeros(6)
-        self._bind_frames()
+        frames = (self._data.oMf[frame] for frame in chain.frames)
+        self._hands = [(X.translation, X.rotation) for X in frames]  # views, which stay valid
         self._prepare_loop_rows()
         self.update()
 
@@ -122,12 +120,12 @@ class State:
 
     def _differentiate(self) -> None:
         self.jacobians_due = False
-        model, data = self._model, self._data
+        model, data, axes = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
         pin.computeJointJacobians(model, data, self._q_seen)
-        for frame, J in self._frames:
+        for frame in self.chain.frames:
             pin.updateFramePlacement(model, data, frame)
-            J[:] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        self._mixing.dot(self._J_arms, self._J_ext)
+        J_arms = [pin.getFrameJacobian(model, data, frame, axes) for frame in self.chain.frames]
+        self.chain.mixing.dot(np.concatenate(J_arms), self._J_ext)
 
     def written(self) -> tuple[Array, ...]:
         """Arrays for the kernel to write instead of :meth:`update`; then Jacobians are due.
@@ -208,7 +206,7 @@ class State:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
         self._q_seen[:] = self.q
         pin.forwardKinematics(self._model, self._data, self.q)
-        for frame, _ in self._frames:
+        for frame in self.chain.frames:
             pin.updateFramePlacement(self._model, self._data, frame)
         self._update_errors()
 
@@ -275,12 +273,8 @@ class State:
             lever: from the object's origin to the point, in world axes, shape (3,) [m].
             out: written, shape (3, n).
         """
-        x, y, z = lever.tolist()
-        S = self._skew
-        S[0, 1], S[0, 2], S[1, 2] = -z, y, -x
-        S[1, 0], S[2, 0], S[2, 1] = z, -y, x
-        S.dot(self.J_task[3:], self._lever_J)
-        np.subtract(self.J_task[:3], self._lever_J, out)
+        J = self.J_task
+        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), out)
 
     @property
     def loop_position_error(self) -> float:
@@ -292,31 +286,16 @@ class State:
         """Largest drift between how two arms carry the object [rad]."""
         return max((math.hypot(*self.drift[i + 3 : i + 6]) for i in self._closed), default=0.0)
 
-    def _bind_frames(self) -> None:
-        """Keep views into pinocchio's data, which stay valid, instead of asking each tick."""
-        chain, data = self.chain, self._data
-        self._mixing = chain.mixing
-        self._frames = [
-            (frame, self._J_arms[6 * i : 6 * i + 6]) for i, frame in enumerate(chain.frames)
-        ]
-        X_0 = data.oMf[chain.frames[0]]
-        self._p_0, self._R_0, self._R_0T = X_0.translation, X_0.rotation, X_0.rotation.T
-        self._others = []
-        for i, frame in enumerate(chain.frames[1:]):
-            X_i, error = data.oMf[frame], self.loop_error[6 * i : 6 * i + 6]
-            self._others.append((X_i.translation, X_i.rotation, error[:3], error[3:]))
-        self._error_of_loop = self.loop_error.reshape(-1, 6)
-        self._alpha = np.ascontiguousarray(chain.alpha[1:])
-
     def _update_errors(self) -> None:
-        p_0, R_0T, mean = self._p_0, self._R_0T, self._mean
-        for p_i, R_i, gap, angle in self._others:
-            np.subtract(p_i, p_0, gap)
+        (p_0, R_0), *others = self._hands
+        errors = self.loop_error.reshape(-1, 6)
+        for error, (p_i, R_i) in zip(errors, others, strict=True):
+            error[:3] = p_i - p_0
             # log(R_i R_0') is the rotation from how arm 0 to how arm i carries it, world axes.
-            angle[:] = pin.log3(R_i.dot(R_0T))
-        self._alpha.dot(self._error_of_loop, mean)
+            error[3:] = pin.log3(R_i.dot(R_0.T))
+        mean = self.chain.alpha[1:].dot(errors)
         np.add(p_0, mean[:3], self.p_WO)
-        pin.exp3(mean[3:]).dot(self._R_0, self.R_WO)
+        pin.exp3(mean[3:]).dot(R_0, self.R_WO)
 
     def _prepare_loop_rows(self) -> None:
         loops = self.chain.loops
@@ -368,15 +347,11 @@ class PointOfObject:
     """
 
     def __init__(self, p_O: ArrayLike, n: int) -> None:
-        self._p_O, self._lever = np.array(p_O, float), np.zeros(3)
-        self._is_origin = not self._p_O.any()
+        self._p_O = np.array(p_O, float)
         self.p, self.J = np.zeros(3), np.zeros((3, n))
 
     def update(self, state: State) -> None:
         """Follow the object."""
-        if self._is_origin:
-            self.p, self.J = state.p_WO, state.J_task[:3]
-            return
-        state.R_WO.dot(self._p_O, self._lever)
-        np.add(state.p_WO, self._lever, self.p)
-        state.point_jacobian(self._lever, self.J)
+        lever = state.R_WO.dot(self._p_O)
+        np.add(state.p_WO, lever, self.p)
+        state.point_jacobian(lever, self.J)

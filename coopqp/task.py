@@ -251,8 +251,7 @@ class TaskStack:
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
         evaluate_all(self._evaluate, state)
-        np.multiply(self._gains, self.e, self.wanted)
-        np.subtract(self.rate, self.wanted, self.wanted)
+        self.wanted[:] = self.rate - self._gains * self.e
 
     def bends(self, v: Array) -> Array:
         """What J leaves out of each row's second derivative, times 1 s, shape (k,).
@@ -269,7 +268,7 @@ class TaskStack:
         """
         most = self._gains * np.abs(self.e)
         for part in self._asking:
-            np.abs(self.J[part].dot(v) - self.rate[part], out=most[part])
+            most[part] = np.abs(self.J[part].dot(v) - self.rate[part])
         most *= self.levers
         return most
 

@@ -23,7 +23,7 @@ class FreeBody:
             State,
             SimpleNamespace(
                 chain=SimpleNamespace(n=6), t=0.0, p_WO=p.copy(), R_WO=np.array(pin.exp3(phi)),
-                J_task=np.eye(6), _skew=np.zeros((3, 3)), _lever_J=np.zeros((3, 6)),
+                J_task=np.eye(6),
             ),
         )  # fmt: skip
         state: Any = self.state

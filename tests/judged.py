@@ -95,9 +95,8 @@ def _judge(seen: Seen, where: str, plain: QPLaw, state: State, found: Array) -> 
 def _moved(plain: QPLaw, state: State, given_up: bool, best: Array, seed: int) -> float:
     """How far the optimum moves where all Jacobians move by their last digit."""
     rng = np.random.default_rng(seed)
-    exact = plain.exact
     stacks = [plain.fallback._tasks] if given_up else plain.stacks
-    blocks = [state.J_loop, exact.hard.J, exact.scaled.J, *(s.J for s in stacks)]
+    blocks = [state.J_loop, plain.exact.J, *(s.J for s in stacks)]
     levels = [plain.fallback._attempts[0].level] if given_up else plain.levels
     blocks += [level.qp.A for level in levels[:1]]
     kept = [block.copy() for block in blocks]

@@ -57,14 +57,13 @@ def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
     n = len(state.q)
     levels = [law.fallback._attempts[0].level] if given_up else list(law.levels)
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
-    exact = (law.exact.hard.J, law.exact.scaled.J)
     for before, level in enumerate(levels):
         A, b = level.qp.A, level.qp.b.astype(LONG)
         if before:
             A = np.vstack([state.J_loop, decided])
             b = A.astype(LONG) @ v
         v = _solved(_program(level, A, b), level.solution.v)[:n]
-        decided = np.vstack([decided, *(() if before else exact), level.tasks.J])
+        decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
     return v
 
 

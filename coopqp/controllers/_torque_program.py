@@ -22,7 +22,6 @@ from coopqp.controllers._hand_wrenches import HandWrenches
 from coopqp.controllers._torque_level import TaskDynamics
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import add_damping
 from coopqp.rank import independent_rows
 from coopqp.row import Row
 from coopqp.solver import Solution, Status, Verifier
@@ -210,7 +209,7 @@ class Program:
         weighted = C * v[:, None]
         qp.P[layout.h, layout.h] = costs.grip * P + weighted.T @ C
         qp.q[layout.h] = costs.grip * q - self._wrenches.wanted[forces] @ weighted
-        add_damping(qp.P[: len(self._diagonal), : len(self._diagonal)], self._diagonal)
+        qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
         if self._hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING

@@ -36,18 +36,17 @@ class QPController(Controller):
             InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
                 for that admittance cannot bring about, or without a stated stiffness.
         """
-        return self._law(problem).prepare()
+        law = self.unprepared(problem)
+        return law.prepare() if isinstance(law, KernelLaw) else law
 
-    def unprepared(self, problem: ControlProblem) -> Law:
+    def unprepared(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         """The same; what only rare ticks need is built in the first of them."""
-        return self._law(problem)
-
-    def _law(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         if self.engine == "kernel":
             required(problem)
-        kind = QPLaw if self.engine == "python" or why_not(problem) else KernelLaw
+        if self.engine == "python" or why_not(problem):
+            return self.plain(problem)
         pressing = squeezer(problem, self.admittance)
-        return kind(problem, self.damping, self.error_damping, pressing)
+        return KernelLaw(problem, self.damping, self.error_damping, pressing)
 
     def plain(self, problem: ControlProblem) -> QPLaw:
         """The law in Python, whatever the engine: what studies look into."""

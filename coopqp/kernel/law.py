@@ -110,7 +110,7 @@ class KernelLaw(Law):
 
     def prepare(self) -> KernelLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.way_back = self.plain.prepare().way_back
+        self.way_back = self.plain.way_back
         self._prepare_softened()
         return self
 
@@ -208,14 +208,14 @@ class KernelLaw(Law):
         The way back is the plain law's; the kernel decides within it.
         """
         command, way_back, pull = self.command, self.way_back, state.memory["recovery"]
-        recovery, before = way_back.recovery, pull[0]
+        before = pull[0]
         kappa = way_back.limit(state)
         if not self._decides(state, way_back.bounds, kappa):
             pull[0] = before
             return False
-        v, causes = recovery.rescue(command.v, command.causes)
+        v, causes = way_back.rescue(command.v, command.causes)
         command.say(*causes)
-        command.drift = min(command.drift, recovery.share)
+        command.drift = min(command.drift, way_back.share)
         if v is not command.v:
             command.v[:] = v
             command.scale = 1.0

@@ -44,17 +44,16 @@ class Bounds:
         self._each_tick: list[tuple[Tighten, LimitRows]] = []
         ends = itertools.accumulate(map(len, by_limit), initial=0)
         for limit, (first, last) in zip(limits, itertools.pairwise(ends), strict=True):
-            part = slice(first, last)
-            block = LimitRows(self.lb, self.ub, self.G[part], self.h[part])
+            block = LimitRows(self.lb, self.ub, self.G[first:last], self.h[first:last])
             reached_in = position_time if limit.bounds_position and position_time else dt
             tighten = limit.bind(chain, reached_in)
             if limit.constant:
                 tighten(start, block)
             else:
                 self._each_tick.append((tighten, block))
-        self._constant_lb, self._constant_ub = self.lb.copy(), self.ub.copy()
+        self._constant = self.lb.copy(), self.ub.copy()
 
     def update(self, state: State) -> None:
         """Ask the limits that change."""
-        self.lb[:], self.ub[:] = self._constant_lb, self._constant_ub
+        self.lb[:], self.ub[:] = self._constant
         evaluate_all(self._each_tick, state)

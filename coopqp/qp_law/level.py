@@ -1,4 +1,4 @@
-"""One QP of a tick: soft tasks as the objective, limits, and equality rows that others fill."""
+"""One QP of a tick: soft tasks as the objective, limits, and equality rows."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from coopqp.controller import ControlProblem
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import SCALE_WEIGHT, normal_equations
+from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
 from coopqp.row import Row, joint_rows
 from coopqp.solver import Solution, Status, Verifier
+from coopqp.state import State
 from coopqp.task import TaskStack
 
 
@@ -26,12 +27,11 @@ class Level:
         damping: cost of |v|^2.
         shares: names of what may be done in part only, each with a share s in [0, 1], the largest
             that is possible.
+        slows: whether the drift correction is that, and nothing else.
 
     Attributes:
         qp, solution: of the last tick. qp's variables are v, then s.
         tasks: as given.
-        P, q, A: the parts of the QP that belong to v, shapes (n, n), (n,) and (m, n).
-        b: right side of the equality rows, shape (m,).
         v: the velocities of the answer, shape (n,).
         curvature: smallest eigenvalue that P has at least, its damping in the last tick.
     """
@@ -40,40 +40,55 @@ class Level:
         self,
         problem: ControlProblem,
         tasks: TaskStack,
-        equalities: tuple[Row, ...],
+        equalities: Sequence[Row],
         bounds: Bounds,
-        damping: float,
+        damping: Damping,
         shares: Sequence[str] = (),
+        *,
+        slows: bool = False,
     ) -> None:
         chain, n = problem.chain, problem.chain.n
+        shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._damping, self._n = tasks, damping, n
-        self.qp = qp = QP(Rows(variables, bounds.rows, equalities))
+        self.tasks, self._damping, self._slows = tasks, damping, slows
+        self._n, self._eye = n, np.eye(n)
+        self.qp = qp = QP(Rows(variables, bounds.rows, tuple(equalities)))
         self.solution = Solution(qp)
-        self.P, self.q, self.A, self.b = qp.P[:n, :n], qp.q[:n], qp.A[:, :n], qp.b
-        self.v = self.solution.v[:n]
-        if shares:
-            qp.lb[n:], qp.ub[n:] = 0.0, 1.0
-            np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
-            qp.q[n:] = -SCALE_WEIGHT
-        self.curvature = damping
-        self._verifier = Verifier(qp, self.solution, problem.budget, damping)
+        self.v, self._shares = self.solution.v[:n], self.solution.v[n:]
+        qp.lb[n:], qp.ub[n:] = 0.0, 1.0
+        np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
+        qp.q[n:] = -SCALE_WEIGHT
+        self.curvature = damping.least
+        self._verifier = Verifier(qp, self.solution, problem.budget, damping.least)
         self._solve = problem.solver.open(qp, self.solution)
 
-    def assemble(self, bounds: Bounds, extra_damping: float = 0.0) -> None:
+    def assemble(self, state: State, bounds: Bounds, extra_damping: float = 0.0) -> None:
         """Objective and limits; the caller fills the equality rows.
 
         Args:
-            bounds: the limits at the state.
-            extra_damping: beside that of every tick, as the state needs it.
+            state: for which tasks and bounds are up to date.
+            bounds: the limits.
+            extra_damping: beside what the tasks need.
         """
-        qp, tasks, n = self.qp, self.tasks, self._n
-        self.curvature = self._damping + extra_damping
-        normal_equations(tasks.J, tasks.weights, tasks.wanted, self.curvature, self.P, self.q)
+        qp, n, J, wanted = self.qp, self._n, self.tasks.J, self.tasks.wanted
+        needed = self._damping.of(self.tasks.bend(state.v)) + extra_damping
+        self.curvature = self._damping.least + needed
+        JW = J.T * self.tasks.weights
+        qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
+        qp.q[:n] = -JW.dot(wanted)
         qp.lb[:n], qp.ub[:n] = bounds.lb, bounds.ub
-        if qp.p:
-            qp.G[:, :n], qp.h[:] = bounds.G, bounds.h
+        qp.G[:, :n], qp.h[:] = bounds.G, bounds.h
+
+    def close_loops(self, state: State, kappa: float) -> None:
+        """Write J_c v = -kappa e, eq. (14) with the drift correction, as the first equality rows.
+
+        Or J_c v = -s kappa e where a share s of the correction is a variable, the first after v.
+        """
+        A, b, n, m = self.qp.A, self.qp.b, self._n, len(state.e_loop)
+        A[:m, :n], b[:m] = state.J_loop, -kappa * state.e_loop
+        if self._slows:
+            A[:m, n], b[:m] = kappa * state.e_loop, 0.0
 
     def solve(self) -> Status:
         """Solve and verify."""
@@ -86,4 +101,4 @@ class Level:
     @property
     def scale(self) -> float:
         """Least share of the answer; 1 without shares."""
-        return float(self.solution.v[self._n :].min(initial=1.0))
+        return float(self._shares.min(initial=1.0))

@@ -10,7 +10,7 @@ decomposition, which minds no redundant rows.
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
 therefore not step far: y L / sigma is part of what its damping is made of, like the second
-derivative of its own tasks (:func:`coopqp.qp_law.equations.step_damping`).
+derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
+from coopqp.limit import states_along
 from coopqp.program import sees_twist
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.exact_tasks import ExactTasks
+from coopqp.qp_law.equations import MOST_DAMPING, Damping
 from coopqp.qp_law.level import Level
 from coopqp.rank import RANK_TOLERANCE, matrix_rank
 from coopqp.row import Row
@@ -40,50 +40,32 @@ NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 
 def groups(problem: ControlProblem) -> list[list[Task]]:
     """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty."""
     soft = [task for task in problem.tasks if task.mode == "soft"]
-    first = min((task.priority for task in soft), default=0)
-    main = [
-        [k for k in soft if k.priority == p] for p in sorted({first, *(k.priority for k in soft)})
-    ]
-    later = [
-        [k for k in problem.secondary if k.priority == p]
-        for p in sorted({k.priority for k in problem.secondary})
-    ]
+    found = [*(_by_priority(soft) or [[]]), *_by_priority(problem.secondary)]
     # What a scaled task can do comes before all soft ones, whatever their weights.
-    first_alone: list[list[Task]] = (
-        [[]] if any(task.mode == "scaled" for task in problem.tasks) else []
-    )
-    return [*first_alone, *main, *later]
+    scales = any(task.mode == "scaled" for task in problem.tasks)
+    return [[], *found] if scales else found
+
+
+def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
+    numbers = sorted({task.priority for task in tasks})
+    return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
 def deciding(problem: ControlProblem, start: State) -> list[list[Task]]:
     """The :func:`groups` that have anything left to decide: none after all joints are decided.
 
-    Ranks are taken only where the number of rows does not tell.
-
     Args:
         problem: whose tasks.
         start: the state from which their references set out.
     """
-    found = list[list[Task]]()
-    exact = [task for task in problem.tasks if task.mode != "soft"]
-    for group in groups(problem):
-        before = [*exact, *(task for earlier in found for task in earlier)]
-        if found and _all_decided(start, before):
+    n, (first, *later) = problem.chain.n, groups(problem)
+    found, decided = [first], [*first, *(task for task in problem.tasks if task.mode != "soft")]
+    for group in later:
+        if most_rank(decided, start) == n and general_rank(decided, start) == n:
             break
         found.append(group)
+        decided += group
     return found
-
-
-def _all_decided(start: State, tasks: Sequence[Task]) -> bool:
-    """Whether the loops and these tasks leave no joint free."""
-    chain = start.chain
-    if any(task.joint_space and task.all_joints for task in tasks):
-        return True
-    if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
-        return False
-    if most_rank(tasks, start) < chain.n:
-        return False
-    return Decided(chain, [TaskStack(tasks, start)]).rank == chain.n
 
 
 def most_rank(tasks: Sequence[Task], start: State) -> int:
@@ -95,13 +77,27 @@ def most_rank(tasks: Sequence[Task], start: State) -> int:
         tasks: any.
         start: the state from which their references set out.
     """
-    chain, twist, others = start.chain, 0, 0
+    chain, sizes = start.chain, {True: 0, False: len(start.chain.loops.solver_rows)}
     for task in tasks:
-        if sees_twist(task.program(start)):
-            twist += len(task.rows(chain))
-        else:
-            others += len(task.rows(chain))
-    return min(chain.n, len(chain.loops.solver_rows) + min(twist, TWIST) + others)
+        sizes[sees_twist(task.program(start))] += len(task.rows(chain))
+    return min(chain.n, sizes[False] + min(sizes[True], TWIST))
+
+
+def general_rank(tasks: Sequence[Task], start: State) -> int:
+    """How many rows of the loops and of these tasks are independent, unless a pose is singular.
+
+    Args:
+        tasks: any.
+        start: the state from which their references set out.
+    """
+    chain, stack, rank, most = start.chain, TaskStack(tasks, start), 0, most_rank(tasks, start)
+    samples = chain.sample(np.random.default_rng(0), SAMPLES)
+    for state in states_along(chain, np.vstack([chain.q_start, *samples])):
+        stack.update(state)
+        rank = max(rank, matrix_rank(np.vstack([state.J_loop, stack.J])))
+        if rank == most:
+            break
+    return rank
 
 
 class LaterLevel:
@@ -109,108 +105,78 @@ class LaterLevel:
 
     Args:
         problem: what to control.
-        before: the soft tasks of all levels before it, level by level.
-        exact: the hard and scaled tasks.
+        start: a state.
+        before: the tasks that have been decided.
         tasks: the soft tasks of this level.
         bounds: the limits.
         damping: cost of |v|^2.
 
     Attributes:
         level: its QP.
-        pull: sum of |y| L / sigma over the decided rows in the last tick, of the cost without its
-            damping.
     """
 
     def __init__(
         self,
         problem: ControlProblem,
+        start: State,
         before: Sequence[TaskStack],
-        exact: ExactTasks,
         tasks: TaskStack,
         bounds: Bounds,
-        damping: float,
+        damping: Damping,
     ) -> None:
-        stacks = (*before, exact.hard, exact.scaled)
-        self._decided = Decided(problem.chain, stacks)
-        rows = tuple(Row(name=f"decided[{i}]", kind="decided") for i in range(self._decided.rank))
+        self._before, self._damping = before, damping
+        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
+        decided = general_rank([task for stack in before for task in stack.tasks], start)
+        rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
         self.level = Level(problem, tasks, rows, bounds, damping)
-        self.pull = 0.0
 
     def improve(
-        self, state: State, bounds: Bounds, v: Array, status: Status, extra_damping: float
-    ) -> tuple[Status, Array]:
-        """Improve v where it is still free; keep it when this level fails."""
-        level, Q = self.level, self._decided.basis(state)
-        level.assemble(bounds, extra_damping)
-        level.A[:] = Q
-        Q.dot(v, level.b)
+        self, state: State, bounds: Bounds, v: Array, status: Status, pull: Array
+    ) -> tuple[Array, Status]:
+        """Improve v where it is still free; keep it when this level fails.
+
+        Args:
+            state: for which tasks and bounds are up to date.
+            bounds: the limits.
+            v: of the levels before.
+            status: likewise.
+            pull: sum of |y| L / sigma over the decided rows, of the cost without its damping, shape
+                (1,); of the last tick, then of this one.
+        """
+        level, A, b = self.level, self.level.qp.A, self.level.qp.b
+        level.assemble(state, bounds, min(self._damping.of(pull[0]), MOST_DAMPING))
+        turns = self._decide(state, A)
+        b[:] = A.dot(v)
         own = level.solve()
         if not own.usable:
-            self.pull = 0.0
-            return Status.INACCURATE, v
+            pull[0] = 0.0
+            return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
-        y = level.solution.y + level.curvature * level.b
-        self.pull = float(np.abs(y).dot(self._decided.turns))
-        return (status if own is Status.OPTIMAL else own), level.v
+        pull[0] = np.abs(level.solution.y + level.curvature * b).dot(turns)
+        return level.v, status if own is Status.OPTIMAL else own
 
+    def _decide(self, state: State, Q: Array) -> Array:
+        """Write the basis of what is decided, shape (rank, n); how fast its rows turn, L / sigma.
 
-class Decided:
-    """The rows that the loops and the levels so far have decided, as an orthonormal basis.
-
-    Args:
-        chain: whose loops.
-        stacks: the tasks that have been decided.
-
-    Attributes:
-        rank: how many of the rows are independent in general, so that a singular start leaves
-            nothing undecided.
-        turns: how fast each row of the basis turns, L / sigma with L the largest second derivative
-            of the tasks; 0 for the loops' rows, shape (rank,).
-    """
-
-    def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
-        self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
-        state = State(chain)
-        tasks = [task for stack in stacks for task in stack.tasks]
-        self.rank, most = 0, most_rank(tasks, state)
-        for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
-            state.q[:] = q
-            state.update()
-            for stack in stacks:
-                stack.update(state)
-            rows = np.vstack([state.J_loop, *self._blocks])
-            self.rank = max(self.rank, matrix_rank(rows))
-            if self.rank >= most:
-                break
-        self.rank = min(self.rank, chain.n)
-        self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
-        self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)
-
-    def basis(self, state: State) -> Array:
-        """Q at a state for which the stacks are up to date, shape (rank, n).
-
-        First the loops, which no later level may ever open; then what the tasks add to them. Where
-        that is next to nothing, as at a singular pose, its direction is noise, which would freeze
-        another motion in each tick: such rows are zero.
+        First the loops, which no later level may ever open and which do not count as turning; then
+        what the tasks add to them. Where that is next to nothing, as at a singular pose, its
+        direction is noise, which would freeze another motion in each tick: such rows are zero.
         """
-        Q, tasks = self._Q, np.vstack(self._blocks)
-        if not (np.isfinite(tasks).all() and np.isfinite(state.J_loop).all()):
+        Q[:], turns = 0.0, np.zeros(len(Q))
+        tasks = np.concatenate([stack.J for stack in self._before])
+        if not np.isfinite(tasks).all():
             Q[:] = np.nan
-            return Q
-        Q[:], self.turns[:] = 0.0, 0.0
+            return turns
         loops, _ = _directions(state.J_loop, RANK_TOLERANCE)
-        m = len(loops)
-        Q[:m] = loops
         added, sizes = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)
-        end = min(m + len(added), self.rank)
-        Q[m:end], self.turns[m:end] = added[: end - m], self._lever / sizes[: end - m]
-        return Q
+        m, free = len(loops), len(Q) - len(loops)
+        end = m + len(added[:free])
+        Q[:m], Q[m:end], turns[m:end] = loops, added[:free], self._lever / sizes[:free]
+        return turns
 
 
 def _directions(rows: Array, least: float) -> tuple[Array, Array]:
     """Orthonormal basis of the rows with singular values above ``least``, and these values."""
-    if not len(rows):
-        return rows, np.zeros(0)
     _, values, Vt = np.linalg.svd(rows, full_matrices=False)
     kept = values > least
     return Vt[kept], values[kept]

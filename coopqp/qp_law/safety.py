@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
 from coopqp.limit import movers
-from coopqp.solver import Status
+from coopqp.solver import Status, norm
 from coopqp.state import State
 
 SHORTEN = 0.5  # a step that opens a loop too far is halved ...
@@ -21,27 +20,22 @@ class LoopProbe:
     The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is
     bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
     sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
-    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Where that is within the budget,
-    as in most ticks, nothing is computed.
+    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only where that is not within the
+    budget are the kinematics after the step computed.
 
     Args:
         problem: chain, period and budget.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
-        chain, budget = problem.chain, problem.budget
-        self._model, self._data = chain.model, chain.model.createData()
-        self._frames = frames = chain.frames[: chain.holding]
         self._dt, self._kappa = problem.dt, problem.kappa
-        self._gap, self._turn = budget.loop_position, budget.loop_orientation
-        pin.framesForwardKinematics(self._model, self._data, chain.q_start)
-        X_0, *others = (self._data.oMf[frame] for frame in frames)
-        self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
-        self._others = [(X.translation, X.rotation) for X in others]
-        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in frames])
+        self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
+        self._after, self._reach = State(problem.chain), problem.chain.reach
+        frames = problem.chain.frames[: problem.chain.holding]
+        carried = [problem.chain.model.frames[frame].parentJoint for frame in frames]
+        moved = movers(problem.chain, carried)
         per_arm = moved * moved.sum(axis=1, keepdims=True)
         self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
-        self._reach = chain.reach
 
     def shorten(self, state: State, command: Command) -> None:
         """Halve the step until the loops stay within the budget after it."""
@@ -54,7 +48,8 @@ class LoopProbe:
                 return
             command.v *= SHORTEN
         if share < 1.0:
-            command.say(Status.STEP_SHORTENED, *_not_ordinary(command.causes))
+            others = (cause for cause in command.causes if cause is not Status.OPTIMAL)
+            command.say(Status.STEP_SHORTENED, *others)
 
     def kappa(self, state: State, share: float = 1.0) -> float:
         """Gain of the drift correction: the problem's, or more where the budget is half used up.
@@ -66,41 +61,27 @@ class LoopProbe:
             share: of the problem's gain that is wanted.
         """
         slow, most = share * self._kappa, 1.0 / self._dt
-        if slow >= most or not self._others:
+        if slow >= most:
             return slow
-        used = float((_sizes(state.closed_error) / (self._gap, self._turn)).max())
-        return float(max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most))
+        used = float((_sizes(state.closed_error) / self._most).max(initial=0.0))
+        return max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
-        if not self._others:  # one arm alone closes no loop
-            return True
-        error = 2.0 * float(np.linalg.norm(state.closed_error))
-        opened = float((self._second_order @ np.square(v)).max())
-        fits = error + self._reach * opened <= self._gap and error + opened <= self._turn
-        return fits or self._look(state, v)
+        error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
+        opened = float(self._second_order.dot(v * v).max(initial=0.0))
+        fits = error + self._reach * opened <= gap and error + opened <= turn
+        return bool(fits) or self._look(state, v)
 
     def _look(self, state: State, v: Array) -> bool:
-        pin.forwardKinematics(self._model, self._data, state.q + self._dt * v)
-        for frame in self._frames:
-            pin.updateFramePlacement(self._model, self._data, frame)
+        after, closed = self._after, state.closed_error
+        after.q[:] = state.q + self._dt * v
+        after.update_poses()
+        opened = (after.loop_error - state.gap)[: len(closed)]
         # A loop that is open already may be closed by steps that leave it open for now.
-        most = np.maximum(_sizes(state.closed_error), (self._gap, self._turn))
-        return bool((self._opened(state) <= most).all())
-
-    def _opened(self, state: State) -> Array:
-        """How far each loop is open after the step, beyond the model's own gap, shape (L, 2)."""
-        after = []
-        for (p, R), gap in zip(self._others, state.gap.reshape(-1, 2, 3), strict=False):
-            turn = pin.log3(R.dot(self._R_0T)) - gap[1]
-            after.append((np.linalg.norm(p - self._p_0 - gap[0]), np.linalg.norm(turn)))
-        return np.array(after)
+        return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._most)).all())
 
 
 def _sizes(error: Array) -> Array:
     """How far each loop is open, in position and in angle, shape (L, 2)."""
     return np.asarray(np.linalg.norm(error.reshape(-1, 2, 3), axis=2))
-
-
-def _not_ordinary(causes: tuple[Status, ...]) -> tuple[Status, ...]:
-    return tuple(cause for cause in causes if cause is not Status.OPTIMAL)

@@ -1,16 +1,39 @@
-"""What a tick may do at all: limits, the way back of joints outside of them, the loops' drift."""
+"""Limits, and the way back for joints that start outside of them, before all tasks.
+
+It has a QP of its own, with nothing else to want than to be inside again:
+
+    minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
+    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h,  0 <= s <= 1, s largest
+
+What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
+back at least almost as fast.
+"""
 
 from __future__ import annotations
 
+import numpy as np
+
+from coopqp.checked import Array
 from coopqp.controller import ControlProblem
+from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.recovery import Recovery
+from coopqp.qp_law.equations import Damping
+from coopqp.qp_law.level import Level
 from coopqp.qp_law.safety import LoopProbe
+from coopqp.solver import Status
 from coopqp.state import State
+from coopqp.task import TaskStack
+
+#: Slowest wish to come back [rad/s, m/s]: one that goes to zero at the limit never gets there.
+LEAST_RECOVERY = 0.02
+#: Cost of |v|^2, which only chooses among ways back that are as fast.
+LEAST_MOTION = 1e-4
+#: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
+KEPT = 0.995
 
 
 class WayBack:
-    """Limits that joints outside of them come back by.
+    """What a tick may do at all: limits, and how joints outside of them come back.
 
     Args:
         problem: what to control.
@@ -18,20 +41,68 @@ class WayBack:
         error_damping: share of the damping that rules out any overshoot.
 
     Attributes:
-        bounds: the limits. recovery: of joints outside of them. probe: looks ahead at the loops.
+        bounds: the limits of the last tick, with the way back in them.
+        probe: looks ahead at the loops.
+        active: whether a joint was outside in the last tick.
+        share: of the drift correction that the way back leaves room for, in the last tick.
+        v: the way back, when there was one in the last tick.
     """
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
         self.probe = LoopProbe(problem)
-        self.recovery = Recovery(problem, start, error_damping)
+        self._chain, self._dt = problem.chain, problem.dt
+        self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
+        nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
+        self._level = Level(problem, nothing, loops, self.bounds, self._damping, slows=True)
+        self._low, self._high = np.zeros((2, problem.chain.n), bool)
+        self.active, self.share = False, 1.0
+        self.v: Array | None = None
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
+        lower, upper = self._chain.lower, self._chain.upper
+        self._low, self._high = state.q < lower - ROUNDING, state.q > upper + ROUNDING
+        self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
         kappa = self.probe.kappa(state)
         self.bounds.update(state)
-        if self.recovery.begins(state):
-            self.recovery.decide(state, self.bounds, state.e_loop, kappa)
-            self.recovery.tighten(self.bounds)
-            kappa = self.probe.kappa(state, self.recovery.share)
+        if self.active:
+            self._find(state, kappa)
+            self.tighten(self.bounds)
+            kappa = self.probe.kappa(state, self.share)
         return kappa
+
+    def _find(self, state: State, kappa: float) -> None:
+        """The fastest way back for what is outside."""
+        level, bounds, lower, upper = self._level, self.bounds, self._chain.lower, self._chain.upper
+        back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
+        wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
+        # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
+        # the shorter its steps.
+        pull = state.memory["recovery"]
+        extra = self._damping.of(state.chain.reach * pull[0])
+        level.assemble(state, bounds, extra + self._damping.of_drift(state, kappa))
+        level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
+        level.qp.q[: len(wish)] = -wish * outside
+        level.close_loops(state, kappa)
+        pull[0] = 0.0
+        if level.solve().usable:
+            self.v, self.share = level.v.copy(), level.scale
+            pull[0] = np.abs(level.solution.y).sum()
+
+    def tighten(self, bounds: Bounds) -> None:
+        """Let nobody take the way back away."""
+        if self.v is None:
+            return
+        keep, lb, ub = KEPT * self.v, bounds.lb, bounds.ub
+        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
+        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
+
+    def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
+        """The tick's answer, or the way back itself where nothing else has one."""
+        if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
+            return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
+        if not causes[0].usable and self.v is not None:
+            return self.v, (Status.RECOVERING, *causes)
+        return v, (*causes, Status.RECOVERING)
