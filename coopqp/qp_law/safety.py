@@ -32,7 +32,7 @@ class LoopProbe:
         chain, budget = problem.chain, problem.budget
         self._model, self._data = chain.model, chain.model.createData()
         self._frames = frames = chain.frames[: chain.holding]
-        self._dt, self._kappa = problem.dt, problem.kappa
+        self._problem, self._dt = problem, problem.dt
         self._gap, self._turn = budget.loop_position, budget.loop_orientation
         pin.framesForwardKinematics(self._model, self._data, chain.q_start)
         X_0, *others = (self._data.oMf[frame] for frame in frames)
@@ -57,19 +57,8 @@ class LoopProbe:
             command.say(Status.STEP_SHORTENED, *_not_ordinary(command.causes))
 
     def kappa(self, state: State, share: float = 1.0) -> float:
-        """Gain of the drift correction: the problem's, or more where the budget is half used up.
-
-        With the paper's kappa = 0 nothing else would ever close a loop again.
-
-        Args:
-            state: of the tick.
-            share: of the problem's gain that is wanted.
-        """
-        slow, most = share * self._kappa, 1.0 / self._dt
-        if slow >= most or not self._others:
-            return slow
-        used = float((_sizes(state.closed_error) / (self._gap, self._turn)).max())
-        return float(max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most))
+        """Gain of the drift correction, :func:`drift_gain`."""
+        return drift_gain(self._problem, state, share)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
@@ -95,6 +84,24 @@ class LoopProbe:
             turn = pin.log3(R.dot(self._R_0T)) - gap[1]
             after.append((np.linalg.norm(p - self._p_0 - gap[0]), np.linalg.norm(turn)))
         return np.array(after)
+
+
+def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
+    """Gain of the drift correction: the problem's, or more where the budget is half used up.
+
+    With the paper's kappa = 0 nothing else would ever close a loop again.
+
+    Args:
+        problem: what is controlled.
+        state: of the tick.
+        share: of the problem's gain that is wanted.
+    """
+    slow, most = share * problem.kappa, 1.0 / problem.dt
+    if slow >= most or not len(state.closed_error):
+        return slow
+    budget = problem.budget
+    sizes = _sizes(state.closed_error) / (budget.loop_position, budget.loop_orientation)
+    return float(max(slow, min(max(2.0 * float(sizes.max()) - 1.0, 0.0), 1.0) * most))
 
 
 def _sizes(error: Array) -> Array:

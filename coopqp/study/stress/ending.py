@@ -15,15 +15,13 @@ import numpy as np
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
-from coopqp.controller import ControlProblem
+from coopqp.controller import ControlProblem, Law
 from coopqp.qp_law.bounds import Bounds
 from coopqp.rank import null_space
 from coopqp.state import State
-from coopqp.study.explanation import explain
+from coopqp.study.explanation import asked_now, explain_asked
 from coopqp.study.stress import signs
-from coopqp.study.stress.draw import LAW
 from coopqp.study.stress.signs import Record
-from coopqp.study.tick_record import record_tick
 from coopqp.task import TaskStack
 
 INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]
@@ -84,22 +82,23 @@ class PartErrors:
                 at += part.rows
         return np.array(errors)
 
-    def jacobian(self, state: State) -> Array:
-        """J of all tasks, shape (k, n)."""
+    def stack(self, state: State) -> TaskStack:
+        """The tasks at a state."""
         self._tasks.update(state)
-        return self._tasks.J
+        return self._tasks
 
 
-def ending(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
+def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Judge the end of a rollout.
 
     Args:
-        problem: what was controlled.
+        law: what controlled it.
         state: at the end.
         record: of all ticks.
         errors: of its tasks.
     """
     said = signs.names_of(record.causes[-1])
+    problem = law.problem
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
     if stands and problem.on_infeasible == "stop":
@@ -119,7 +118,7 @@ def ending(problem: ControlProblem, state: State, record: Record, errors: PartEr
     if speed > signs.AT_REST and _nears(missed, errors.at_end(state, record, BEFORE)):
         how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
         return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
-    return _rest(problem, state, record, errors)
+    return _rest(law, state, record, errors)
 
 
 def _nears(errors: Array, before: Array) -> bool:
@@ -128,18 +127,17 @@ def _nears(errors: Array, before: Array) -> bool:
     return change > CHANGE * float(errors.max())
 
 
-def _rest(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
+def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
-    law = LAW.plain(problem)  # whose program has names for all that it says
-    tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))
-    why = explain(tick)
+    problem, tasks, command = law.problem, errors.stack(state), law.tick(state)
+    why = explain_asked(asked_now(problem, state, tasks, command))
     limits = [r.name for r in why.relaxations]
     names = [name for name in limits if not name.startswith(OF_SPEED)]
     names += [f"loops|{name}" for name in why.impossible]
     if names:
         return Ending("blocked", ", ".join(names))
     held = _at_limits(problem, state)
-    if _near_singular(errors.jacobian(state), state, list(held)):
+    if _near_singular(tasks.J, state, list(held)):
         return Ending("at rest", ", ".join(["singular pose", *held.values()]))
     if limits:
         still = signs.slowest(record) < signs.AT_REST

@@ -110,4 +110,4 @@ def _run(drawn: Draw, seed: int) -> Rollout:
     state = law.start()
     record, errors = record_of(drawn.problem), PartErrors(drawn.problem)
     drive_on(law, state, record, errors)
-    return judged(seed, drawn, state, record, errors)
+    return judged(seed, drawn, law, state, record, errors)
