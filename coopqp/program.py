@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -103,6 +103,31 @@ class Primitive:
             "planar": float(self.planar),
             "numbers": np.concatenate([np.zeros(0), *self.numbers]),
         }
+
+
+class Programmed(Protocol):
+    """A task, as far as its program goes."""
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """The rows as primitives."""
+
+
+class Programs:
+    """The programs of tasks that set out from one state, each made when it is first asked for.
+
+    Args:
+        start: the state, which stays as it is.
+    """
+
+    def __init__(self, start: State) -> None:
+        self.start = start
+        self._made: dict[int, tuple[Programmed, tuple[Primitive, ...] | None]] = {}
+
+    def of(self, task: Programmed) -> tuple[Primitive, ...] | None:
+        """A task's program; None where it has none."""
+        if id(task) not in self._made:
+            self._made[id(task)] = task, task.program(self.start)  # its id is taken as long
+        return self._made[id(task)][1]
 
 
 def sees_twist(program: Sequence[Primitive] | None) -> bool:

@@ -33,6 +33,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.loop_observer import Squeezer
+from coopqp.program import Programs
 from coopqp.qp import QP
 from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT, loop_rows, step_damping
 from coopqp.qp_law.exact_tasks import ExactTasks
@@ -88,7 +89,8 @@ class QPLaw(Law):
             way_back.bounds, way_back.recovery, way_back.probe
         )  # fmt: skip
         self.exact = exact = ExactTasks(problem, start)
-        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, start)]
+        groups = deciding(problem, Programs(start))
+        self.stacks = stacks = [TaskStack(group, start) for group in groups]
         rows = (*chain.loops.solver_rows, *exact.rows)
         self.first = Level(problem, stacks[0], rows, self.bounds, damping, exact.scaled_names)
         self._later = [

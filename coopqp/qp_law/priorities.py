@@ -15,14 +15,14 @@ derivative of its own tasks (:func:`coopqp.qp_law.equations.step_damping`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.program import sees_twist
+from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.level import Level
@@ -55,49 +55,50 @@ def groups(problem: ControlProblem) -> list[list[Task]]:
     return [*first_alone, *main, *later]
 
 
-def deciding(problem: ControlProblem, start: State) -> list[list[Task]]:
+def deciding(problem: ControlProblem, programs: Programs) -> list[list[Task]]:
     """The :func:`groups` that have anything left to decide: none after all joints are decided.
 
     Ranks are taken only where the number of rows does not tell.
 
     Args:
         problem: whose tasks.
-        start: the state from which their references set out.
+        programs: of tasks, from the state from which their references set out.
     """
     found = list[list[Task]]()
     exact = [task for task in problem.tasks if task.mode != "soft"]
     for group in groups(problem):
         before = [*exact, *(task for earlier in found for task in earlier)]
-        if found and _all_decided(start, before):
+        if found and _all_decided(programs, before):
             break
         found.append(group)
     return found
 
 
-def _all_decided(start: State, tasks: Sequence[Task]) -> bool:
+def _all_decided(programs: Programs, tasks: Sequence[Task]) -> bool:
     """Whether the loops and these tasks leave no joint free."""
-    chain = start.chain
+    chain = programs.start.chain
     if any(task.joint_space and task.all_joints for task in tasks):
         return True
     if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
         return False
-    if most_rank(tasks, start) < chain.n:
+    most = most_rank(tasks, programs)
+    if most < chain.n:
         return False
-    return Decided(chain, [TaskStack(tasks, start)]).rank == chain.n
+    return _general_rank(chain, [TaskStack(tasks, programs.start)], most) == chain.n
 
 
-def most_rank(tasks: Sequence[Task], start: State) -> int:
+def most_rank(tasks: Sequence[Task], programs: Programs) -> int:
     """A rank that the rows of the loops and of these tasks cannot exceed.
 
     Rows that see nothing but the object's twist are together of rank six at most.
 
     Args:
         tasks: any.
-        start: the state from which their references set out.
+        programs: of tasks.
     """
-    chain, twist, others = start.chain, 0, 0
+    chain, twist, others = programs.start.chain, 0, 0
     for task in tasks:
-        if sees_twist(task.program(start)):
+        if sees_twist(programs.of(task)):
             twist += len(task.rows(chain))
         else:
             others += len(task.rows(chain))
@@ -170,19 +171,8 @@ class Decided:
 
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
         self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
-        state = State(chain)
         tasks = [task for stack in stacks for task in stack.tasks]
-        self.rank, most = 0, most_rank(tasks, state)
-        for q in (chain.q_start, *chain.sample(np.random.default_rng(0), SAMPLES)):
-            state.q[:] = q
-            state.update()
-            for stack in stacks:
-                stack.update(state)
-            rows = np.vstack([state.J_loop, *self._blocks])
-            self.rank = max(self.rank, matrix_rank(rows))
-            if self.rank >= most:
-                break
-        self.rank = min(self.rank, chain.n)
+        self.rank = _general_rank(chain, stacks, most_rank(tasks, Programs(State(chain))))
         self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
         self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)
 
@@ -205,6 +195,26 @@ class Decided:
         end = min(m + len(added), self.rank)
         Q[m:end], self.turns[m:end] = added[: end - m], self._lever / sizes[: end - m]
         return Q
+
+
+def _general_rank(chain: ClosedChain, stacks: Sequence[TaskStack], most: int) -> int:
+    """How many rows of the loops and of tasks are independent in general; no more than most."""
+    state, rank = State(chain), 0
+    for q in _places(chain):
+        state.q[:] = q
+        state.update()
+        for stack in stacks:
+            stack.update(state)
+        rank = max(rank, matrix_rank(np.vstack([state.J_loop, *(stack.J for stack in stacks)])))
+        if rank >= most:
+            break
+    return min(rank, chain.n)
+
+
+def _places(chain: ClosedChain) -> Iterator[Array]:
+    """The start, and some configurations anywhere for those who need more."""
+    yield chain.q_start
+    yield from chain.sample(np.random.default_rng(0), SAMPLES)
 
 
 def _directions(rows: Array, least: float) -> tuple[Array, Array]:

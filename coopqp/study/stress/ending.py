@@ -9,6 +9,8 @@ recovering  a joint is still outside its limits
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,38 +56,46 @@ class PartErrors:
 
     Args:
         problem: with the tasks.
+        start: the state from which their references set out; the chain's when omitted.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
-        self._problem, self._now = problem, State(problem.chain)
-        self._tasks = TaskStack(problem.tasks, self._now)
+    def __init__(self, problem: ControlProblem, start: State | None = None) -> None:
+        self._problem = problem
+        self._tasks = TaskStack(problem.tasks, start or State(problem.chain))
+        parts = [(task, part) for task in problem.tasks for part in task.parts(problem.chain)]
+        ends = itertools.accumulate((part.rows for _, part in parts), initial=0)
+        self._parts = [
+            (slice(a, b), part.tolerance, task.asks_velocity)
+            for (task, part), (a, b) in zip(parts, itertools.pairwise(ends), strict=True)
+        ]
 
-    def at_end(self, state: State, record: Record, back: int = 0) -> Array:
+    def at_end(self, state: State, record: Record) -> Array:
         """Of a rollout.
 
         Args:
-            state: at the end.
+            state: at the end, up to date.
             record: of all ticks.
-            back: so many ticks before the end.
         """
-        problem, now, tasks = self._problem, self._now, self._tasks
-        now.q[:], now.t = record.q[-1 - back], state.t - back * problem.dt
-        now.update()
-        tasks.update(now)
-        errors, at = [], 0
-        for task in problem.tasks:
-            for part in task.parts(problem.chain):
-                rows = slice(at, at + part.rows)
-                missed = tasks.J[rows] @ record.v[-1 - back] - tasks.rate[rows]
-                error = missed if task.asks_velocity else tasks.e[rows]
-                errors.append(float(np.linalg.norm(error)) / part.tolerance)
-                at += part.rows
-        return np.array(errors)
+        return self._errors(state, record.v[-1])
+
+    def before(self, state: State, record: Record) -> Array:
+        """Of a rollout, some ticks before its end."""
+        t = state.t - BEFORE * self._problem.dt
+        return self._errors(
+            State(self._problem.chain, record.q[-1 - BEFORE], t), record.v[-1 - BEFORE]
+        )
 
     def stack(self, state: State) -> TaskStack:
         """The tasks at a state."""
         self._tasks.update(state)
         return self._tasks
+
+    def _errors(self, state: State, v: Array) -> Array:
+        tasks, errors = self.stack(state), list[float]()
+        for rows, tolerance, asks_velocity in self._parts:
+            error = tasks.J[rows] @ v - tasks.rate[rows] if asks_velocity else tasks.e[rows]
+            errors.append(math.sqrt(error.dot(error)) / tolerance)
+        return np.array(errors)
 
 
 def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
@@ -115,7 +125,7 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     speed = signs.slowest(record)
     if signs.held_up(record) and speed < signs.AT_REST:
         return Ending("at rest", said, frozen=True)
-    if speed > signs.AT_REST and _nears(missed, errors.at_end(state, record, BEFORE)):
+    if speed > signs.AT_REST and _nears(missed, errors.before(state, record)):
         how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
         return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
     return _rest(law, state, record, errors)

@@ -108,6 +108,6 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 def _run(drawn: Draw, seed: int) -> Rollout:
     law = LAW.build(drawn.problem, prepared=False)
     state = law.start()
-    record, errors = record_of(drawn.problem), PartErrors(drawn.problem)
+    record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
     drive_on(law, state, record, errors)
     return judged(seed, drawn, law, state, record, errors)
