@@ -271,9 +271,9 @@ class Law(ABC):
         return found
 
     def _keep(self, state: State, found: Ticks, k: int) -> None:
-        """One of them."""
+        """One of them, by the tick: whatever a law has instead has been tried."""
         found.q[k] = state.q
-        command = self.step(state)
+        command = Law.step(self, state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
 
     def step(self, state: State) -> Command:

@@ -27,6 +27,7 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
 from coopqp.qp_law.priorities import deciding
+from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.signal import Followed
 from coopqp.solver import Status
@@ -195,7 +196,7 @@ class KernelLaw(Law):
         softened = self.softened or self._prepare_softened()
         if softened is None or self._shown is NOTHING:
             return False
-        kappa = self.way_back.probe.kappa(state) if within else 0.0
+        kappa = drift_gain(self.problem, state) if within else 0.0
         self._said = said = softened.tick(state, within, kappa)
         if said not in GIVEN_UP:
             return False

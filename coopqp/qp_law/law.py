@@ -40,6 +40,7 @@ from coopqp.qp_law.exact_tasks import ExactTasks
 from coopqp.qp_law.fallback import Fallback
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel, deciding
+from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Solution, Status
 from coopqp.state import State
@@ -210,7 +211,7 @@ class QPLaw(Law):
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The answer of a smaller problem."""
-        kappa = self.probe.kappa(state)
+        kappa = drift_gain(self.problem, state)
         outcome = self.fallback.solve(state, state.e_loop, kappa, failed, self.recovery)
         self.command.scale = 0.0 if self._scales else 1.0
         self.command.drift = outcome.drift

@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
-from coopqp.limit import movers
+from coopqp.limit import opening
 from coopqp.solver import Status
 from coopqp.state import State
 
@@ -32,15 +32,13 @@ class LoopProbe:
         chain, budget = problem.chain, problem.budget
         self._model, self._data = chain.model, chain.model.createData()
         self._frames = frames = chain.frames[: chain.holding]
-        self._problem, self._dt = problem, problem.dt
+        self._dt = problem.dt
         self._gap, self._turn = budget.loop_position, budget.loop_orientation
         pin.framesForwardKinematics(self._model, self._data, chain.q_start)
         X_0, *others = (self._data.oMf[frame] for frame in frames)
         self._p_0, self._R_0T = X_0.translation, X_0.rotation.T
         self._others = [(X.translation, X.rotation) for X in others]
-        moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in frames])
-        per_arm = moved * moved.sum(axis=1, keepdims=True)
-        self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
+        self._second_order = opening(chain, problem.dt)
         self._reach = chain.reach
 
     def shorten(self, state: State, command: Command) -> None:
@@ -55,10 +53,6 @@ class LoopProbe:
             command.v *= SHORTEN
         if share < 1.0:
             command.say(Status.STEP_SHORTENED, *_not_ordinary(command.causes))
-
-    def kappa(self, state: State, share: float = 1.0) -> float:
-        """Gain of the drift correction, :func:`drift_gain`."""
-        return drift_gain(self._problem, state, share)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
