@@ -227,7 +227,7 @@ def _named(tick: Asked, r: Array) -> tuple[Relaxation, ...]:
 
 def _holding(tick: Asked) -> tuple[Share, ...]:
     """Limits at their bound that hold the missed motion back."""
-    at = np.flatnonzero(tick.slack < AT_BOUND)
+    at = np.flatnonzero(tick.slack < AT_BOUND).tolist()
     if not len(at):
         return ()
     Z, eye = null_space(tick.A), np.eye(len(tick.v))

@@ -186,5 +186,5 @@ def common(rng: np.random.Generator, dt: float, name: str) -> Common:
 
 def profile(rng: np.random.Generator) -> Profile:
     """How a reference moves, often at once."""
-    kind = pick(rng, KINDS)
+    kind: Any = pick(rng, KINDS)
     return Profile(kind=kind, duration=float(rng.uniform(0.1, 0.7)))
