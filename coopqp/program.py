@@ -37,6 +37,7 @@ class Kind(IntEnum):
     BARRIER = 7
     POSTURE = 8
     MANIPULABILITY = 9
+    RELATIVE = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,8 @@ class Primitive:
         kind: what it does.
         rows: which of the kind's rows, in the task's order; for a posture, which joints; for
             manipulability, which axes of the world.
-        reference: the frame that the object is steered to.
+        reference: the frame that the object is steered to; of a relative motion, its origin alone,
+            in the first arm's object frame.
         profile: how the error goes to zero, or the wish to its goal.
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
@@ -59,7 +61,8 @@ class Primitive:
         velocity: of a twist, six numbers [m/s, rad/s].
         planar: for a distance, whether it is measured in the plane of the reference's first two
             axes; for a twist, whether it is along the object's axes.
-        numbers: of joint objectives, one after the other, each by joint.
+        numbers: of joint objectives, one after the other, each by joint; of a relative motion, the
+            loop that the arm closes with the first.
     """
 
     kind: Kind
@@ -84,7 +87,7 @@ class Primitive:
     @property
     def over_joints(self) -> bool:
         """Whether its rows are of joints, not of the object's twist."""
-        return self.kind is Kind.POSTURE
+        return self.kind in (Kind.POSTURE, Kind.RELATIVE)
 
     def flat(self) -> dict[str, Any]:
         """As numbers."""
