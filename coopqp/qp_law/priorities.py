@@ -84,7 +84,7 @@ def _all_decided(programs: Programs, tasks: Sequence[Task]) -> bool:
     most = most_rank(tasks, programs)
     if most < chain.n:
         return False
-    return _general_rank(chain, [TaskStack(tasks, programs.start)], most) == chain.n
+    return _general_rank(State(chain), [TaskStack(tasks, programs.start)], most) == chain.n
 
 
 def most_rank(tasks: Sequence[Task], programs: Programs) -> int:
@@ -172,7 +172,8 @@ class Decided:
     def __init__(self, chain: ClosedChain, stacks: Sequence[TaskStack]) -> None:
         self._blocks = [np.zeros((0, chain.n)), *(stack.J for stack in stacks)]
         tasks = [task for stack in stacks for task in stack.tasks]
-        self.rank = _general_rank(chain, stacks, most_rank(tasks, Programs(State(chain))))
+        state = State(chain)
+        self.rank = _general_rank(state, stacks, most_rank(tasks, Programs(state)))
         self._Q, self.turns = np.zeros((self.rank, chain.n)), np.zeros(self.rank)
         self._lever = max((float(stack.levers.max(initial=0.0)) for stack in stacks), default=0.0)
 
@@ -197,10 +198,13 @@ class Decided:
         return Q
 
 
-def _general_rank(chain: ClosedChain, stacks: Sequence[TaskStack], most: int) -> int:
-    """How many rows of the loops and of tasks are independent in general; no more than most."""
-    state, rank = State(chain), 0
-    for q in _places(chain):
+def _general_rank(state: State, stacks: Sequence[TaskStack], most: int) -> int:
+    """How many rows of the loops and of tasks are independent in general, which is most at most.
+
+    The state is written.
+    """
+    rank = 0
+    for q in _places(state.chain):
         state.q[:] = q
         state.update()
         for stack in stacks:
@@ -208,7 +212,7 @@ def _general_rank(chain: ClosedChain, stacks: Sequence[TaskStack], most: int) ->
         rank = max(rank, matrix_rank(np.vstack([state.J_loop, *(stack.J for stack in stacks)])))
         if rank >= most:
             break
-    return min(rank, chain.n)
+    return min(rank, state.chain.n)
 
 
 def _places(chain: ClosedChain) -> Iterator[Array]:
