@@ -27,6 +27,7 @@ from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stres
 from coopqp.study.stress.draw import LAW, draw
 from coopqp.study.stress.driving import MOST, drive_on, record_of
 from coopqp.study.stress.ending import PartErrors, ending, way_back
+from coopqp.study.stress.goals import pick
 from coopqp.study.stress.signs import Record
 
 Array = NDArray[np.float64]
@@ -213,6 +214,15 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     drive_on(law, state, record, errors)
     assert len(record.v) <= MOST
     assert not ending(law, state, record, errors).never_back
+
+
+def test_pick_draws_what_numpy_draws() -> None:
+    """Seeds of older tables stay what they were."""
+    ours, numpys = np.random.default_rng(3), np.random.default_rng(3)
+    for count in range(1, 20):
+        among = [f"{k}" for k in range(count)]
+        assert pick(ours, among) == numpys.choice(among)
+        assert ours.random() == numpys.random()
 
 
 # What people see.
