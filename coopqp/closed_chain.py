@@ -240,11 +240,9 @@ class ClosedChain:
             return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
 
     def _carried(self, q: Array, data: pin.Data) -> list[pin.SE3]:
-        """Where each arm carries the object, in pinocchio's memory."""
+        """Where each arm carries the object; no other of a robot's hundreds of frames is placed."""
         pin.forwardKinematics(self.model, data, q)
-        for frame in self.frames:  # of a robot's hundreds
-            pin.updateFramePlacement(self.model, data, frame)
-        return [data.oMf[frame] for frame in self.frames]
+        return [pin.updateFramePlacement(self.model, data, frame) for frame in self.frames]
 
     @contextmanager
     def _data(self) -> Iterator[pin.Data]:
@@ -296,10 +294,8 @@ class ClosedChain:
         model, jacobians = self.model, []
         with self._data() as data:
             pin.computeJointJacobians(model, data, q)
-            places = [
-                pin.updateFramePlacement(model, data, frame).translation.copy()
-                for frame in self.frames
-            ]
+            placed = (pin.updateFramePlacement(model, data, frame) for frame in self.frames)
+            places = [X.translation.copy() for X in placed]
             middle = np.mean(places[: self.holding], axis=0)
             for frame, place in zip(self.frames, places, strict=True):
                 J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
@@ -354,13 +350,12 @@ class ClosedChain:
 
     def _loop_error(self, q: Array) -> Array:
         """Positions and rotation vectors from how arm 0 to how the others carry it, (6 L,)."""
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, q)
-        X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
-        return np.concatenate(
-            [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
-             for X in others]
-        )  # fmt: skip
+        with self._data() as data:
+            X_0, *others = self._carried(q, data)[: self.holding]
+            return np.concatenate(
+                [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
+                 for X in others]
+            )  # fmt: skip
 
 
 def _spare(chain: ClosedChain) -> list[pin.Data]:
