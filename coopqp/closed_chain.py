@@ -231,13 +231,17 @@ class ClosedChain:
             q: configuration, shape (n,).
         """
         with self._data() as data:
-            pin.framesForwardKinematics(self.model, data, vector("q", q, self.n))
-            X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
+            X_0, *others = self._carried(vector("q", q, self.n), data)[: self.holding]
             p, turn = X_0.translation.copy(), np.zeros(3)
             for weight, X in zip(self.alpha[1:], others, strict=False):
                 p += weight * (X.translation - X_0.translation)
                 turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
             return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
+
+    def _carried(self, q: Array, data: pin.Data) -> list[pin.SE3]:
+        """Where each arm carries the object; no other of a robot's hundreds of frames is placed."""
+        pin.forwardKinematics(self.model, data, q)
+        return [pin.updateFramePlacement(self.model, data, frame) for frame in self.frames]
 
     @contextmanager
     def _data(self) -> Iterator[pin.Data]:
@@ -258,9 +262,9 @@ class ClosedChain:
         """
         longest = 0.0
         with self._data() as data:
-            pin.framesForwardKinematics(self.model, data, self.q_start)
-            for frame, (joints, slides) in zip(self.frames, self.once(_ways), strict=True):
-                places = [data.oMi[j].translation for j in joints] + [data.oMf[frame].translation]
+            carried = self._carried(self.q_start, data)
+            for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
+                places = [*(data.oMi[j].translation for j in joints), X.translation]
                 way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
@@ -289,8 +293,8 @@ class ClosedChain:
         model, jacobians = self.model, []
         with self._data() as data:
             pin.computeJointJacobians(model, data, q)
-            pin.updateFramePlacements(model, data)
-            places = [data.oMf[frame].translation.copy() for frame in self.frames]
+            placed = (pin.updateFramePlacement(model, data, frame) for frame in self.frames)
+            places = [X.translation.copy() for X in placed]
             middle = np.mean(places[: self.holding], axis=0)
             for frame, place in zip(self.frames, places, strict=True):
                 J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).copy()
@@ -345,13 +349,12 @@ class ClosedChain:
 
     def _loop_error(self, q: Array) -> Array:
         """Positions and rotation vectors from how arm 0 to how the others carry it, (6 L,)."""
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, q)
-        X_0, *others = (data.oMf[frame] for frame in self.frames[: self.holding])
-        return np.concatenate(
-            [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
-             for X in others]
-        )  # fmt: skip
+        with self._data() as data:
+            X_0, *others = self._carried(q, data)[: self.holding]
+            return np.concatenate(
+                [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
+                 for X in others]
+            )  # fmt: skip
 
 
 def _spare(chain: ClosedChain) -> list[pin.Data]:

@@ -277,9 +277,9 @@ class Law(ABC):
         return Ticks.room(ticks, self.problem.chain.n, len(state.memory.numbers))
 
     def _keep(self, state: State, found: Ticks, k: int) -> None:
-        """One of them."""
+        """One of them, by the tick: whatever a law has instead has been tried."""
         found.q[k], found.memory[k] = state.q, state.memory.numbers
-        command = self.step(state)
+        command = Law.step(self, state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
         found.scale[k] = command.scale
         if command.note:

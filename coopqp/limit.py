@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import lru_cache
@@ -233,12 +233,12 @@ def damp(
     np.copyto(h, 0.0, where=deep)
 
 
-def states_along(chain: ClosedChain, q: Array) -> Iterator[State]:
+def states_along(chain: ClosedChain, q: Iterable[Array]) -> Iterator[State]:
     """The state at each row of q; one object that is reused.
 
     Args:
         chain: the closed chain.
-        q: shape (T, n).
+        q: rows of shape (n,).
     """
     state = State(chain)
     for row in q:
@@ -315,3 +315,18 @@ def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:
     for row, joint in zip(moved, joints, strict=True):
         row[[chain.model.idx_vs[i] for i in chain.model.supports[joint] if i]] = 1.0
     return moved
+
+
+def opening(chain: ClosedChain, dt: float) -> Array:
+    """How far a step v dt opens each closed loop at most, per metre of reach and v^2, shape (L, n).
+
+    Of two arms with k joints each, dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2).
+    """
+    return np.asarray(0.5 * dt**2 * chain.once(_joints_squared))
+
+
+def _joints_squared(chain: ClosedChain) -> Array:
+    joints = [chain.model.frames[frame].parentJoint for frame in chain.frames[: chain.holding]]
+    moved = movers(chain, joints)
+    per_arm = moved * moved.sum(axis=1, keepdims=True)
+    return np.asarray(per_arm[1:] + per_arm[0])

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -37,6 +37,7 @@ class Kind(IntEnum):
     BARRIER = 7
     POSTURE = 8
     MANIPULABILITY = 9
+    RELATIVE = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,8 @@ class Primitive:
         kind: what it does.
         rows: which of the kind's rows, in the task's order; for a posture, which joints; for
             manipulability, which axes of the world.
-        reference: the frame that the object is steered to.
+        reference: the frame that the object is steered to; of a relative motion, its origin alone,
+            in the first arm's object frame.
         profile: how the error goes to zero, or the wish to its goal.
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
@@ -59,7 +61,8 @@ class Primitive:
         velocity: of a twist, six numbers [m/s, rad/s].
         planar: for a distance, whether it is measured in the plane of the reference's first two
             axes; for a twist, whether it is along the object's axes.
-        numbers: of joint objectives, one after the other, each by joint.
+        numbers: of joint objectives, one after the other, each by joint; of a relative motion, the
+            loop that the arm closes with the first.
     """
 
     kind: Kind
@@ -84,7 +87,7 @@ class Primitive:
     @property
     def over_joints(self) -> bool:
         """Whether its rows are of joints, not of the object's twist."""
-        return self.kind is Kind.POSTURE
+        return self.kind in (Kind.POSTURE, Kind.RELATIVE)
 
     def flat(self) -> dict[str, Any]:
         """As numbers."""
@@ -103,6 +106,31 @@ class Primitive:
             "planar": float(self.planar),
             "numbers": np.concatenate([np.zeros(0), *self.numbers]),
         }
+
+
+class Programmed(Protocol):
+    """A task, as far as its program goes."""
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """The rows as primitives."""
+
+
+class Programs:
+    """The programs of tasks that set out from one state, each made when it is first asked for.
+
+    Args:
+        start: the state, which stays as it is.
+    """
+
+    def __init__(self, start: State) -> None:
+        self.start = start
+        self._made: dict[int, tuple[Programmed, tuple[Primitive, ...] | None]] = {}
+
+    def of(self, task: Programmed) -> tuple[Primitive, ...] | None:
+        """A task's program; None where it has none."""
+        if id(task) not in self._made:
+            self._made[id(task)] = task, task.program(self.start)  # its id is taken as long
+        return self._made[id(task)][1]
 
 
 def sees_twist(program: Sequence[Primitive] | None) -> bool:

@@ -21,7 +21,8 @@ def matrix_rank(matrix: Array) -> int:
     """How many rows of a matrix are independent."""
     if not matrix.size:
         return 0
-    return int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
 
 
 def null_space(matrix: Array) -> Array:

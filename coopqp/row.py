@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 Kind = Literal["joint", "share", "loop", "task", "limit", "decided", "dynamics", "motor", "hand"]
@@ -57,7 +58,8 @@ def names_of(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(row.name for row in rows)
 
 
-def joint_rows(joints: Sequence[str], units: Sequence[str]) -> tuple[Row, ...]:
+@lru_cache(maxsize=64)
+def joint_rows(joints: tuple[str, ...], units: tuple[str, ...]) -> tuple[Row, ...]:
     """The velocities of joints, the variables of most QPs.
 
     Args:

@@ -24,7 +24,7 @@ import pinocchio as pin
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import core_schema
 
-from coopqp.checked import Array, Direction, Pose, Vector3, real, spec, unit
+from coopqp.checked import Array, Direction, Pose, Vector3, cross, real, spec, unit
 from coopqp.errors import CoopqpError, InvalidValueError
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
@@ -305,7 +305,7 @@ def axes_along(direction: Vector3 | Array) -> Array:
     farthest = int(np.argmin(np.abs(d)))
     first = np.eye(3)[farthest] - d[farthest] * d
     first /= np.linalg.norm(first)
-    return np.array([first, np.cross(d, first), d])
+    return np.array([first, cross(d, first), d])
 
 
 def _along(direction: Array) -> Array:

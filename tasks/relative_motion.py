@@ -24,9 +24,10 @@ import pinocchio as pin
 from coopqp.checked import Pose, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import UnknownNameError
-from coopqp.geometry import Approach, RotationError, last_end, pose_course
+from coopqp.geometry import Approach, Reference, RotationError, last_end, pose_course
 from coopqp.mark import Mark, RelativeMark
 from coopqp.profile import Profile
+from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, MovingPose, quaternion_of
 from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
@@ -67,20 +68,11 @@ class RelativeMotion(Task):
         Raises:
             UnknownNameError: no such arm, or the first one.
         """
-        chain, at = start.chain, 6 * self._loop(start.chain)
-        # Rows of J_0 = J_task - sum alpha_i J_rel,i; R_0 follows from R_WO in the same way.
-        alpha, first = chain.alpha[1:], np.linalg.inv(chain.mixing)[3:6]
-        R_0, Q, gap = np.eye(3), np.eye(3), np.zeros(3)
+        chain, seen = start.chain, _Seen(start.chain, self._loop(start.chain))
+        at, R_0, Q, gap = seen.at, seen.R_0, seen.Q, seen.gap
+        first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
         J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
-
-        def look(state: State) -> None:
-            errors = state.loop_error.reshape(-1, 6)
-            pin.exp3(-alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
-            gap[:] = state.loop_error[at : at + 3]
-            turned = pin.exp3(state.loop_error[at + 3 : at + 6])  # R_i R_0'
-            R_0.T.dot(turned.dot(R_0), Q)
-
-        look(start)
+        seen.update(start)
         goal = pose_course(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
         goal.update(start)
         p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
@@ -88,7 +80,7 @@ class RelativeMotion(Task):
         approach = Approach(self.profile, R_0.T @ gap - p_goal)
 
         def evaluate(state: State, rows: TaskRows) -> None:
-            look(state)
+            seen.update(state)
             goal.update(state)
             e, J, rate, J_rel = rows.e, rows.J, rows.rate, state.J_rel[at : at + 6]
             R_0.T.dot(gap, e[:3])
@@ -102,6 +94,23 @@ class RelativeMotion(Task):
             rotation.fill(state.t, Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
 
         return evaluate
+
+    def program(self, start: State) -> tuple[Primitive, ...] | None:
+        """As a primitive; None where a signal is the goal."""
+        goal, loop = pose_course(self.goal, start), self._loop(start.chain)
+        if goal.moves:
+            return None
+        seen = _Seen(start.chain, loop)
+        seen.update(start)
+        x, y, z = goal.value[:3].tolist()
+        return (
+            Primitive(
+                kind=Kind.RELATIVE, rows=tuple(range(6)), reference=Reference((x, y, z)),
+                profile=self.profile, e_start=(seen.R_0.T @ seen.gap - goal.value[:3]).tolist(),
+                phi=np.asarray(pin.log3(goal.R @ seen.Q.T)).tolist(), Q_start=seen.Q,
+                numbers=(np.array([float(loop)]),),
+            ),
+        )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, which moves with the first arm."""
@@ -117,3 +126,30 @@ class RelativeMotion(Task):
         if self.arm not in others:
             raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ").at("arm")
         return others.index(self.arm)
+
+
+class _Seen:
+    """Where an arm carries the object, seen from where the first arm does.
+
+    Args:
+        chain: of both.
+        loop: which the arm closes with the first.
+
+    Attributes:
+        at: the first of the loop's rows.
+        R_0: orientation of the object as the first arm carries it, shape (3, 3).
+        Q: of the other's in its axes, R_0' R_i, shape (3, 3).
+        gap: from the first's origin to the other's, in the world, shape (3,) [m].
+    """
+
+    def __init__(self, chain: ClosedChain, loop: int) -> None:
+        self.at, self._alpha = 6 * loop, chain.alpha[1:]
+        self.R_0, self.Q, self.gap = np.eye(3), np.eye(3), np.zeros(3)
+
+    def update(self, state: State) -> None:
+        """Look at a state."""
+        errors, at, R_0 = state.loop_error.reshape(-1, 6), self.at, self.R_0
+        pin.exp3(-self._alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
+        self.gap[:] = state.loop_error[at : at + 3]
+        turned = pin.exp3(state.loop_error[at + 3 : at + 6])  # R_i R_0'
+        R_0.T.dot(turned.dot(R_0), self.Q)

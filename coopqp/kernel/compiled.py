@@ -14,6 +14,7 @@ from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
+from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
 from coopqp.signal import Course
 from coopqp.state import State
@@ -42,7 +43,7 @@ class Compiled:
 
     Args:
         problem: what to control.
-        start: the state from which references set out.
+        programs: of tasks, from the state from which references set out.
         groups: its tasks, a level each.
         limits: its limits; whoever owns them updates them.
         damping: cost of |v|^2.
@@ -59,7 +60,7 @@ class Compiled:
     def __init__(
         self,
         problem: ControlProblem,
-        start: State,
+        programs: Programs,
         groups: Sequence[Group],
         limits: Limits,
         damping: float,
@@ -67,7 +68,7 @@ class Compiled:
         v: Array,
     ) -> None:
         chain, filled = problem.chain, limits.filled
-        self._levels = levels = Levels(groups, start)
+        self._levels = levels = Levels(groups, programs)
         self.alone = levels.compiled and limits.compiled
         self.outcome = int(Outcome.BUSY)
         found = native.module()

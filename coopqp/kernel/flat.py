@@ -10,7 +10,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.limit import JointBounds, TwistBounds, movers
+from coopqp.limit import JointBounds, TwistBounds, opening
 from coopqp.robot import axis_of
 
 Flat = dict[str, Any]
@@ -82,10 +82,6 @@ def flat_settings(
         inequalities: how many rows of limits there are.
     """
     chain, budget = problem.chain, problem.budget
-    joints = [chain.model.frames[frame].parentJoint for frame in chain.frames[: chain.holding]]
-    moved = movers(chain, joints)
-    per_arm = moved * moved.sum(axis=1, keepdims=True)
-    second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
     return {
         "dt": problem.dt,
         "kappa": problem.kappa,
@@ -103,7 +99,7 @@ def flat_settings(
         ),
         "lower": np.maximum(chain.lower, -LARGE),
         "upper": np.minimum(chain.upper, LARGE),
-        "second_order": np.ascontiguousarray(second_order).ravel(),
+        "second_order": opening(chain, problem.dt).ravel(),
         "inequalities": float(inequalities),
     }
 

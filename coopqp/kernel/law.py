@@ -22,10 +22,12 @@ from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
+from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
 from coopqp.qp_law.priorities import deciding
+from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.signal import Followed
 from coopqp.solver import Status
@@ -76,12 +78,13 @@ class KernelLaw(Law):
         super().__init__(problem, squeezer=squeezer)
         self._start = start = State(problem.chain)
         self._limits = limits = Limits(problem, start)
+        self._programs = programs = Programs(start)
         self._settings = limits, damping, error_damping, self.command.v
         hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
-        first, *later = deciding(problem, start)
+        first, *later = deciding(problem, programs)
         self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
         whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
-        self.whole = Compiled(problem, start, whole, *self._settings)
+        self.whole = Compiled(problem, programs, whole, *self._settings)
         self._engine_step = self.whole.engine.step
         self._softens_at_all = bool(hard or scaled)
         self.softened: Compiled | None = None
@@ -117,7 +120,7 @@ class KernelLaw(Law):
     def _prepare_softened(self) -> Compiled | None:
         if self.softened is None and self._softens_at_all:
             tasks = [Group(self.problem.tasks)]
-            self.softened = Compiled(self.problem, self._start, tasks, *self._settings)
+            self.softened = Compiled(self.problem, self._programs, tasks, *self._settings)
             state, memory = self._shown[0], self._shown[4]
             if state is not None and not self.softened.bind(state, memory):
                 self._shown = NOTHING
@@ -193,7 +196,7 @@ class KernelLaw(Law):
         softened = self.softened or self._prepare_softened()
         if softened is None or self._shown is NOTHING:
             return False
-        kappa = self.way_back.probe.kappa(state) if within else 0.0
+        kappa = drift_gain(self.problem, state) if within else 0.0
         self._said = said = softened.tick(state, within, kappa)
         if said not in GIVEN_UP:
             return False

@@ -10,7 +10,7 @@ import numpy as np
 
 from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
-from coopqp.program import sees_twist
+from coopqp.program import Programs, sees_twist
 from coopqp.state import State
 from coopqp.task import Task, TaskStack, levers_of
 
@@ -78,7 +78,7 @@ class Levels:
 
     Args:
         groups: a level each.
-        start: the state from which their references set out.
+        programs: of tasks, from the state from which their references set out.
 
     Attributes:
         flat: each level's numbers.
@@ -89,13 +89,13 @@ class Levels:
         followed: other references that signals move.
     """
 
-    def __init__(self, groups: Sequence[Group], start: State) -> None:
+    def __init__(self, groups: Sequence[Group], programs: Programs) -> None:
         self.flat: list[Flat] = []
         self.primitives: list[Flat] = []
         self.filled: list[Filled] = []
         self.arriving: list[tuple[int, Reference]] = []
         self.followed: list[tuple[int, Reference]] = []
-        self._start = start
+        self._programs, self._start = programs, programs.start
         for level, group in enumerate(groups):
             self.flat.append(self._level(level, group))
 
@@ -143,7 +143,7 @@ class Levels:
         self, level: int, task: Task, rows: _Rows, share: int = -1, *, joints: bool = False
     ) -> None:
         """Add a task's rows to a level, as primitives where it has any."""
-        program, at = task.program(self._start), len(rows.gain)
+        program, at = self._programs.of(task), len(rows.gain)
         levers = levers_of(task, self._start.chain)
         if program is None or any(primitive.of_joints != joints for primitive in program):
             self.filled.append(Filled(TaskStack([task], self._start), level, at, joints))

@@ -13,6 +13,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.kernel import native
 from coopqp.kernel.flat import Flat, flat_model, turned
 from coopqp.kernel.levels import Group, Levels
+from coopqp.program import Programs
 from coopqp.state import State
 from coopqp.task import Task
 
@@ -105,7 +106,7 @@ def survey(
     model: Flat | None = flat_model(chain)
     if native.module() is None or model is None:
         return None
-    levels = Levels([Group((), hard=tasks)], start)
+    levels = Levels([Group((), hard=tasks)], Programs(start))
     rows = sum(len(task.rows(chain)) for task in tasks)
     if not levels.compiled or levels.arriving or levels.followed:
         return None

@@ -11,6 +11,7 @@ from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, Damping
 from coopqp.qp_law.level import Level
+from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status
 from coopqp.state import State
@@ -45,7 +46,8 @@ class Fallback:
     def __init__(
         self, problem: ControlProblem, start: State, way_back: WayBack, damping: Damping
     ) -> None:
-        self._way_back, self._damping, self.drift = way_back, damping, 0.0
+        self._problem, self._way_back, self._damping = problem, way_back, damping
+        self.drift = 0.0
         self._tasks = TaskStack(problem.tasks, start)
         rows, bounds = problem.chain.loops.solver_rows, way_back.bounds
         self._attempts = []
@@ -88,7 +90,7 @@ class Fallback:
         _, level, bounds = attempt
         bounds.update(state)
         self._way_back.tighten(bounds)
-        kappa = self._way_back.probe.kappa(state)
+        kappa = drift_gain(self._problem, state)
         level.assemble(state, bounds, self._damping.of_drift(state, kappa))
         level.close_loops(state, kappa)
         if attempt is self._attempts[-1]:  # nothing may ask for a motion, so that v = 0 is feasible

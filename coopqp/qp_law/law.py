@@ -30,6 +30,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.loop_observer import Squeezer
+from coopqp.program import Programs
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.fallback import Fallback
 from coopqp.qp_law.level import Level
@@ -78,6 +79,7 @@ class QPLaw(Law):
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
         start, loops = State(problem.chain), problem.chain.loops.solver_rows
+        programs = Programs(start)
         self._damping = cost = Damping(damping, error_damping, problem.dt)
         self.way_back = WayBack(problem, start, error_damping)
         self.probe, bounds = self.way_back.probe, self.way_back.bounds
@@ -85,12 +87,12 @@ class QPLaw(Law):
         self.exact = exact = TaskStack([*hard, *scaled], start)
         self._scaled = exact.slices[len(hard) :]
         self._at_rest = 0.0 if scaled else 1.0  # the scale where scaled tasks do nothing
-        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, start)]
+        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, programs)]
         names = [task.name for task in scaled]
         self.first = Level(problem, stacks[0], [*loops, *exact.rows], bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, start, [*stacks[:i], exact], stacks[i], bounds, cost)
+            LaterLevel(problem, programs, [*stacks[:i], exact], stacks[i], bounds, cost)
             for i in range(1, len(stacks))
         ]
         self.levels = (self.first, *(later.level for later in self._later))

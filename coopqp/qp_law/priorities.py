@@ -15,14 +15,15 @@ derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
-from coopqp.program import sees_twist
+from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import MOST_DAMPING, Damping
 from coopqp.qp_law.level import Level
@@ -51,48 +52,49 @@ def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
     return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
-def deciding(problem: ControlProblem, start: State) -> list[list[Task]]:
+def deciding(problem: ControlProblem, programs: Programs) -> list[list[Task]]:
     """The :func:`groups` that have anything left to decide: none after all joints are decided.
 
     Args:
         problem: whose tasks.
-        start: the state from which their references set out.
+        programs: of tasks, from the state from which their references set out.
     """
     n, (first, *later) = problem.chain.n, groups(problem)
     found, decided = [first], [*first, *(task for task in problem.tasks if task.mode != "soft")]
     for group in later:
-        if most_rank(decided, start) == n and general_rank(decided, start) == n:
+        if most_rank(decided, programs) == n and general_rank(decided, programs) == n:
             break
         found.append(group)
         decided += group
     return found
 
 
-def most_rank(tasks: Sequence[Task], start: State) -> int:
+def most_rank(tasks: Sequence[Task], programs: Programs) -> int:
     """A rank that the rows of the loops and of these tasks cannot exceed.
 
     Rows that see nothing but the object's twist are together of rank six at most.
 
     Args:
         tasks: any.
-        start: the state from which their references set out.
+        programs: of tasks.
     """
-    chain, sizes = start.chain, {True: 0, False: len(start.chain.loops.solver_rows)}
+    chain = programs.start.chain
+    sizes = {True: 0, False: len(chain.loops.solver_rows)}
     for task in tasks:
-        sizes[sees_twist(task.program(start))] += len(task.rows(chain))
+        sizes[sees_twist(programs.of(task))] += len(task.rows(chain))
     return min(chain.n, sizes[False] + min(sizes[True], TWIST))
 
 
-def general_rank(tasks: Sequence[Task], start: State) -> int:
+def general_rank(tasks: Sequence[Task], programs: Programs) -> int:
     """How many rows of the loops and of these tasks are independent, unless a pose is singular.
 
     Args:
         tasks: any.
-        start: the state from which their references set out.
+        programs: of tasks.
     """
-    chain, stack, rank, most = start.chain, TaskStack(tasks, start), 0, most_rank(tasks, start)
-    samples = chain.sample(np.random.default_rng(0), SAMPLES)
-    for state in states_along(chain, np.vstack([chain.q_start, *samples])):
+    start, rank, most = programs.start, 0, most_rank(tasks, programs)
+    stack = TaskStack(tasks, start)
+    for state in states_along(start.chain, _places(start.chain)):
         stack.update(state)
         rank = max(rank, matrix_rank(np.vstack([state.J_loop, stack.J])))
         if rank == most:
@@ -100,12 +102,18 @@ def general_rank(tasks: Sequence[Task], start: State) -> int:
     return rank
 
 
+def _places(chain: ClosedChain) -> Iterator[Array]:
+    """The start, and some configurations anywhere for those who need more."""
+    yield chain.q_start
+    yield from chain.sample(np.random.default_rng(0), SAMPLES)
+
+
 class LaterLevel:
     """A level after the first.
 
     Args:
         problem: what to control.
-        start: a state.
+        programs: of tasks.
         before: the tasks that have been decided.
         tasks: the soft tasks of this level.
         bounds: the limits.
@@ -118,7 +126,7 @@ class LaterLevel:
     def __init__(
         self,
         problem: ControlProblem,
-        start: State,
+        programs: Programs,
         before: Sequence[TaskStack],
         tasks: TaskStack,
         bounds: Bounds,
@@ -126,7 +134,7 @@ class LaterLevel:
     ) -> None:
         self._before, self._damping = before, damping
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
-        decided = general_rank([task for stack in before for task in stack.tasks], start)
+        decided = general_rank([task for stack in before for task in stack.tasks], programs)
         rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
         self.level = Level(problem, tasks, rows, bounds, damping)
 

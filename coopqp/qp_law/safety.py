@@ -6,7 +6,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
-from coopqp.limit import movers
+from coopqp.limit import opening
 from coopqp.solver import Status, norm
 from coopqp.state import State
 
@@ -28,14 +28,9 @@ class LoopProbe:
     """
 
     def __init__(self, problem: ControlProblem) -> None:
-        self._dt, self._kappa = problem.dt, problem.kappa
+        self._dt, self._second_order = problem.dt, opening(problem.chain, problem.dt)
         self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
         self._after, self._reach = State(problem.chain), problem.chain.reach
-        frames = problem.chain.frames[: problem.chain.holding]
-        carried = [problem.chain.model.frames[frame].parentJoint for frame in frames]
-        moved = movers(problem.chain, carried)
-        per_arm = moved * moved.sum(axis=1, keepdims=True)
-        self._second_order = 0.5 * problem.dt**2 * (per_arm[1:] + per_arm[0])
 
     def shorten(self, state: State, command: Command) -> None:
         """Halve the step until the loops stay within the budget after it."""
@@ -51,21 +46,6 @@ class LoopProbe:
             others = (cause for cause in command.causes if cause is not Status.OPTIMAL)
             command.say(Status.STEP_SHORTENED, *others)
 
-    def kappa(self, state: State, share: float = 1.0) -> float:
-        """Gain of the drift correction: the problem's, or more where the budget is half used up.
-
-        With the paper's kappa = 0 nothing else would ever close a loop again.
-
-        Args:
-            state: of the tick.
-            share: of the problem's gain that is wanted.
-        """
-        slow, most = share * self._kappa, 1.0 / self._dt
-        if slow >= most:
-            return slow
-        used = float((_sizes(state.closed_error) / self._most).max(initial=0.0))
-        return max(slow, min(max(2.0 * used - 1.0, 0.0), 1.0) * most)
-
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
         error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
@@ -80,6 +60,23 @@ class LoopProbe:
         opened = (after.loop_error - state.gap)[: len(closed)]
         # A loop that is open already may be closed by steps that leave it open for now.
         return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._most)).all())
+
+
+def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
+    """Gain of the drift correction: the problem's, or more where the budget is half used up.
+
+    With the paper's kappa = 0 nothing else would ever close a loop again.
+
+    Args:
+        problem: what is controlled.
+        state: of the tick.
+        share: of the problem's gain that is wanted.
+    """
+    slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
+    if slow >= most:
+        return slow
+    sizes = _sizes(state.closed_error) / (budget.loop_position, budget.loop_orientation)
+    return max(slow, min(max(2.0 * float(sizes.max(initial=0.0)) - 1.0, 0.0), 1.0) * most)
 
 
 def _sizes(error: Array) -> Array:

@@ -19,7 +19,7 @@ from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import Damping
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.safety import LoopProbe
+from coopqp.qp_law.safety import LoopProbe, drift_gain
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -51,7 +51,7 @@ class WayBack:
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
         self.probe = LoopProbe(problem)
-        self._chain, self._dt = problem.chain, problem.dt
+        self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
         self._level = Level(problem, nothing, loops, self.bounds, self._damping, slows=True)
@@ -64,12 +64,12 @@ class WayBack:
         lower, upper = self._chain.lower, self._chain.upper
         self._low, self._high = state.q < lower - ROUNDING, state.q > upper + ROUNDING
         self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
-        kappa = self.probe.kappa(state)
+        kappa = drift_gain(self._problem, state)
         self.bounds.update(state)
         if self.active:
             self._find(state, kappa)
             self.tighten(self.bounds)
-            kappa = self.probe.kappa(state, self.share)
+            kappa = drift_gain(self._problem, state, self.share)
         return kappa
 
     def _find(self, state: State, kappa: float) -> None:

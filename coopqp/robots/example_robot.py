@@ -69,6 +69,11 @@ def robots() -> dict[str, Path]:
         folder = Path(str(metadata.distribution(PACKAGE).locate_file(FOLDER)))
     except metadata.PackageNotFoundError:
         raise MissingDependencyError("robot 'example_robot'", "robots") from None
+    return _listed(folder)
+
+
+@lru_cache(maxsize=1)
+def _listed(folder: Path) -> dict[str, Path]:
     files = sorted(folder.glob("*/*/*.urdf"))
     count = Counter(file.stem for file in files)
     return {

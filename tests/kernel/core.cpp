@@ -156,7 +156,8 @@ Case random_case(Random& random) {
     for (int l = 0; l < count; l++) {
         Level level;
         const bool last = l == count - 1 && count > 1;
-        const int rows = last ? 0 : whole(random, 1, 4);
+        const bool apart = !last && model->arms.size() > 1 && whole(random, 0, 5) == 0;
+        const int rows = last ? 0 : apart ? 6 : whole(random, 1, 4);
         level.rows = rows;
         // The first level may have hard rows, then scaled tasks of a row each, and then no others.
         const bool scales = l == 0 && !last && count > 1 && whole(random, 0, 2) == 0;
@@ -170,7 +171,7 @@ Case random_case(Random& random) {
         level.weight.assign(std::size_t(rows), std::pow(10.0, uniform(random, -1, 2)));
         level.lever.assign(std::size_t(rows), 1.0);
         level.asks_velocity.assign(std::size_t(rows), 0);
-        level.twist.assign(std::size_t(rows), 1);
+        level.twist.assign(std::size_t(rows), !apart);
         const std::size_t stride = std::size_t(model->blocks) * LANES;
         level.T = arena->take(8 * std::size_t(rows + 1));
         level.J = arena->take(stride * std::size_t(rows + 1));
@@ -190,6 +191,10 @@ Case random_case(Random& random) {
             p.numbers.assign(2 * n, 0.1);
             p.rows = {0, 2};
             p.length = 0.1;
+        } else if (apart) {
+            p.kind = Kind::Relative;
+            p.numbers.assign(1, double(whole(random, 0, int(model->arms.size()) - 2)));
+            p.rows = {0, 1, 2, 3, 4, 5};
         } else {
             p.kind = Kind::Twist;
             for (int r = 0; r < rows; r++) p.rows.push_back((r + l) % 6);

@@ -19,7 +19,7 @@ from coopqp.task import Task, TaskStack
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 
 #: What is left to Python, because it is no geometry, or for laws that command torques.
-PYTHONS = ("RelativeMotion", "MinimumKineticEnergy", "Impedance")
+PYTHONS = ("MinimumKineticEnergy", "Impedance")
 
 
 @over(EXAMPLES)

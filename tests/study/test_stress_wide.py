@@ -27,6 +27,7 @@ from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stres
 from coopqp.study.stress.draw import LAW, draw
 from coopqp.study.stress.driving import MOST, drive_on, record_of
 from coopqp.study.stress.ending import PartErrors, ending, way_back
+from coopqp.study.stress.goals import pick
 from coopqp.study.stress.signs import Record
 
 Array = NDArray[np.float64]
@@ -179,7 +180,7 @@ def far_from_reached() -> tuple[Law, State, Record]:
 def test_standing_at_the_loop_budget_is_frozen(cause: Status) -> None:
     law, state, record = far_from_reached()
     record.causes.extend([(cause,)] * TICKS)
-    found = ending(law.problem, state, record, PartErrors(law.problem))
+    found = ending(law, state, record, PartErrors(law.problem))
     assert found.frozen
     assert cause.name in found.reason
 
@@ -188,7 +189,7 @@ def test_standing_still_with_nothing_in_the_way_is_frozen() -> None:
     """The record stands still; the law, asked again there, could go on."""
     law, state, record = far_from_reached()
     record.causes.extend([OK] * TICKS)
-    found = ending(law.problem, state, record, PartErrors(law.problem))
+    found = ending(law, state, record, PartErrors(law.problem))
     assert found.frozen
 
 
@@ -204,7 +205,7 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     record.v = np.zeros((TICKS, law.problem.chain.n))
     record.causes.extend([(Status.RECOVERING,)] * TICKS)
     errors = PartErrors(law.problem)
-    found = ending(law.problem, state, record, errors)
+    found = ending(law, state, record, errors)
     assert found.outcome == "recovering"
     assert found.never_back
     assert way_back(law.problem, state) > 0.01
@@ -212,7 +213,16 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     state, record = law.start(), record_of(law.problem)
     drive_on(law, state, record, errors)
     assert len(record.v) <= MOST
-    assert not ending(law.problem, state, record, errors).never_back
+    assert not ending(law, state, record, errors).never_back
+
+
+def test_pick_draws_what_numpy_draws() -> None:
+    """Seeds of older tables stay what they were."""
+    ours, numpys = np.random.default_rng(3), np.random.default_rng(3)
+    for count in range(1, 20):
+        among = [f"{k}" for k in range(count)]
+        assert pick(ours, among) == numpys.choice(among)
+        assert ours.random() == numpys.random()
 
 
 # What people see.

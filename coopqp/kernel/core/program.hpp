@@ -8,114 +8,15 @@
 
 #include "climb.hpp"
 #include "kinematics.hpp"
+#include "primitive.hpp"
 #include "problem.hpp"
+#include "rows.hpp"
 
 namespace coopqp {
 
 constexpr double PI = 3.14159265358979323846;
 constexpr double TINY = 1e-12;  // as coopqp.geometry
 constexpr double CONE = 0.02;
-constexpr double RAMP = 0.25;   // as coopqp.profile
-
-// As coopqp.profile.Profile.
-struct Profile {
-    enum Kind { Step, ConstantVelocity, Trapezoid, Quintic };
-    Kind kind = Step;
-    double duration = 1.0, delay = 0.0;
-
-    void at(double t, double& share, double& speed) const {
-        share = 1.0;
-        speed = 0.0;
-        if (t >= (kind == Step ? delay : delay + duration)) return;
-        const double x = (t - delay) / duration;
-        if (x < 0.0) {
-            share = 0.0;
-        } else if (kind == Quintic) {
-            share = x * x * x * (10.0 + x * (6.0 * x - 15.0));
-            speed = 30.0 * x * x * (1.0 - x) * (1.0 - x) / duration;
-        } else if (kind == ConstantVelocity) {
-            share = x;
-            speed = 1.0 / duration;
-        } else {
-            trapezoid(x, share, speed);
-        }
-    }
-
-  private:
-    void trapezoid(double x, double& share, double& speed) const {
-        const double top = 1.0 / (1.0 - RAMP), left = 1.0 - x;
-        if (x < RAMP) {
-            share = 0.5 * top * x * x / RAMP;
-            speed = top * x / RAMP / duration;
-        } else if (x <= 1.0 - RAMP) {
-            share = top * (x - 0.5 * RAMP);
-            speed = top / duration;
-        } else {
-            share = 1.0 - 0.5 * top * left * left / RAMP;
-            speed = top * left / RAMP / duration;
-        }
-    }
-};
-
-// Where a reference is that follows a signal: arrays that Python fills before each tick.
-struct Followed {
-    const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
-};
-
-// As coopqp.geometry.Reference.
-struct Reference {
-    double c_0[3], RT_0[9], c_dot[3], turn[3];
-    Profile turning;
-    bool turns = false, moves = false;
-    double c[3], RT[9], omega[3];
-    Followed followed;
-
-    void begin() {
-        std::copy(c_0, c_0 + 3, c);
-        std::copy(RT_0, RT_0 + 9, RT);
-        std::fill(omega, omega + 3, 0.0);
-    }
-
-    void update(double t) {
-        if (followed.c) return follow();
-        if (!moves) return;
-        for (int i = 0; i < 3; i++) c[i] = c_0[i] + c_dot[i] * t;
-        if (!turns) return;
-        double share, speed, w[3], R[9];
-        turning.at(t, share, speed);
-        for (int i = 0; i < 3; i++) w[i] = turn[i] * share;
-        exp3(w, R);
-        product_transposed(RT_0, R, RT);
-        for (int i = 0; i < 3; i++) omega[i] = turn[i] * speed;
-    }
-
-    void follow() {
-        moves = true;
-        std::copy(followed.c, followed.c + 3, c);
-        std::copy(followed.RT, followed.RT + 9, RT);
-        std::copy(followed.c_dot, followed.c_dot + 3, c_dot);
-        std::copy(followed.omega, followed.omega + 3, omega);
-    }
-};
-
-enum class Kind { Point, Radial, Lean, Tilt, Rotation, Twist, Centering, Barrier, Posture, Manipulability };
-
-struct Primitive {
-    Kind kind;
-    int level, at;          // where its rows go
-    std::vector<int> rows;  // which of the kind's rows
-    Reference reference;
-    Profile profile;
-    double p_O[3], a_O[3];     // point and axis of the object
-    double e_start[3], phi[3]; // error, and turn, at the start
-    double length;             // distance; barrier's end; manipulability's scale
-    double Q_start[9];
-    double velocity[6];
-    bool planar;               // radial: in the plane of the first two axes; twist: object's axes
-    double weight, gain;       // of joint objectives
-    std::vector<double> numbers;  // of joint objectives, by joint
-};
-
 class Program {
   public:
     std::vector<Primitive> primitives;
@@ -143,6 +44,7 @@ class Program {
                 case Kind::Barrier: barrier(p, m, q, level); break;
                 case Kind::Posture: posture(p, t, m, q, level); break;
                 case Kind::Manipulability: manipulability(p, m, level); break;
+                case Kind::Relative: relative(p, t, k, m, level); break;
             }
         }
     }
@@ -280,29 +182,88 @@ class Program {
         approach(p, t, 1, level);
     }
 
-    // As coopqp.geometry.RotationError.
-    static void rotation(const Primitive& p, double t, const Kinematics& k, Level& level) {
-        const Reference& r = p.reference;
-        double share, speed, w[3], R[9], Q[9], Q_r[9], Q_e[9], e[3], left[9], turned[3];
+    // As coopqp.geometry.RotationError, whose goal is at rest.
+    struct Turn {
+        double e[3], left[9], turned[3];
+    };
+
+    static Turn turn(const Primitive& p, double t, const double* Q) {
+        Turn found;
+        double share, speed, w[3], R[9], Q_r[9], Q_e[9];
         p.profile.at(t, share, speed);
         for (int i = 0; i < 3; i++) w[i] = p.phi[i] * share;
         exp3(w, R);
         product(R, p.Q_start, Q_r);
-        product(r.RT, k.R_WO, Q);
         product_transposed(Q, Q_r, Q_e);
-        log3(Q_e, e);
-        inverse_left_jacobian(e, left);
+        log3(Q_e, found.e);
+        inverse_left_jacobian(found.e, found.left);
         for (int i = 0; i < 3; i++) w[i] = p.phi[i] * speed;
-        times3(Q_e, w, turned);
+        times3(Q_e, w, found.turned);
+        return found;
+    }
+
+    static void rotation(const Primitive& p, double t, const Kinematics& k, Level& level) {
+        const Reference& r = p.reference;
+        double Q[9];
+        product(r.RT, k.R_WO, Q);
+        const Turn of = turn(p, t, Q);
         for (int i = 0; i < 3; i++) {
             const std::size_t at = std::size_t(p.at + i);
             double row[3];
-            transposed_times3(r.RT, left + 3 * i, row);
-            level.e[at] = e[i];
+            transposed_times3(r.RT, of.left + 3 * i, row);
+            level.e[at] = of.e[i];
             level.rate[at] =
-                dot3(left + 3 * i, turned) + (r.moves ? dot3(row, r.omega) : 0.0);
+                dot3(of.left + 3 * i, of.turned) + (r.moves ? dot3(row, r.omega) : 0.0);
             about(level.T + 8 * at, row);
         }
+    }
+
+    // An arm's object frame in the first arm's; numbers: of the loop that it closes with that one.
+    static void relative(const Primitive& p, double t, const Kinematics& k, const Model& m,
+                         Level& level) {
+        const int loop = int(p.numbers[0]), arm = loop + 1;
+        const Frame &first = k.carried[0], &other = k.carried[std::size_t(arm)];
+        const double* gap = &k.loop_error[std::size_t(6 * loop)];
+        double RT[9], Q[9];  // R_0', R_0' R_i
+        for (int j = 0; j < 3; j++) {
+            RT[j] = first.x[j];
+            RT[3 + j] = first.y[j];
+            RT[6 + j] = first.z[j];
+        }
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                const v4& column = j == 0 ? other.x : j == 1 ? other.y : other.z;
+                const double of_other[3] = {column[0], column[1], column[2]};
+                Q[3 * i + j] = dot3(RT + 3 * i, of_other);
+            }
+        const Turn of = turn(p, t, Q);
+        const Rows rows(m);
+        const auto apart = [&](std::size_t at, const double* d, const double* w_0, bool turns) {
+            double* J = level.J + at * rows.stride();
+            double on_other[6] = {0, 0, 0, 0, 0, 0}, on_first[6] = {0, 0, 0, 0, 0, 0};
+            for (int r = 0; r < 3; r++) {
+                on_other[turns ? 3 + r : r] = d[r];
+                on_first[turns ? 3 + r : r] = -d[r];
+                if (w_0) on_first[3 + r] = w_0[r];
+            }
+            clear(J, m.blocks);
+            rows.pull(arm, on_other, 1.0, J);
+            rows.pull(0, on_first, 1.0, J);
+        };
+        for (int i = 0; i < 3; i++) {
+            const std::size_t at = std::size_t(p.at + i);
+            const double* d = RT + 3 * i;
+            double w[3];
+            cross3(d, gap, w);
+            level.e[at] = dot3(d, gap) - p.reference.c[i];
+            level.rate[at] = 0.0;
+            apart(at, d, w, false);
+            transposed_times3(RT, of.left + 3 * i, w);
+            level.e[at + 3] = of.e[i];
+            level.rate[at + 3] = dot3(of.left + 3 * i, of.turned);
+            apart(at + 3, w, nullptr, true);
+        }
+        approach(p, t, 3, level);
     }
 
     static void twist(const Primitive& p, double t, const Kinematics& k, Level& level) {

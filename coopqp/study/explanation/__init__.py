@@ -12,23 +12,28 @@ contradiction  tasks that cannot hold together
 motion, late   what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
-tick           one tick: what leaves it no motion
+asked          one tick: what was asked, and the answer
+tick           the same tick: what leaves it no motion
 standing       arms at rest now: what keeps them from their goals
 """
 
+from coopqp.study.explanation.asked import Asked, asked_now
 from coopqp.study.explanation.leg import Recording, recording_of
 from coopqp.study.explanation.standing import Standing, explain_standing
-from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain
+from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain, explain_asked
 from coopqp.study.explanation.whole import RunExplanation, explain_run
 
 __all__ = [
+    "Asked",
     "Explanation",
     "Recording",
     "Relaxation",
     "RunExplanation",
     "Standing",
+    "asked_now",
     "at_bound",
     "explain",
+    "explain_asked",
     "explain_run",
     "explain_standing",
     "recording_of",

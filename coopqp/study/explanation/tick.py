@@ -24,10 +24,10 @@ import numpy as np
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
-from coopqp.qp import QP
 from coopqp.rank import null_space
 from coopqp.row import Row, names_of
-from coopqp.solver import HALTS, Status, causes_of
+from coopqp.solver import HALTS, Status
+from coopqp.study.explanation.asked import Asked, asked_then
 from coopqp.study.explanation.contradiction import irreducible
 from coopqp.study.explanation.shares import Share, forces, shares, thing_of
 from coopqp.study.explanation.words import listed, with_note
@@ -92,25 +92,29 @@ class Explanation:
 
 def explain(record: TickRecord) -> Explanation:
     """Why, as far as one tick can tell."""
-    causes = causes_of(record.status)
+    return explain_asked(asked_then(record))
+
+
+def explain_asked(tick: Asked) -> Explanation:
+    """The same of a tick that nobody kept."""
+    causes = tick.causes
     if halts := [cause for cause in causes if cause in HALTS]:
         return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")
     status = causes[0]
     if not status.usable and status not in CONFLICTS:
         return Explanation((), (), (), f"the tick stands still: {status.value}")
-    qp, J = record.qp(), np.array(record.J).reshape(-1, len(record.variables))
-    wanted, names = np.array(record.wanted), names_of(record.task_rows)
-    gap = np.abs(J @ np.array(record.answer) - wanted)
+    J, wanted, names = tick.J, tick.wanted, names_of(tick.task_rows)
+    gap = np.abs(J @ tick.v - wanted)
     allowed = MISSED + MISSED_SHARE * np.abs(wanted)
     missed = tuple(name for name, g, a in zip(names, gap, allowed, strict=True) if g > a)
     if not missed:
         return Explanation((), (), (), "nothing was in the way: every task row was met")
-    rows = _Rows(record, _loops(record, qp), J)
+    rows = _Rows(tick)
     impossible = tuple(names[i] for i in rows.impossible)
     against = rows.contradicting(wanted, allowed)
-    answer = None if against else _relax(record, qp, J[rows.kept], wanted[rows.kept])
-    relaxations = _named(record, qp, answer) if answer is not None else ()
-    held = () if against else _holding(record, qp, J, wanted)
+    answer = None if against else _relax(tick, J[rows.kept], wanted[rows.kept])
+    relaxations = _named(tick, answer) if answer is not None else ()
+    held = () if against else _holding(tick)
     found = Explanation(
         missed, impossible, relaxations, "", against, tuple(s.row.name for s in held)
     )
@@ -121,8 +125,8 @@ def explain(record: TickRecord) -> Explanation:
 
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """The limits that the answer is at, each side of a joint and each thing in space once."""
-    at = _slack(record, record.qp()) < AT_BOUND
-    rows = [row for row, now in zip(_limit_rows(record), at, strict=True) if now]
+    tick = asked_then(record)
+    rows = [row for row, x in zip(tick.limit_rows, tick.slack, strict=True) if x < AT_BOUND]
     return tuple({thing_of(row): row for row in rows}.values())
 
 
@@ -134,27 +138,23 @@ class _Rows:
         impossible: rows that loops and other rows of the same task rule out.
     """
 
-    def __init__(self, record: TickRecord, loops: tuple[Array, Array], J: Array) -> None:
-        self._owners = [row.owner for row in record.task_rows]
-        self._loops, self._J = loops, J
+    def __init__(self, tick: Asked) -> None:
+        self._owners = [row.owner for row in tick.task_rows]
+        self._loops, self._J = (tick.A, tick.b), tick.J
         self.kept: list[int] = []
         self.impossible: list[int] = []
-        own: list[int] = []
-        for i, owner in enumerate(self._owners):
-            own = [k for k in own if self._owners[k] == owner]
-            if not self._open(i, own):
+        own = kept = loops = np.linalg.qr(tick.A.T)[0].T
+        for i, row in enumerate(tick.J):
+            if i and self._owners[i] != self._owners[i - 1]:
+                own = loops
+            more = _spanned(own, row)
+            if more is None:
                 self.impossible.append(i)
                 continue
-            own.append(i)
-            if self._open(i, self.kept):
+            own, more = more, _spanned(kept, row)
+            if more is not None:
                 self.kept.append(i)
-
-    def _open(self, i: int, others: Sequence[int]) -> bool:
-        """Whether loops and other rows leave row i a motion."""
-        rows, row = [*self._loops[0], *self._J[list(others)]], self._J[i]
-        basis = np.linalg.qr(np.array(rows).T)[0] if rows else np.zeros((len(row), 0))
-        left = row - basis @ (basis.T @ row)
-        return bool(np.linalg.norm(left) > IMPOSSIBLE * max(float(np.linalg.norm(row)), 1e-12))
+                kept = more
 
     def contradicting(self, wanted: Array, allowed: Array) -> tuple[str, ...]:
         """Tasks that cannot hold together, limits or not; none where they can."""
@@ -173,71 +173,66 @@ class _Rows:
         return found if len(found) > 1 else ()
 
 
-def _loops(record: TickRecord, qp: QP) -> tuple[Array, Array]:
-    """The loop rows alone; hard and scaled tasks are tasks here."""
-    kept = [i for i, row in enumerate(record.equality_rows) if row.kind == "loop"]
-    return qp.A[kept], qp.b[kept]
+def _spanned(basis: Array, row: Array) -> Array | None:
+    """Orthonormal rows that span one more; None where that is spanned already."""
+    left = row - basis.T @ (basis @ row)
+    left -= basis.T @ (basis @ left)  # what rounding has left
+    size = float(np.linalg.norm(left))
+    if not size > IMPOSSIBLE * max(float(np.linalg.norm(row)), 1e-12):
+        return None
+    return np.vstack([basis, left / size])
 
 
-def _relax(record: TickRecord, qp: QP, J: Array, wanted: Array) -> Array | None:
+def _relax(tick: Asked, J: Array, wanted: Array) -> Array | None:
     """R of [lb; ub; h], or None when no relaxation helps."""
-    n, p = qp.n, qp.p
-    A, b = _loops(record, qp)
-    equal = np.vstack([A, J])
+    n, p = len(tick.v), len(tick.h)
+    equal = np.vstack([tick.A, J])
     zeros = np.zeros((len(equal), 2 * n + p))
     eye, none = np.eye(n), np.zeros((n, n))
     rows = [
         np.hstack([-eye, -eye, none, np.zeros((n, p))]),
         np.hstack([eye, none, -eye, np.zeros((n, p))]),
-        np.hstack([qp.G, np.zeros((p, 2 * n)), -np.eye(p)]),
+        np.hstack([tick.G, np.zeros((p, 2 * n)), -np.eye(p)]),
     ]
-    bounded = np.concatenate([-qp.lb, qp.ub, qp.h])
+    bounded = np.concatenate([-tick.lb, tick.ub, tick.h])
     kept = np.isfinite(bounded)
     result = linprog(
         np.concatenate([np.zeros(n), np.ones(2 * n + p)]),
         A_ub=np.vstack(rows)[kept],
         b_ub=bounded[kept],
         A_eq=np.hstack([equal, zeros]),
-        b_eq=np.concatenate([b, wanted]),
+        b_eq=np.concatenate([tick.b, wanted]),
         bounds=[(None, None)] * n + [(0.0, None)] * (2 * n + p),
     )
     return np.asarray(result.x[n:], float) if result.success else None
 
 
-def _named(record: TickRecord, qp: QP, r: Array) -> tuple[Relaxation, ...]:
-    at = _slack(record, qp) < AT_BOUND
+def _named(tick: Asked, r: Array) -> tuple[Relaxation, ...]:
+    if not (r > NOTHING).any():
+        return ()
+    at = tick.slack < AT_BOUND
     found = [
         Relaxation(
             row.name,
-            float(amount) * (record.dt if row.of_place else 1.0),
+            float(amount) * (tick.dt if row.of_place else 1.0),
             row.unit,
             row.words,
             bool(now),
         )
-        for row, amount, now in zip(_limit_rows(record), r, at, strict=True)
+        for row, amount, now in zip(tick.limit_rows, r, at, strict=True)
         if amount > NOTHING
     ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
 
 
-def _limit_rows(record: TickRecord) -> list[Row]:
-    return [*record.lb_rows, *record.ub_rows, *record.inequality_rows]
-
-
-def _slack(record: TickRecord, qp: QP) -> Array:
-    """What the answer leaves of lb, ub and h."""
-    v = np.array(record.answer)
-    return np.concatenate([v - qp.lb, qp.ub - v, qp.h - qp.G @ v])
-
-
-def _holding(record: TickRecord, qp: QP, J: Array, wanted: Array) -> tuple[Share, ...]:
+def _holding(tick: Asked) -> tuple[Share, ...]:
     """Limits at their bound that hold the missed motion back."""
-    n, v = qp.n, np.array(record.answer)
-    Z = null_space(_loops(record, qp)[0])
-    pull = Z.T @ J.T @ (wanted - J @ v)
-    ways = np.vstack([-np.eye(n), np.eye(n), qp.G])
-    at = np.flatnonzero(_slack(record, qp) < AT_BOUND)
-    rows = _limit_rows(record)
+    at = np.flatnonzero(tick.slack < AT_BOUND).tolist()
+    if not len(at):
+        return ()
+    Z, eye = null_space(tick.A), np.eye(len(tick.v))
+    pull = Z.T @ tick.J.T @ (tick.wanted - tick.J @ tick.v)
+    ways, rows = np.vstack([-eye, eye, tick.G]), tick.limit_rows
     within = [(rows[i], Z.T @ ways[i]) for i in at]
     within = [(row, way) for row, way in within if np.linalg.norm(way) > 1e-9]
     return shares([row for row, _ in within], forces(pull, [way for _, way in within]))

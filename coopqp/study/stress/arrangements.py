@@ -17,6 +17,7 @@ from coopqp.errors import MissingDependencyError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid, Spherical
 from coopqp.robots.example_robot import robots
+from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 
@@ -57,8 +58,7 @@ def grasps_of(name: str) -> tuple[str, ...]:
 @cache
 def chain(name: str, grasp: str) -> ClosedChain:
     """The closed chain of an arrangement, at its scenario's start."""
-    scenario = _scenario(name)
-    held = scenario if grasp == "its own" else replace(scenario, grasps=_grasps(scenario, grasp))
+    held = _scenario(name) if grasp == "its own" else _held(_scenario(name), grasp)
     if name not in RELEASED:
         return held.chain
     return held.chain.handed_over(held.chain.q_start, RELEASED[name])
@@ -66,7 +66,20 @@ def chain(name: str, grasp: str) -> ClosedChain:
 
 @cache
 def _scenario(name: str) -> Scenario:
-    return load({**OWN, **INSTALLED}[name])
+    return load({**OWN, **INSTALLED}[name], _catalog())
+
+
+@cache
+def _catalog() -> Catalog:
+    """Which the scenarios share."""
+    return Catalog()
+
+
+def _held(scenario: Scenario, grasp: str) -> Scenario:
+    """The scenario with another grasp, and with its robot as it is built."""
+    held = replace(scenario, grasps=_grasps(scenario, grasp))
+    vars(held)["robot_model"] = scenario.robot_model
+    return held
 
 
 def _grasps(scenario: Scenario, grasp: str) -> Mapping[str, Grasp]:

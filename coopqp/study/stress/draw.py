@@ -18,6 +18,7 @@ from coopqp.solver import Solver
 from coopqp.solvers.daqp import Daqp
 from coopqp.state import State
 from coopqp.study.stress import arrangements, goals
+from coopqp.study.stress.goals import pick
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 
@@ -57,12 +58,12 @@ class Draw:
 def draw(seed: int, solver: Solver = DAQP) -> Draw:
     """The problem that belongs to a seed, the same for every solver."""
     rng = np.random.default_rng(seed)
-    robot = str(rng.choice(arrangements.names()))
-    grasp = str(rng.choice(arrangements.grasps_of(robot)))
+    robot = pick(rng, arrangements.names())
+    grasp = pick(rng, arrangements.grasps_of(robot))
     outside, tight = bool(rng.random() < 0.3), bool(rng.random() < 0.5)
     first = arrangements.chain(robot, grasp)
     chain = first.moved(walk(rng, first, outside=outside))
-    dt, kappa = float(rng.choice(PERIODS)), str(rng.choice(list(KAPPAS)))
+    dt, kappa = pick(rng, PERIODS), pick(rng, tuple(KAPPAS))
     tasks = _tasks(rng, chain, dt)
     problem = ControlProblem(
         chain=chain,
@@ -129,7 +130,7 @@ def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Tas
     tasks = []
     for i in range(int(rng.integers(1, 5))):
         aim = goals.random_aim(rng, X if reach else goals.anywhere(rng, chain))
-        build = goals.BUILDERS[str(rng.choice(kinds))]
+        build = goals.BUILDERS[pick(rng, kinds)]
         tasks.append(build(aim, goals.common(rng, dt, f"t{i}")))
     return tuple(tasks)
 

@@ -35,7 +35,7 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
         errors: of its tasks.
     """
     problem = law.problem
-    record.q = state.q[None].copy()
+    record.q, arrived = state.q[None].copy(), max(task.end for task in problem.tasks)
     while len(record.v) < MOST:
         made = law.run(state, ROUND)
         record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
@@ -43,7 +43,7 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
         record.plain += int(np.count_nonzero(~made.compiled))
         if not np.isfinite(made.v).all():
             return
-        if len(record.v) >= FEWEST and _ended(problem, state, record, errors):
+        if len(record.v) >= FEWEST and state.t >= arrived and _ended(state, record, errors):
             break
     position, orientation = loop_errors(problem.chain, record.q)
     record.loop_position = float(position.max())
@@ -75,11 +75,9 @@ def _note(record: Record, plant: PlantModel, state: State) -> None:
         record.saturated.append(plant.signals["saturated"] > 0.0)
 
 
-def _ended(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> bool:
-    """Whether the references have arrived and nothing changes any more."""
-    if state.t < max(task.end for task in problem.tasks):
-        return False
+def _ended(state: State, record: Record, errors: PartErrors) -> bool:
+    """Whether nothing changes any more, now that the references have arrived."""
     if signs.slowest(record) < signs.STILL:
         return True
-    inside = bool(((problem.chain.lower <= state.q) & (state.q <= problem.chain.upper)).all())
+    inside = bool(((record.lower <= state.q) & (state.q <= record.upper)).all())
     return inside and errors.at_end(state, record).max() <= 1.0

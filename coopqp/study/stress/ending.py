@@ -9,21 +9,21 @@ recovering  a joint is still outside its limits
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
-from coopqp.controller import ControlProblem
+from coopqp.controller import ControlProblem, Law
 from coopqp.qp_law.bounds import Bounds
 from coopqp.rank import null_space
 from coopqp.state import State
-from coopqp.study.explanation import explain
+from coopqp.study.explanation import asked_now, explain_asked
 from coopqp.study.stress import signs
-from coopqp.study.stress.draw import LAW
 from coopqp.study.stress.signs import Record
-from coopqp.study.tick_record import record_tick
 from coopqp.task import TaskStack
 
 INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]
@@ -56,50 +56,59 @@ class PartErrors:
 
     Args:
         problem: with the tasks.
+        start: the state from which their references set out; the chain's when omitted.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
-        self._problem, self._now = problem, State(problem.chain)
-        self._tasks = TaskStack(problem.tasks, self._now)
+    def __init__(self, problem: ControlProblem, start: State | None = None) -> None:
+        self._problem = problem
+        self._tasks = TaskStack(problem.tasks, start or State(problem.chain))
+        parts = [(task, part) for task in problem.tasks for part in task.parts(problem.chain)]
+        ends = itertools.accumulate((part.rows for _, part in parts), initial=0)
+        self._parts = [
+            (slice(a, b), part.tolerance, task.asks_velocity)
+            for (task, part), (a, b) in zip(parts, itertools.pairwise(ends), strict=True)
+        ]
 
-    def at_end(self, state: State, record: Record, back: int = 0) -> Array:
+    def at_end(self, state: State, record: Record) -> Array:
         """Of a rollout.
 
         Args:
-            state: at the end.
+            state: at the end, up to date.
             record: of all ticks.
-            back: so many ticks before the end.
         """
-        problem, now, tasks = self._problem, self._now, self._tasks
-        now.q[:], now.t = record.q[-1 - back], state.t - back * problem.dt
-        now.update()
-        tasks.update(now)
-        errors, at = [], 0
-        for task in problem.tasks:
-            for part in task.parts(problem.chain):
-                rows = slice(at, at + part.rows)
-                missed = tasks.J[rows] @ record.v[-1 - back] - tasks.rate[rows]
-                error = missed if task.asks_velocity else tasks.e[rows]
-                errors.append(float(np.linalg.norm(error)) / part.tolerance)
-                at += part.rows
+        return self._errors(state, record.v[-1])
+
+    def before(self, state: State, record: Record) -> Array:
+        """Of a rollout, some ticks before its end."""
+        t = state.t - BEFORE * self._problem.dt
+        return self._errors(
+            State(self._problem.chain, record.q[-1 - BEFORE], t), record.v[-1 - BEFORE]
+        )
+
+    def stack(self, state: State) -> TaskStack:
+        """The tasks at a state."""
+        self._tasks.update(state)
+        return self._tasks
+
+    def _errors(self, state: State, v: Array) -> Array:
+        tasks, errors = self.stack(state), list[float]()
+        for rows, tolerance, asks_velocity in self._parts:
+            error = tasks.J[rows] @ v - tasks.rate[rows] if asks_velocity else tasks.e[rows]
+            errors.append(math.sqrt(error.dot(error)) / tolerance)
         return np.array(errors)
 
-    def jacobian(self, state: State) -> Array:
-        """J of all tasks, shape (k, n)."""
-        self._tasks.update(state)
-        return self._tasks.J
 
-
-def ending(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
+def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Judge the end of a rollout.
 
     Args:
-        problem: what was controlled.
+        law: what controlled it.
         state: at the end.
         record: of all ticks.
         errors: of its tasks.
     """
     said = signs.names_of(record.causes[-1])
+    problem = law.problem
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
     if stands and problem.on_infeasible == "stop":
@@ -116,10 +125,10 @@ def ending(problem: ControlProblem, state: State, record: Record, errors: PartEr
     speed = signs.slowest(record)
     if signs.held_up(record) and speed < signs.AT_REST:
         return Ending("at rest", said, frozen=True)
-    if speed > signs.AT_REST and _nears(missed, errors.at_end(state, record, BEFORE)):
+    if speed > signs.AT_REST and _nears(missed, errors.before(state, record)):
         how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
         return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
-    return _rest(problem, state, record, errors)
+    return _rest(law, state, record, errors)
 
 
 def _nears(errors: Array, before: Array) -> bool:
@@ -128,18 +137,17 @@ def _nears(errors: Array, before: Array) -> bool:
     return change > CHANGE * float(errors.max())
 
 
-def _rest(problem: ControlProblem, state: State, record: Record, errors: PartErrors) -> Ending:
+def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
-    law = LAW.plain(problem)  # whose program has names for all that it says
-    tick = record_tick(law, state, scenario="stress", controller="qp", tick=len(record.v))
-    why = explain(tick)
+    problem, tasks, command = law.problem, errors.stack(state), law.tick(state)
+    why = explain_asked(asked_now(problem, state, tasks, command))
     limits = [r.name for r in why.relaxations]
     names = [name for name in limits if not name.startswith(OF_SPEED)]
     names += [f"loops|{name}" for name in why.impossible]
     if names:
         return Ending("blocked", ", ".join(names))
     held = _at_limits(problem, state)
-    if _near_singular(errors.jacobian(state), state, list(held)):
+    if _near_singular(tasks.J, state, list(held)):
         return Ending("at rest", ", ".join(["singular pose", *held.values()]))
     if limits:
         still = signs.slowest(record) < signs.AT_REST

@@ -6,17 +6,17 @@ along the loops has found, so that several tasks can hold at once, and others fr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, cross
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
-from coopqp.profile import Profile
+from coopqp.profile import KINDS, Profile
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,
@@ -37,6 +37,7 @@ from coopqp.tasks import (
 )
 
 Vector = tuple[float, float, float]
+T = TypeVar("T")
 
 FARTHEST = 0.4  # distance of a goal from the start, as a share of the arms' reach
 TURN = 1.0  # largest turn to a goal out of reach [rad]
@@ -142,6 +143,11 @@ BUILDERS: dict[str, Build] = {
 }  # fmt: skip
 
 
+def pick(rng: np.random.Generator, among: Sequence[T]) -> T:
+    """One of several, each as likely; what rng.choice draws, which makes an array of them first."""
+    return among[int(rng.integers(len(among)))]
+
+
 def vector(numbers: Array) -> Vector:
     """Three plain numbers."""
     x, y, z = np.asarray(numbers, float).tolist()
@@ -152,7 +158,7 @@ def random_aim(rng: np.random.Generator, X: pin.SE3) -> Aim:
     """A point and two directions of the object that shall be as the pose has them."""
     axis, other = rng.normal(size=(2, 3))
     axis /= np.linalg.norm(axis)
-    normal = np.cross(axis, other)
+    normal = cross(axis, other)
     point = vector(rng.uniform(-0.04, 0.04, 3)) if rng.random() < 0.5 else (0.0, 0.0, 0.0)
     return Aim(rng, X, point, axis, normal / np.linalg.norm(normal))
 
@@ -170,7 +176,7 @@ def common(rng: np.random.Generator, dt: float, name: str) -> Common:
     """Keys that every task has."""
     return {
         "name": name,
-        "mode": str(rng.choice(["soft", "soft", "soft", "hard", "scaled"])),
+        "mode": pick(rng, ("soft", "soft", "soft", "hard", "scaled")),
         "priority": int(rng.integers(0, 3)),
         "weight": float(10.0 ** rng.uniform(-2.0, 2.0)),
         "gain": float(dt ** -rng.uniform(0.4, 1.0)),
@@ -180,5 +186,5 @@ def common(rng: np.random.Generator, dt: float, name: str) -> Common:
 
 def profile(rng: np.random.Generator) -> Profile:
     """How a reference moves, often at once."""
-    kind: Any = str(rng.choice(["step", "constant_velocity", "trapezoid", "quintic"]))
+    kind: Any = pick(rng, KINDS)
     return Profile(kind=kind, duration=float(rng.uniform(0.1, 0.7)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from coopqp.controller import Law
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.study.stress import signs
@@ -68,17 +69,20 @@ class Rollout:
     plain: int = 0
 
 
-def judged(seed: int, drawn: Draw, state: State, record: Record, errors: PartErrors) -> Rollout:
+def judged(
+    seed: int, drawn: Draw, law: Law, state: State, record: Record, errors: PartErrors
+) -> Rollout:
     """Judge a rollout whose time is up.
 
     Args:
         seed: of it.
         drawn: the problem.
+        law: that was run.
         state: at the end.
         record: of all ticks.
         errors: of its tasks.
     """
-    end = ending(drawn.problem, state, record, errors)
+    end = ending(law, state, record, errors)
     share = signs.flips(record)
     rattling = share > signs.RATTLING
     return Rollout(

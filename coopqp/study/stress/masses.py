@@ -59,11 +59,11 @@ class DrawWithMasses(Draw):
 def draw_with_masses(seed: int, solver: Solver = DAQP) -> DrawWithMasses:
     """The problem that belongs to a seed, the same for every solver and plant."""
     rng = np.random.default_rng(seed)
-    robot = str(rng.choice([name for name in ROBOTS if name in arrangements.names()]))
-    grasp = str(rng.choice(GRASPS))
+    robot = goals.pick(rng, [name for name in ROBOTS if name in arrangements.names()])
+    grasp = goals.pick(rng, GRASPS)
     first = arrangements.chain(robot, grasp)
     chain = first.moved(walk(rng, first, outside=False))
-    dt, kappa, reach = float(rng.choice(PERIODS)), str(rng.choice(CORRECTED)), rng.random() < 0.5
+    dt, kappa, reach = goals.pick(rng, PERIODS), goals.pick(rng, CORRECTED), rng.random() < 0.5
     X = chain.object_pose(walk(rng, chain, outside=False))
     tasks = tuple(
         _task(rng, goals.random_aim(rng, X if reach else goals.anywhere(rng, chain)), f"t{i}")
@@ -90,13 +90,13 @@ def _task(rng: np.random.Generator, aim: goals.Aim, name: str) -> Task:
     )
     common: goals.Common = {
         "name": name,
-        "mode": str(rng.choice(["soft", "soft", "hard", "scaled"])),
+        "mode": goals.pick(rng, ["soft", "soft", "hard", "scaled"]),
         "priority": int(rng.integers(0, 2)),
         "weight": float(10.0 ** rng.uniform(-1.0, 1.0)),
         "gain": float(rng.uniform(2.0, 10.0)),
         "profile": profile,
     }
-    return goals.BUILDERS[str(rng.choice(KINDS))](aim, common)
+    return goals.BUILDERS[goals.pick(rng, KINDS)](aim, common)
 
 
 def _disturbance(rng: np.random.Generator, chain: ClosedChain) -> Disturbance:

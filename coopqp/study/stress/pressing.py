@@ -62,8 +62,8 @@ def draw_pressing(seed: int, solver: Solver = DAQP) -> PressingDraw:
         CoopqpError: the draw is one that nobody can hold.
     """
     rng = np.random.default_rng(seed)
-    robot = str(rng.choice([name for name in HEAVIEST if name in arrangements.names()]))
-    grasp, errors = str(rng.choice(["pads", "pads", "fingertip"])), str(rng.choice(ERRORS))
+    robot = goals.pick(rng, [name for name in HEAVIEST if name in arrangements.names()])
+    grasp, errors = goals.pick(rng, ["pads", "pads", "fingertip"]), goals.pick(rng, ERRORS)
     firm = arrangements.chain(robot, "rigid")
     chain = _pressing(rng, firm, walk(rng, firm, outside=False), grasp, HEAVIEST[robot])
     tasks, wrenches = _tasks(rng, chain), _wrenches(rng, chain)
@@ -73,7 +73,7 @@ def draw_pressing(seed: int, solver: Solver = DAQP) -> PressingDraw:
         wrenches=wrenches,
         limits=(JointPosition(), JointVelocity()),
         dt=DT,
-        kappa=float(rng.choice([0.02, 0.1])) / DT,
+        kappa=goals.pick(rng, [0.02, 0.1]) / DT,
         solver=solver,
     )
     return PressingDraw(
@@ -111,13 +111,13 @@ def _tasks(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:
     aim = goals.random_aim(rng, chain.object_pose(walk(rng, chain, outside=False)))
     common: goals.Common = {
         "name": "move",
-        "mode": str(rng.choice(["soft", "soft", "soft", "hard"])),
+        "mode": goals.pick(rng, ["soft", "soft", "soft", "hard"]),
         "priority": 0,
         "weight": float(10.0 ** rng.uniform(-1.0, 1.0)),
         "gain": float(rng.uniform(2.0, 20.0)),
         "profile": Profile(kind="quintic", duration=float(rng.uniform(0.3, 1.5))),
     }
-    return (goals.BUILDERS[str(rng.choice(KINDS))](aim, common),)
+    return (goals.BUILDERS[goals.pick(rng, KINDS)](aim, common),)
 
 
 def _wrenches(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Protocol, TypeVar
 
@@ -20,6 +22,7 @@ from coopqp.study.stress.pair import run_pair
 
 JOINTS = Kinematic()
 HERE = Engine()
+COLLECTED = 50_000  # objects that are made before unused ones in cycles are looked for
 
 
 def stress(
@@ -86,7 +89,19 @@ def _lost(seed: int, reason: str) -> Rollout:
 
 def rollouts(seeds: Sequence[int], *, solver: Solver, plant: Plant) -> list[Rollout]:
     """A batch of rollouts, one after the other; what the engine has a worker do."""
-    return [one_rollout(seed, solver, plant) for seed in seeds]
+    with _rare_collections():
+        return [one_rollout(seed, solver, plant) for seed in seeds]
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Let Python look for cycles that nobody holds once in some rollouts, not 50 times in each."""
+    before = gc.get_threshold()
+    gc.set_threshold(COLLECTED, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:
@@ -108,6 +123,6 @@ def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Roll
 def _run(drawn: Draw, seed: int) -> Rollout:
     law = LAW.unprepared(drawn.problem)
     state = law.start()
-    record, errors = record_of(drawn.problem), PartErrors(drawn.problem)
+    record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
     drive_on(law, state, record, errors)
-    return judged(seed, drawn, state, record, errors)
+    return judged(seed, drawn, law, state, record, errors)
