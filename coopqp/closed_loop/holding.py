@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -156,6 +155,8 @@ class StaticHold:
     def _solve(
         self, cost: Array, A: Array, b: Array, more: Sequence[tuple[float, float]]
     ) -> Bound | None:
+        from scipy.optimize import linprog  # which takes a quarter of a second to come
+
         size = self._G.shape[1]
         extra = len(cost) - size
         scale = np.append(self._scale, np.ones(extra))

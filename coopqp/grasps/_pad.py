@@ -20,7 +20,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import nnls
 
 from coopqp.checked import Array
 from coopqp.contact import NO_CONTACT, Contact
@@ -126,6 +125,8 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
         half: half-lengths X, Y [m].
         friction: coefficient.
     """
+    from scipy.optimize import nnls  # which takes a quarter of a second to come
+
     wanted = wrench / wrench[2]
     wanted[3:] /= max(half)
     # Friction stretches what is tangential: forces along x and y, and the yaw that they make.
