@@ -141,6 +141,8 @@ class ClosedLoopDynamics:
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self.J_arms, self.drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
         self.J_object = self.J_arms[:6]
+        by_arm = self.J_arms.reshape(-1, 6, n), self.drift_arms.reshape(-1, 6)
+        self._of_arms = list(zip(chain.frames, *by_arm, strict=True))
         self._J_rel, self._drift_rel = np.zeros((rows, n)), np.zeros(rows)
         whole = m == rows
         self.J = self._J_rel if whole else np.zeros((m, n))
@@ -173,13 +175,10 @@ class ClosedLoopDynamics:
 
     def _update_loops(self) -> None:
         model, data, world = self.model, self._data, pin.LOCAL_WORLD_ALIGNED
-        at = 0
-        for frame in self.chain.frames:
+        for frame, J, drift in self._of_arms:
             pin.updateFramePlacement(model, data, frame)
-            acceleration = pin.getFrameClassicalAcceleration(model, data, frame, world)
-            self.J_arms[at : at + 6] = pin.getFrameJacobian(model, data, frame, world)
-            self.drift_arms[at : at + 6] = acceleration.vector
-            at += 6
+            J[:] = pin.getFrameJacobian(model, data, frame, world)
+            drift[:] = pin.getFrameClassicalAcceleration(model, data, frame, world).vector
         self._relative.dot(self.J_arms, self._J_rel)
         self._relative.dot(self.drift_arms, self._drift_rel)
         if self.chain.loops.varying:
@@ -210,8 +209,11 @@ class ClosedLoopDynamics:
         np.negative(self.drift, rhs[n:])
         x, singular = saddle.solve(rhs)
         self._a[:] = x[:n]
-        self._wrench[:] = 0.0
-        self._wrench[self.kept] = -x[n:]
+        if self.J is self._J_rel:
+            np.negative(x[n:], self._wrench)
+        else:
+            self._wrench[:] = 0.0
+            self._wrench[self.kept] = -x[n:]
         return DirectResult(self._a, self._wrench, singular)
 
     def impact(self, v: Array) -> Array:

@@ -57,7 +57,9 @@ def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
         point: where it is given, shape (3,) [m].
         to: where it is wanted, shape (3,) [m].
     """
-    return np.asarray(_moved(np.asarray(point, float) - np.asarray(to, float)) @ wrench, float)
+    found = np.array(wrench, float)
+    found[3:] += pin.skew(np.asarray(point, float) - np.asarray(to, float)) @ found[:3]
+    return found
 
 
 def _moved(lever: Array) -> Array:
