@@ -118,12 +118,15 @@ class ClosedLoopDynamics:
         self.chain = chain
         _check_released(chain)
         body = chain.held.body()
-        self._body = pin.Inertia(mass_scale * body.mass, body.lever, mass_scale * body.inertia)
+        # Kept, because pinocchio makes these arrays anew whenever it is asked.
+        self._mass, self._lever = mass_scale * body.mass, body.lever.copy()
+        self._inertia = mass_scale * body.inertia
+        self._each_way, self._falls = self._mass * np.eye(3), chain.model.gravity.linear.copy()
         self.shares = _shares(chain, shares)
         self.model = chain.model.copy()
         for frame, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
-                part = pin.Inertia(share * self._body.mass, body.lever, share * self._body.inertia)
+                part = pin.Inertia(share * self._mass, body.lever, share * self._inertia)
                 self.model.appendBodyToJoint(
                     chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
                 )
@@ -309,15 +312,15 @@ class ClosedLoopDynamics:
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()
-        body = self._body
-        r, I = pin.skew(R @ body.lever), R @ body.inertia @ R.T  # noqa: E741
+        mass, lever = self._mass, R @ self._lever
+        r, I = pin.skew(lever), R @ self._inertia @ R.T  # noqa: E741
         turn = pin.skew(omega)  # whose product with a vector is a tenth of np.cross's time
         M, b = np.zeros((6, 6)), np.zeros(6)
-        M[:3, :3] = body.mass * np.eye(3)
-        M[:3, 3:] = -body.mass * r
-        M[3:, :3] = body.mass * r
-        M[3:, 3:] = I - body.mass * r @ r
-        b[:3] = body.mass * (turn @ (turn @ (R @ body.lever)) - self.model.gravity.linear)
+        M[:3, :3] = self._each_way
+        M[:3, 3:] = -mass * r
+        M[3:, :3] = mass * r
+        M[3:, 3:] = I - mass * r @ r
+        b[:3] = mass * (turn @ (turn @ lever) - self._falls)
         b[3:] = turn @ (I @ omega) + r @ b[:3]
         return M, b, R
 

@@ -37,6 +37,8 @@ HAND_INERTIA = 0.01
 #: Shares sum to one within this.
 SHARE_SUM = 1e-9
 
+_UNMOVED = np.eye(6)
+
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
     """G with w = G h, shape (6, 6 N).
@@ -63,7 +65,7 @@ def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
 
 
 def _moved(lever: Array) -> Array:
-    matrix = np.eye(6)
+    matrix = _UNMOVED.copy()
     matrix[3:, :3] = pin.skew(lever)
     return matrix
 
