@@ -48,7 +48,11 @@ def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
         origin: of the object, shape (3,) [m].
     """
     levers = np.asarray(points, float) - np.asarray(origin, float)
-    return np.hstack([_moved(lever) for lever in levers])
+    G = np.empty((6, 6 * len(levers)))
+    for i, lever in enumerate(levers):
+        G[:, 6 * i : 6 * i + 6] = _UNMOVED
+        G[3:, 6 * i : 6 * i + 3] = pin.skew(lever)
+    return G
 
 
 def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
@@ -144,7 +148,7 @@ def virtual_inertia(
             f"masses and inertias: found {m.tolist()} and {j.tolist()}, need more than 0"
         )
     G = grasp_matrix(p, origin)
-    WGt = np.repeat(np.column_stack([m, j]).ravel(), 3)[:, None] * G.T
+    WGt = np.repeat(np.array([m, j]).T.ravel(), 3)[:, None] * G.T
     return Split("virtual_inertia", G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
 
 
