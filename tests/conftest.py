@@ -64,8 +64,7 @@ def _remembering(load: Callable[..., Scenario]) -> Callable[..., Scenario]:
     @wraps(load)
     def remembered(path: str | Path, catalog: Catalog | None = None) -> Scenario:
         found = find(path)
-        own = catalog is not None and any(catalog.folders)
-        return load(path, catalog) if own or found not in places else once(found)
+        return once(found) if catalog is None and found in places else load(path, catalog)
 
     return remembered
 
