@@ -349,6 +349,9 @@ class RotationError:
         J_log.dot(Q_e.dot(turning), rate)
 
 
+_ONE = np.eye(3)
+
+
 def _inverse_left_jacobian(w: Array) -> Array:
     """Jl^-1(w), with which log(exp(a) exp(w)) = w + Jl^-1(w) a for a small a; shape (3, 3).
 
@@ -362,7 +365,7 @@ def _inverse_left_jacobian(w: Array) -> Array:
         half = 0.5 * math.sqrt(t2)
         c = (1.0 - half / math.tan(half)) / t2
     S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    J: Array = np.eye(3) - 0.5 * S + c * S.dot(S)
+    J: Array = _ONE - 0.5 * S + c * S.dot(S)
     return J
 
 

@@ -226,10 +226,14 @@ def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
     }
     tips = {arm.name: model.getFrameId(arm.tip) for arm in chain.arms}
     points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
+    # Views into pinocchio's data, which stay valid, instead of asking in each row.
+    places = [
+        (points[name][:, i], X.translation)
+        for name, ids in joints.items()
+        for i, X in enumerate([*(data.oMi[joint] for joint in ids), data.oMf[tips[name]]])
+    ]
     for k, row in enumerate(q):
         pin.framesForwardKinematics(model, data, row)
-        for name, ids in joints.items():
-            for i, joint in enumerate(ids):
-                points[name][k, i] = data.oMi[joint].translation
-            points[name][k, -1] = data.oMf[tips[name]].translation
+        for found, place in places:
+            found[k] = place
     return points

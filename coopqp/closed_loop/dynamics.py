@@ -118,12 +118,15 @@ class ClosedLoopDynamics:
         self.chain = chain
         _check_released(chain)
         body = chain.held.body()
-        self._body = pin.Inertia(mass_scale * body.mass, body.lever, mass_scale * body.inertia)
+        # Kept, because pinocchio makes these arrays anew whenever it is asked.
+        self._mass, self._lever = mass_scale * body.mass, body.lever.copy()
+        self._inertia = mass_scale * body.inertia
+        self._each_way, self._falls = self._mass * np.eye(3), chain.model.gravity.linear.copy()
         self.shares = _shares(chain, shares)
         self.model = chain.model.copy()
         for frame, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
-                part = pin.Inertia(share * self._body.mass, body.lever, share * self._body.inertia)
+                part = pin.Inertia(share * self._mass, body.lever, share * self._inertia)
                 self.model.appendBodyToJoint(
                     chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
                 )
@@ -141,6 +144,8 @@ class ClosedLoopDynamics:
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self.J_arms, self.drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
         self.J_object = self.J_arms[:6]
+        by_arm = self.J_arms.reshape(-1, 6, n), self.drift_arms.reshape(-1, 6)
+        self._of_arms = list(zip(chain.frames, *by_arm, strict=True))
         self._J_rel, self._drift_rel = np.zeros((rows, n)), np.zeros(rows)
         whole = m == rows
         self.J = self._J_rel if whole else np.zeros((m, n))
@@ -173,13 +178,10 @@ class ClosedLoopDynamics:
 
     def _update_loops(self) -> None:
         model, data, world = self.model, self._data, pin.LOCAL_WORLD_ALIGNED
-        at = 0
-        for frame in self.chain.frames:
+        for frame, J, drift in self._of_arms:
             pin.updateFramePlacement(model, data, frame)
-            acceleration = pin.getFrameClassicalAcceleration(model, data, frame, world)
-            self.J_arms[at : at + 6] = pin.getFrameJacobian(model, data, frame, world)
-            self.drift_arms[at : at + 6] = acceleration.vector
-            at += 6
+            J[:] = pin.getFrameJacobian(model, data, frame, world)
+            drift[:] = pin.getFrameClassicalAcceleration(model, data, frame, world).vector
         self._relative.dot(self.J_arms, self._J_rel)
         self._relative.dot(self.drift_arms, self._drift_rel)
         if self.chain.loops.varying:
@@ -210,8 +212,11 @@ class ClosedLoopDynamics:
         np.negative(self.drift, rhs[n:])
         x, singular = saddle.solve(rhs)
         self._a[:] = x[:n]
-        self._wrench[:] = 0.0
-        self._wrench[self.kept] = -x[n:]
+        if self.J is self._J_rel:
+            np.negative(x[n:], self._wrench)
+        else:
+            self._wrench[:] = 0.0
+            self._wrench[self.kept] = -x[n:]
         return DirectResult(self._a, self._wrench, singular)
 
     def impact(self, v: Array) -> Array:
@@ -307,15 +312,15 @@ class ClosedLoopDynamics:
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()
-        body = self._body
-        r, I = pin.skew(R @ body.lever), R @ body.inertia @ R.T  # noqa: E741
+        mass, lever = self._mass, R @ self._lever
+        r, I = pin.skew(lever), R @ self._inertia @ R.T  # noqa: E741
         turn = pin.skew(omega)  # whose product with a vector is a tenth of np.cross's time
         M, b = np.zeros((6, 6)), np.zeros(6)
-        M[:3, :3] = body.mass * np.eye(3)
-        M[:3, 3:] = -body.mass * r
-        M[3:, :3] = body.mass * r
-        M[3:, 3:] = I - body.mass * r @ r
-        b[:3] = body.mass * (turn @ (turn @ (R @ body.lever)) - self.model.gravity.linear)
+        M[:3, :3] = self._each_way
+        M[:3, 3:] = -mass * r
+        M[3:, :3] = mass * r
+        M[3:, 3:] = I - mass * r @ r
+        b[:3] = mass * (turn @ (turn @ lever) - self._falls)
         b[3:] = turn @ (I @ omega) + r @ b[:3]
         return M, b, R
 

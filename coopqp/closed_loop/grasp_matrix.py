@@ -37,6 +37,8 @@ HAND_INERTIA = 0.01
 #: Shares sum to one within this.
 SHARE_SUM = 1e-9
 
+_UNMOVED = np.eye(6)
+
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
     """G with w = G h, shape (6, 6 N).
@@ -46,7 +48,11 @@ def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
         origin: of the object, shape (3,) [m].
     """
     levers = np.asarray(points, float) - np.asarray(origin, float)
-    return np.hstack([_moved(lever) for lever in levers])
+    G = np.empty((6, 6 * len(levers)))
+    for i, lever in enumerate(levers):
+        G[:, 6 * i : 6 * i + 6] = _UNMOVED
+        G[3:, 6 * i : 6 * i + 3] = pin.skew(lever)
+    return G
 
 
 def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
@@ -57,11 +63,13 @@ def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
         point: where it is given, shape (3,) [m].
         to: where it is wanted, shape (3,) [m].
     """
-    return np.asarray(_moved(np.asarray(point, float) - np.asarray(to, float)) @ wrench, float)
+    found = np.array(wrench, float)
+    found[3:] += pin.skew(np.asarray(point, float) - np.asarray(to, float)) @ found[:3]
+    return found
 
 
 def _moved(lever: Array) -> Array:
-    matrix = np.eye(6)
+    matrix = _UNMOVED.copy()
     matrix[3:, :3] = pin.skew(lever)
     return matrix
 
@@ -140,7 +148,7 @@ def virtual_inertia(
             f"masses and inertias: found {m.tolist()} and {j.tolist()}, need more than 0"
         )
     G = grasp_matrix(p, origin)
-    WGt = np.repeat(np.column_stack([m, j]).ravel(), 3)[:, None] * G.T
+    WGt = np.repeat(np.array([m, j]).T.ravel(), 3)[:, None] * G.T
     return Split("virtual_inertia", G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
 
 

@@ -155,7 +155,7 @@ class StaticHold:
     def _solve(
         self, cost: Array, A: Array, b: Array, more: Sequence[tuple[float, float]]
     ) -> Bound | None:
-        from scipy.optimize import linprog  # most processes never need it
+        from scipy.optimize import linprog  # which takes a quarter of a second to come
 
         size = self._G.shape[1]
         extra = len(cost) - size

@@ -315,19 +315,17 @@ def _rate(
     others = np.array([[i for i in range(chain.n) if i not in c] for c in choices], np.intp)
     by_pose = np.array([_conditions(pose, others) for pose in poses])
     at_start = _conditions(start, others)
-    rated = []
-    for i, choice in enumerate(choices):
-        conditions = by_pose[:, i]
-        rated.append(
-            Scheme(
-                joints=tuple(chain.joint_names[j] for j in choice),
-                condition=float(np.median(conditions)),
-                condition_start=float(at_start[i]),
-                admissible=bool(conditions.min() < SINGULAR_CONDITION),
-                admissible_start=bool(at_start[i] < SINGULAR_CONDITION),
-            )
+    middle, least = np.median(by_pose, axis=0), by_pose.min(axis=0)
+    return [
+        Scheme(
+            joints=tuple(chain.joint_names[j] for j in choice),
+            condition=float(middle[i]),
+            condition_start=float(at_start[i]),
+            admissible=bool(least[i] < SINGULAR_CONDITION),
+            admissible_start=bool(at_start[i] < SINGULAR_CONDITION),
         )
-    return rated
+        for i, choice in enumerate(choices)
+    ]
 
 
 def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:

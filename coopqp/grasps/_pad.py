@@ -64,9 +64,15 @@ class Pad(Contact):
         low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
         low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
         high = self._needed(w) / INNER
+        if not high - low > NEAR * high + 1e-9:
+            return float(max(low, high))
+        # Most wrenches need hardly more than the least, which then answers for all above.
+        tried = (1.0 + 4.0 * NEAR) * low
+        enough = corners_hold(w, self.half_lengths, tried)
         while high - low > NEAR * high + 1e-9:
             middle = 0.5 * (low + high)
-            if corners_hold(w, self.half_lengths, middle):
+            known = (middle >= tried) == enough
+            if enough if known else corners_hold(w, self.half_lengths, middle):
                 high = middle
             else:
                 low = middle
@@ -125,7 +131,7 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
         half: half-lengths X, Y [m].
         friction: coefficient.
     """
-    from scipy.optimize import nnls  # most processes never need it
+    from scipy.optimize import nnls  # which takes a quarter of a second to come
 
     wanted = wrench / wrench[2]
     wanted[3:] /= max(half)

@@ -16,12 +16,11 @@ from pathlib import Path
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError
 from coopqp.robot import Capsule, Shape
-from coopqp.robot_files.meshes import read_mesh
+from coopqp.robot_files.meshes import read_mesh, version
 
 #: Points of a cylinder's rim.
 RIM = 12
@@ -92,7 +91,7 @@ def outermost(shape: Shape) -> Array:
         InvalidValueError: a mesh that cannot be used.
     """
     assert shape.mesh is not None
-    return _read(*_version(shape.mesh), _sizes(shape))
+    return _read(*version(shape.mesh), _sizes(shape))
 
 
 def of_capsule(capsule: Capsule) -> Convex:
@@ -139,18 +138,11 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
     return Convex(coal.Capsule(*size), placement, half, half[2], points, radius)
 
 
-def _version(path: Path) -> tuple[Path, int, int]:
-    """The file and what tells that it is still the same."""
-    try:
-        found = path.stat()
-    except (OSError, ValueError):
-        return path, 0, 0  # reading says why
-    return path, found.st_mtime_ns, found.st_size
-
-
 @lru_cache(maxsize=512)
 def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Array:
     """The outermost vertices of a mesh; what has changed in the file is read anew."""
+    from scipy.spatial import ConvexHull, QhullError  # robots without meshes do not wait for it
+
     vertices = read_mesh(path, scale).vertices
     try:
         return np.asarray(vertices[ConvexHull(vertices).vertices])
@@ -165,6 +157,8 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
     Args:
         points: numbers of an array of shape (v, 3), so that the hull is computed once.
     """
+    from scipy.spatial import ConvexHull, QhullError
+
     vertices = np.frombuffer(points).reshape(-1, 3)
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     try:

@@ -54,11 +54,11 @@ class EndStops:
 
     def torque(self, q: Array, v: Array) -> Array:
         """What the stops do to the joints, shape (n,) [N m]; not to be written to."""
-        above, below = q - self._upper, self._lower - q
-        if not np.maximum(above, below).max(initial=0.0) > 0.0:
+        if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
         if not self._follows:
             self._follow()
+        above, below = q - self._upper, self._lower - q
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)
         return push

@@ -85,12 +85,13 @@ class RigidBodyModel(DynamicModel):
             mass_scale=mass_scale,
         )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
+        self._seen = b""  # the state that the dynamics are up to date with, if that may come again
 
     def integrate(self) -> None:
         """One step of the Runge-Kutta method, then back on the loops."""
         h, true = self.h, self.true
         q, v, t = true.q, true.v, true.t
-        self._dynamics.update(q, v)
+        self._follow(q, v)
         if self._stops:
             self._stops.update(self._dynamics)
         a1 = self._accelerated(q, v, t)
@@ -109,7 +110,8 @@ class RigidBodyModel(DynamicModel):
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy; keeps the wrenches of this instant as well."""
         true, dynamics = self.true, self._dynamics
-        a = self._acceleration(true.q, true.v, true.t)
+        self._follow(true.q, true.v)
+        a = self._accelerated(true.q, true.v, true.t)
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
         self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
@@ -126,8 +128,16 @@ class RigidBodyModel(DynamicModel):
             told.bear()
             self.lost = told.lost
 
+    def _follow(self, q: Array, v: Array) -> None:
+        """Bring the dynamics up to date, unless that is the state of the last period's end."""
+        seen = q.tobytes() + v.tobytes()
+        if seen != self._seen:
+            self._dynamics.update(q, v)
+            self._seen = seen
+
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
         self._dynamics.update(q, v)
+        self._seen = b""
         return self._accelerated(q, v, t)
 
     def _accelerated(self, q: Array, v: Array, t: float) -> Array:

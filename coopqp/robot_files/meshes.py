@@ -40,6 +40,15 @@ class Mesh:
     corners: NDArray[np.int64]
 
 
+def version(path: Path) -> tuple[Path, int, int]:
+    """The file and what tells that it is still the same."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return path, 0, 0  # reading says why
+    return path, found.st_mtime_ns, found.st_size
+
+
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
     """Read a file of triangles.
 

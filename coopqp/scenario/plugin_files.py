@@ -18,6 +18,7 @@ import sys
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
@@ -81,7 +82,7 @@ def shipped() -> Iterator[Shelf]:
 
 def installed() -> Iterator[Shelf | Fault]:
     """What installed packages bring along."""
-    for point in sorted(metadata.entry_points(group=GROUP)):
+    for point in _points(tuple((place, _changed(place)) for place in sys.path)):
         place = f"entry point {point.name} = {point.value} of {GROUP}"
         try:
             package = importlib.import_module(point.value)
@@ -96,6 +97,20 @@ def installed() -> Iterator[Shelf | Fault]:
             continue
         for path in package.__path__:
             yield from _shelves(Path(path), package.__name__)
+
+
+@lru_cache(maxsize=4)
+def _points(_places: tuple[tuple[str, int], ...]) -> tuple[metadata.EntryPoint, ...]:
+    """The entry points, which take long to read, of the places that Python imports from."""
+    return tuple(sorted(metadata.entry_points(group=GROUP)))
+
+
+def _changed(place: str) -> int:
+    """When a package was last put somewhere or taken away; 0 where nothing is [ns]."""
+    try:
+        return Path(place).stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def in_folder(folder: Path) -> Iterator[Shelf | Fault]:

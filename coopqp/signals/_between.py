@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import CubicSpline
 
 from coopqp.checked import Array
 from coopqp.signal import matrix, quaternion_of
@@ -55,6 +54,8 @@ def pieces(t: Array, values: Array, between: Between, *, round_trip: bool) -> Pi
         round_trip: whether the last is the first again.
     """
     if between == "cubic":
+        from scipy.interpolate import CubicSpline  # nobody else waits for it
+
         ends = "periodic" if round_trip else "clamped"
         return Pieces(t, CubicSpline(t, values, bc_type=ends).c)
     h, way = np.diff(t)[:, None], np.diff(values, axis=0)

@@ -6,14 +6,13 @@ import multiprocessing
 import os
 import pickle
 import signal
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from chains import ring, robot_of, serial
+from forking import program
 from laws import LIMITS, NEAR, problem
 
 from coopqp.checked import Array
@@ -137,7 +136,6 @@ assert np.isfinite(state.q).all() and np.array_equal(law.tick(law.start()).v, wa
 def test_forks_and_bells_in_a_rollout() -> None:
     """A child goes on by itself; a signal ends ten million ticks soon, and the law goes on."""
     assert hasattr(signal, "setitimer")
-    done = subprocess.run(
-        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    with program(FORKED) as process:
+        said = process.out.read()
+        assert process.ended() == 0, said

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -15,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import typed
+from forking import program
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
@@ -165,15 +164,14 @@ LOOP = """\
 
 def test_a_killed_process_loses_less_than_a_second(tmp_path: Path) -> None:
     path = tmp_path / "live.arrows"
-    code = [sys.executable, "-c", textwrap.dedent(LOOP), str(path)]
-    with subprocess.Popen(code, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout
-        ticks = [process.stdout.readline().split()]
+    with program(LOOP, path) as process:
+        ticks = [process.out.readline().split()]
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
-            ticks.append(process.stdout.readline().split())
-        process.send_signal(signal.SIGKILL)
-        ticks += [line.split() for line in process.stdout.read().splitlines()]
+            ticks.append(process.out.readline().split())
+        os.kill(process.pid, signal.SIGKILL)
+        ticks += [line.split() for line in process.out.read().splitlines()]
+        assert process.ended() == -signal.SIGKILL
     when = {int(line[0]): float(line[1]) for line in ticks if len(line) == 2}
     found = [int(row["tick"]) for row in cells(path)]
     assert found == list(range(len(found)))

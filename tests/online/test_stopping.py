@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
-import textwrap
 import threading
 from typing import Any
 
 import numpy as np
 import pytest
+from forking import program
 from online_loops import Scripted, follows, go, simulated
 
 from coopqp.limits import JointAcceleration
@@ -97,10 +96,9 @@ TERMINATED = """\
 
 
 def test_sigterm_leaves_the_robot_at_rest() -> None:
-    code = [sys.executable, "-c", textwrap.dedent(TERMINATED)]
-    done = subprocess.run(code, capture_output=True, text=True, timeout=60, check=False)
-    assert done.stdout.splitlines() == ["fast True", "SIGTERM False"], done.stderr
-    assert done.returncode == 0
+    with program(TERMINATED) as process:
+        assert process.out.read().splitlines() == ["fast True", "SIGTERM False"]
+        assert process.ended() == 0
 
 
 def test_signals_are_given_back_and_the_second_one_ends_at_once() -> None:

@@ -8,12 +8,11 @@ import resource
 import signal
 import sys
 import time
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_line import typed
+from forking import forked
 from plate_study import HERE, STUDY, plate_in, table_of, written
 
 from coopqp.errors import CoopqpError
@@ -37,19 +36,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
 def undisturbed(whole: Study) -> Path:
     """The folder with these results."""
     return whole.file.path.parent / "whole"
-
-
-def forked(work: Callable[[], object]) -> int:
-    """The number of a process that does some work, which has all that this one has imported."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
-        child = os.fork()
-    if child == 0:
-        try:
-            work()
-        finally:
-            os._exit(0)
-    return child
 
 
 def test_wherever_a_journal_ends_the_results_are_the_same(

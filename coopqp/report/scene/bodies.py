@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,17 @@ from numpy.typing import NDArray
 from coopqp.errors import InvalidValueError
 from coopqp.mark import SolidMark
 from coopqp.report.scene.thinning import count_thinned, thinned
-from coopqp.report.scene.triangles import NOTHING, Triangles, joined, moved, of_capsule, of_shape
+from coopqp.report.scene.triangles import (
+    NOTHING,
+    Triangles,
+    joined,
+    moved,
+    of_capsule,
+    of_mesh,
+    of_shape,
+)
 from coopqp.robot import Capsule, RobotModel, Shape
+from coopqp.robot_files.meshes import version
 from coopqp.trace import Trace
 
 MOST_TRIANGLES = 2000  # of each arm, and of all that belongs to none
@@ -121,13 +131,22 @@ def _surfaces_of_shapes(
 
 def _read(shape: Shape) -> tuple[Triangles, str]:
     """As fine as may be seen, so that large meshes do not slow what follows; and what is wrong."""
+    if shape.kind != "mesh":
+        return of_shape(shape), ""
+    assert shape.mesh is not None
+    return _read_mesh(*version(shape.mesh), shape.size)
+
+
+@lru_cache(maxsize=256)
+def _read_mesh(
+    path: Path, changed: int, size: int, scale: tuple[float, ...]
+) -> tuple[Triangles, str]:
+    """The same for a file; what has changed in it is read anew."""
     try:
-        surface = of_shape(shape)
+        surface = of_mesh(path, scale)
     except InvalidValueError as error:
         return NOTHING, str(error)
-    if shape.kind == "mesh":
-        surface = thinned(surface, READ * _size([surface]))
-    return surface, ""
+    return thinned(surface, READ * _size([surface])), ""
 
 
 def _size(surfaces: Sequence[Triangles]) -> float:
