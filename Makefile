@@ -2,6 +2,7 @@
 # make test   the same with the test tools, and run the suite
 # make lint   style, types, direction of imports
 # make docs   the site, in out/docs; warnings are errors
+# make links  asks the internet whether what pages link to is there
 # make bench  one tick side by side with Pink
 # make sanitize  the kernel on random robots and garbage, watched by the compiler's sanitizers
 
@@ -12,7 +13,7 @@ OUT ?= out/point_on_point
 
 CXX ?= c++
 
-.PHONY: demo test lint docs bench sanitize clean
+.PHONY: demo test lint docs links bench sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -30,6 +31,9 @@ lint: .venv/installed-test
 docs: .venv/installed-docs
 	$(BIN)/sphinx-build -W --keep-going -q -d out/doctrees docs out/docs
 	@echo out/docs/index.html
+
+links: .venv/installed-docs
+	$(BIN)/sphinx-build -b linkcheck -q -d out/doctrees docs out/links
 
 bench: .venv/installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist

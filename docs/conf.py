@@ -44,12 +44,14 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "within_subsection_order": "coopqp_site.gallery.Order",
     "write_computation_times": False,
+    "min_reported_time": 3600,  # [s], so that pages do not tell how long they took
 }
 
 html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_search_scorer = str(HERE / "search_scorer.js")
 html_show_copyright = False
 html_show_sphinx = False
 html_copy_source = False

@@ -3,8 +3,8 @@ The paper's system, from start to figures
 =========================================
 
 NAO holds a box between its hands: two arms of five joints each, and one object that both carry.
-That is the system of "Control of a Lower Mobility Dual Arm System". A shipped scenario is
-loaded, looked at, run under three laws, drawn, and written as a page.
+That is the system of "Control of a Lower Mobility Dual Arm System" (Long, Khalil and Caro, 2012).
+A shipped scenario is loaded, looked at, run under three laws, drawn, and written as a page.
 """
 
 # %%

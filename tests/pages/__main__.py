@@ -12,7 +12,7 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from pages.blocks import blocks, pages
+from pages.blocks import blocks, pages, with_outputs
 from pages.stage import Page, stage
 
 
@@ -22,19 +22,18 @@ def main(asked: list[str]) -> int:
     for name, path in pages().items():
         if asked and name not in asked:
             continue
-        page = Page(name)
+        page = Page(name, whole=True)
         with TemporaryDirectory() as folder, stage(Path(folder)):
-            for block in blocks(name, path.read_text(encoding="utf-8")):
-                if not block.runs or block.language not in ("python", "sh", "yaml"):
-                    continue
+            for block, shown in with_outputs(blocks(name, path.read_text(encoding="utf-8"))):
                 began = time.monotonic()
                 try:
-                    page.run(block, shell=True)
+                    page.run(block, shown)
                 except Exception:  # noqa: BLE001 - the other blocks are looked at, too
                     failed += 1
                     traceback.print_exc()
                     click.echo(f"{block.place}: FAILED")
-                click.echo(f"{block.place}: {time.monotonic() - began:.1f} s")
+                lacking = f", {block.lacks} is not installed" if block.lacks else ""
+                click.echo(f"{block.place}: {time.monotonic() - began:.1f} s{lacking}")
     return failed
 
 

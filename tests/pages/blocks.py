@@ -4,8 +4,15 @@ A comment right above a block says what is special about it; readers of the sour
 
     <!-- not run: needs a cluster -->          it is parsed, but nobody runs it
     <!-- run by tests.pages: 20 s -->          not in the suite, but by python -m tests.pages
+    <!-- needs: pandas -->                     the same, and only where that is installed
     <!-- file: out/my.yaml -->                 its text is that of a file, for the blocks after it
     <!-- run first: robot = ... -->            Python that the block needs and readers do not
+
+A block of text is what the block before it prints. Here, too, a comment says what is special:
+
+    <!-- not run: a list of files -->          nothing prints it
+    <!-- printed by: coopqp list -->           this does, not the block before it
+    <!-- differs: 2.5e-12, which is rounding -->   these numbers may be others
 """
 
 from __future__ import annotations
@@ -13,13 +20,15 @@ from __future__ import annotations
 import re
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-MARKS = ("not run", "run by tests.pages", "file", "run first")
+MARKS = ("not run", "run by tests.pages", "needs", "file", "run first")
+MARKS_OF_TEXT = ("not run", "run by tests.pages", "printed by", "differs")
 BLOCK = re.compile(
     r"(?P<marks>(?:^ *<!--(?:(?!-->).)*-->\n+)*)"
     r"^(?P<indent> *)(?P<fence>`{3,})(?P<language>[^\n`]*)\n(?P<code>.*?)^(?P=indent)(?P=fence)$",
@@ -31,6 +40,8 @@ SPAN = re.compile(r"`((?:\.venv/bin/)?coopqp [^`\n]+)`")
 ENDS, BEFORE = {";", "&&", "||", "|", "&", "(", ")"}, {"do", "then", "time", "srun", "!"}
 #: What shells put in place of a word.
 VARIABLE = re.compile(r"\$\{?\w+\}?|\$\(.*?\)")
+#: The number of what is sent elsewhere, as in 2>&1.
+STREAM = re.compile(r"(?<=\s)\d(?=>)")
 
 
 @dataclass(frozen=True)
@@ -57,7 +68,18 @@ class Block:
     @property
     def at_once(self) -> bool:
         """Whether it is run in the suite."""
-        return self.runs and "run by tests.pages" not in self.marks
+        return self.runs and not {"run by tests.pages", "needs"} & set(self.marks)
+
+    @property
+    def lacks(self) -> str:
+        """What it needs and is not installed."""
+        needed = self.marks.get("needs", "")
+        return needed if needed and find_spec(needed) is None else ""
+
+    @property
+    def is_output(self) -> bool:
+        """Whether it is what the block before it prints."""
+        return self.language == "text" and self.runs and "printed by" not in self.marks
 
 
 def pages() -> dict[str, Path]:
@@ -84,6 +106,25 @@ def blocks(name: str, text: str) -> Iterator[Block]:
         yield Block(f"{name}:{line}", found["language"].strip(), code, marks)
 
 
+def with_outputs(found: Iterable[Block]) -> Iterator[tuple[Block, Block | None]]:
+    """Every block but outputs, each with the block that is its output.
+
+    Raises:
+        AssertionError: a block of text is not below one that prints something.
+    """
+    before: Block | None = None
+    for block in [*found, None]:
+        if block is None or not block.is_output:
+            if before:
+                yield before, None
+            before = block
+        else:
+            prints = before and before.runs and before.language in ("python", "sh")
+            assert prints, f"{block.place}: nothing prints this; mark it 'not run', or 'printed by'"
+            yield before, block
+            before = None
+
+
 def spans(text: str) -> Iterator[str]:
     """Commands of coopqp in running text."""
     yield from SPAN.findall(BLOCK.sub("", text))
@@ -92,7 +133,9 @@ def spans(text: str) -> Iterator[str]:
 def commands(code: str) -> Iterator[list[str]]:
     """The words of each command in a shell's code, with 1 for what the shell would fill in."""
     for line in code.replace("\\\n", " ").splitlines():
-        lexer = shlex.shlex(VARIABLE.sub("1", line), posix=True, punctuation_chars=True)
+        lexer = shlex.shlex(
+            STREAM.sub("", VARIABLE.sub("1", line)), posix=True, punctuation_chars=True
+        )
         lexer.commenters, lexer.whitespace_split = "#", True
         words: list[str] = []
         for word in [*lexer, ";"]:

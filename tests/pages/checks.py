@@ -20,7 +20,7 @@ from coopqp.scenario.form import check, chosen, file_model
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep.reader import read_study
 
-from .blocks import MARKS, ROOT, Block, commands
+from .blocks import MARKS, MARKS_OF_TEXT, ROOT, Block, commands
 
 CATALOG = Catalog(plugin_folders=(ROOT / "examples" / "plugins",))
 #: Keys that a part of a scenario needs beside it to be one.
@@ -37,7 +37,8 @@ def check_block(block: Block) -> None:
         AssertionError: it is not.
         Exception: what reading it raises.
     """
-    assert set(block.marks) <= set(MARKS), f"{block.place}: unknown mark in {block.marks}"
+    known = MARKS_OF_TEXT if block.language == "text" else MARKS
+    assert set(block.marks) <= set(known), f"{block.place}: unknown mark in {block.marks}"
     assert all(block.marks.values()), f"{block.place}: a mark says nothing"
     kind = LANGUAGES.get(block.language)
     assert kind, f"{block.place}: '{block.language}' is none of {', '.join(LANGUAGES)}"
@@ -53,6 +54,8 @@ def _text(block: Block) -> None:
     told = (line.split() for line in block.code.splitlines())
     bad = [words for words in told if words[:1] == ["coopqp"]]
     assert not bad, f"{block.place}: commands belong into a block of sh"
+    for words in commands(block.marks.get("printed by", "")):
+        check_command(words, block.place)
 
 
 def _json(block: Block) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pages.blocks import Block, blocks, commands, pages, spans
+from pages.blocks import Block, blocks, commands, pages, spans, with_outputs
 from pages.checks import check_block, check_command
 from pages.stage import Page, stage
 
@@ -15,12 +15,12 @@ PAGES = pages()
 
 @pytest.mark.parametrize("name", PAGES)
 def test_every_block_is_what_it_says_and_runs(name: str, tmp_path: Path) -> None:
-    text, page = PAGES[name].read_text(encoding="utf-8"), Page(name)
+    text, page = PAGES[name].read_text(encoding="utf-8"), Page(name, whole=False)
     with stage(tmp_path):
-        for block in blocks(name, text):
-            check_block(block)
-            if block.at_once:
-                page.run(block, shell=False)
+        for block, shown in with_outputs(blocks(name, text)):
+            for either in filter(None, (block, shown)):
+                check_block(either)
+            page.run(block, shown)
         for span in spans(text):
             for words in commands(span):
                 check_command(words, name)

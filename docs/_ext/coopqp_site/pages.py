@@ -7,7 +7,7 @@ from coopqp_site import api, commands, reference
 INDEX = """# Everything by name
 
 Made from the code while the site is built: from docstrings, the form that reads scenario files and
-the command line itself.
+the command line itself. What is in them by letter: {{ref}}`genindex`.
 
 ```{{toctree}}
 :maxdepth: 1
