@@ -93,15 +93,14 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
 
     columns = Columns.of(folder)
     summary = summarize(columns)
-    missing = study.rows - summary.rows
     if as_json:
         click.echo(strict_json.text(table.as_json(study.name, summary)))
     else:
         console().print(table.table(study.name, summary))
         for sentence in table.sentences(summary):
             say(sentence, aside=False)
-        if missing:
-            say(f"{missing:,} of {study.rows:,} rows are not there yet", aside=False)
+        if summary.rows < study.rows:
+            say(f"{summary.rows:,} of {study.rows:,} rows are there yet", aside=False)
     page = write(study, columns, summary, folder)
     for path in (columns.path, page):
         say(f"wrote {path}", aside=as_json)
