@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import typed
 from plate_study import HERE, STUDY, table_of, written
 
+from coopqp.controller_run import run
+from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
+from coopqp.study.sweep.variant import _blocked_by, _broken, succeeds
 
 pytest.importorskip("pyarrow.parquet")
 
@@ -74,12 +79,11 @@ def test_null_has_a_bin_of_its_own(
 
 
 def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
-    import numpy as np
-
     from coopqp.report.sweep.bins import BINS, _axis
 
     class Found:
-        kinds = {"kappa": "double"}
+        def __init__(self) -> None:
+            self.kinds = {"kappa": "double"}
 
         def numbers(self, name: str) -> np.ndarray:
             return values
@@ -91,3 +95,40 @@ def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
     assert axis.labels[0] == "0 to 2"
     assert axis.labels[-1] == "left out"
     assert np.bincount(axis.code).tolist() == [2] * (BINS - 1) + [3, 1]
+
+
+def test_a_loop_that_opens_is_why_a_run_does_not_succeed(plate: Path) -> None:
+    """Goals are reached, and no limit is broken."""
+    trace = run(load("planar_pair"), controller="qp")
+    assert succeeds(trace)
+    assert not list(_broken(trace))
+    opened = replace(trace, loop_position=trace.loop_position + 1.2e-4)
+    assert not any(opened.torn)
+    assert not succeeds(opened)
+    assert list(_broken(opened)) == ["loop"]
+
+
+@pytest.mark.parametrize(("duration", "named"), [(0.08, True), (3.0, False)])
+def test_speeds_that_hold_a_run_up_are_named(plate: Path, duration: float, named: bool) -> None:
+    """It ends on its way, with joints as fast as they can; with more time it arrives."""
+    text = (plate / "plate.yaml").read_text(encoding="utf-8")
+    for before, after in (
+        ("\nduration: 0.1", f"\nduration: {duration}"),
+        ("duration: 0.1}", "duration: 0.05}"),
+        ("gain: 5.0", "gain: 20.0"),
+        ("goal: [0.36, 0.10, 0.0]", "goal: [0.46, 0.24, 0.0]"),
+    ):
+        assert before in text
+        text = text.replace(before, after)
+    (plate / "fast.yaml").write_text(text, encoding="utf-8")
+    scenario = load(plate / "fast.yaml")
+    trace = run(scenario, controller="qp")
+    assert succeeds(trace) is not named
+    model = scenario.robot_model.model
+    full = (np.abs(trace.v) > 0.9999 * model.velocityLimit).mean(axis=0) > 0.25
+    fast = {f"speed of {joint}" for joint, at in zip(trace.joints, full, strict=True) if at}
+    found = {name for name in _blocked_by(trace) if name.startswith("speed")}
+    assert found == (fast if named else set())
+    assert fast or not named
+    law = run(scenario, controller="pseudoinverse")
+    assert not [name for name in _blocked_by(law) if name.startswith("speed")]
