@@ -36,7 +36,7 @@ def sweep(
     With the FOLDER of a study: print its table, draw its page, or run one of its rows again.
     """
     if out is None and (what.is_dir() or table or show is not None):
-        _look(what, watch=watch, show=show, as_json=as_json)
+        _look(what, catalog, watch=watch, show=show, as_json=as_json)
         return
     if out is None:
         raise click.UsageError("needs --out FOLDER for the results of a study file")
@@ -64,12 +64,12 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
     _print(study, out, as_json=as_json)
 
 
-def _look(folder: Path, *, watch: bool, show: int | None, as_json: bool) -> None:
+def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json: bool) -> None:
     """What can be done with a folder, also while another command runs the study."""
     from coopqp.study.sweep import kept_study
     from coopqp.study.sweep.results import compact, needs_arrow
 
-    study = kept_study(folder)
+    study = kept_study(folder, catalog)
     if show is not None:
         _show(study, folder, show)
         return
@@ -112,7 +112,10 @@ def _show(study: Any, folder: Path, row: int) -> None:
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS
     from coopqp.study.sweep import scenario_of_row
+    from coopqp.study.sweep.kept import check_plugins
 
+    for odd in check_plugins(folder, study):
+        say(f"warning: {odd}")
     text, controller = scenario_of_row(study, row)
     path = folder / ROWS / f"{row}.yaml"
     write_one(path, text)

@@ -37,10 +37,15 @@ def identity(study: Study) -> dict[str, str]:
             study.scenario.path.stem, json.dumps(study.scenario.data, sort_keys=True)
         ),
         "files": _hash(*_of_files(sorted(set(_named(study)), key=str))),
-        "plugins": _hash(*_of_files(sorted(_plugins(study)))),
+        "plugins": plugins_hash(study),
         "points": study.points.digest,
         "version": f"{coopqp.__version__} ({_code()})",
     }
+
+
+def plugins_hash(study: Study) -> str:
+    """Of the plug-ins that are not shipped."""
+    return _hash(*_of_files(sorted(_plugins(study))))
 
 
 def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:

@@ -47,34 +47,37 @@ def read_study(path: Path, catalog: Catalog | None = None) -> Study:
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    return study_of(read_yaml(path), None, catalog or Catalog())
+    return _Reader(read_yaml(path), catalog or Catalog()).study(None)
 
 
 def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catalog) -> Study:
-    """The same from texts that were kept.
+    """The same from texts that were kept of a study that has been read before.
+
+    What its scenario names is not looked up, so that the plug-ins need not be there.
 
     Args:
         path: of the study's file.
         text: what it held.
         scenario: path and text of its scenario.
-        catalog: what it can name.
+        catalog: what the scenario can name, for who runs it.
 
     Raises:
         ScenarioError: as :func:`read_study`.
     """
-    return study_of(parsed(path, text), parsed(*scenario), catalog)
-
-
-def study_of(file: YamlFile, scenario: YamlFile | None, catalog: Catalog) -> Study:
-    """The same from a file that has been read; its scenario is looked for when omitted."""
-    return _Reader(file, catalog).study(scenario)
+    return _Reader(parsed(path, text), catalog, kept=True).study(parsed(*scenario))
 
 
 class _Reader:
-    """Collects the faults of a study's file."""
+    """Collects the faults of a study's file.
 
-    def __init__(self, file: YamlFile, catalog: Catalog) -> None:
-        self._file, self._catalog = file, catalog
+    Args:
+        file: read.
+        catalog: what its scenario can name.
+        kept: whether it has been read before, with all that it names.
+    """
+
+    def __init__(self, file: YamlFile, catalog: Catalog, *, kept: bool = False) -> None:
+        self._file, self._catalog, self._kept = file, catalog, kept
         self._faults: list[Fault] = []
         self._notes: list[str] = []
         self._defaults = _defaults(file_model(catalog))
@@ -99,7 +102,8 @@ class _Reader:
         varied = self._located(vary, base)
         self._contradictions(varied)
         self._end()
-        self._tried(varied, scenario, base)
+        if not self._kept:
+            self._tried(varied, scenario, base)
         points, varied = self._points(varied, seed)
         self._end()
         named = tuple(_names(base, controllers, self._catalog))
@@ -147,7 +151,7 @@ class _Reader:
             self._fault(["metrics"], "needs a list of names")
             return ()
         for i, name in enumerate(given):
-            if name not in known:
+            if name not in known and not self._kept:
                 self._fault(["metrics", i], unknown_name("metric", str(name), known))
         return tuple(dict.fromkeys((*ALWAYS, *map(str, given))))
 
@@ -211,10 +215,8 @@ class _Reader:
             self._fault(["vary", CONTROLLERS], "needs choice: [...], names of controllers")
             return []
         chosen = list(over.values)
-        try:
-            check(base.changed({**base.data, CONTROLLERS: chosen}), self._catalog)
-        except ScenarioError as error:
-            for fault in error.faults:
+        if not self._kept:
+            for fault in self._wrong(base.changed({**base.data, CONTROLLERS: chosen})):
                 if f": {CONTROLLERS}" in fault.place:
                     self._fault(["vary", CONTROLLERS], fault.message)
         base.data[CONTROLLERS] = chosen
