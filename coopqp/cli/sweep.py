@@ -60,7 +60,9 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
             if drawn:
                 drawn.perhaps()
 
-        study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+        done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+    if done.damaged:
+        say(f"warning: {_lines(done.damaged)} damaged; what stood there has been done again")
     _print(study, out, as_json=as_json)
 
 
@@ -75,11 +77,17 @@ def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json:
         return
     needs_arrow()
     index = compact(study, folder)
+    if index.damaged:
+        say(f"warning: {_lines(index.damaged)} damaged; what stands there does not count")
     while watch and index.done < study.points.count:
         _print(study, folder, as_json=as_json)
         time.sleep(_Drawn.EVERY)
         index = compact(study, folder)
     _print(study, folder, as_json=as_json)
+
+
+def _lines(count: int) -> str:
+    return "a line of the journal is" if count == 1 else f"{count:,} lines of the journal are"
 
 
 def _print(study: Any, folder: Path, *, as_json: bool) -> None:

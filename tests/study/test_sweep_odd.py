@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import typed
-from plate_study import HERE, STUDY, table_of, written
+from plate_study import HERE, STUDY, plate_in, table_of, written
 
 from coopqp.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
+from coopqp.study.sweep.journal import line_of
 from coopqp.study.sweep.variant import _blocked_by, _broken, succeeds
 
 pytest.importorskip("pyarrow.parquet")
@@ -132,3 +136,148 @@ def test_speeds_that_hold_a_run_up_are_named(plate: Path, duration: float, named
     assert fast or not named
     law = run(scenario, controller="pseudoinverse")
     assert not [name for name in _blocked_by(law) if name.startswith("speed")]
+
+
+# Folders
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a study, and its results in out."""
+    folder = plate_in(tmp_path_factory.mktemp("kept"))
+    sweep(read_study(folder / "study.yaml"), folder / "out", engine=HERE)
+    return folder
+
+
+def copied(kept: Path, folder: Path, lines: list[bytes]) -> Path:
+    """The results with another journal."""
+    shutil.copytree(kept / "out", folder / "out")
+    (folder / "out" / "journal.jsonl").write_bytes(b"".join(lines))
+    return folder / "out"
+
+
+def journal_of(kept: Path) -> list[bytes]:
+    return (kept / "out" / "journal.jsonl").read_bytes().splitlines(keepends=True)
+
+
+def test_a_digit_that_changes_on_the_disk_is_done_again(kept: Path, tmp_path: Path) -> None:
+    lines = journal_of(kept)
+    for at in (3, 5):
+        digit = re.search(rb"0\.\d{6}(\d)", lines[at])
+        assert digit
+        k, other = digit.start(1), b"1" if digit[1] != b"1" else b"2"
+        lines[at] = lines[at][:k] + other + lines[at][k + 1 :]
+        json.loads(lines[at])
+    lines[7] = b"garbage\n"
+    out = copied(kept, tmp_path, lines)
+    looked = typed("sweep", out, "--table")
+    assert looked.exit_code == 0
+    assert "3 lines of the journal are damaged" in looked.stderr
+    assert "10 of 16 rows are there yet" in looked.stdout
+    again = typed("sweep", kept / "study.yaml", "--out", out, "--jobs", "1")
+    assert again.exit_code == 0
+    assert (
+        "3 lines of the journal are damaged; what stood there has been done again" in again.stderr
+    )
+    assert table_of(out) == table_of(kept / "out")
+
+
+def refused(*words: object) -> str:
+    """What a command says that ends with exit code 2 and one error."""
+    result = typed(*words)
+    assert result.exit_code == 2, result.output
+    assert result.stderr.count("error: ") == 1
+    return result.stderr
+
+
+def test_a_damaged_head_is_told_and_nothing_is_lost(kept: Path, tmp_path: Path) -> None:
+    whole = journal_of(kept)
+    changed = [whole[0].replace(b"sobol: 8", b"sobol: 4"), *whole[1:]]
+    for k, lines in enumerate((changed, [whole[0][:100]], [])):
+        folder = tmp_path / str(k)
+        out = copied(kept, folder, lines)
+        said = refused("sweep", kept / "study.yaml", "--out", out)
+        assert "head" in said
+        assert "damaged" in said
+        assert "move the folder away" in said
+        assert (out / "journal.jsonl").read_bytes() == b"".join(lines)
+        assert refused("sweep", out, "--table")
+
+
+def test_an_older_form_is_refused_in_words(kept: Path, tmp_path: Path) -> None:
+    head = json.loads(journal_of(kept)[0])
+    old = {**{k: v for k, v in head.items() if k != "crc"}, "form": 1}
+    out = copied(kept, tmp_path, [json.dumps(old).encode() + b"\n"])
+    for words in (("sweep", out, "--table"), ("sweep", kept / "study.yaml", "--out", out)):
+        assert "was written by another coopqp (form 1, this one has 2)" in refused(*words)
+
+
+def test_lines_of_no_variant_are_refused(kept: Path, tmp_path: Path) -> None:
+    for k, wrong in enumerate(({"variant": 9999, "rows": [{}, {}]}, {"variant": 1, "rows": []})):
+        out = copied(kept, tmp_path / str(k), [*journal_of(kept), line_of(wrong)])
+        for words in (("sweep", out, "--table"), ("sweep", kept / "study.yaml", "--out", out)):
+            assert "holds a line that is none of this study's" in refused(*words)
+
+
+def test_a_journal_that_is_a_folder_is_refused(kept: Path, tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").mkdir()
+    for words in (
+        ("sweep", tmp_path, "--table"),
+        ("sweep", kept / "study.yaml", "--out", tmp_path),
+    ):
+        assert "is a folder, needs a file" in refused(*words)
+
+
+def test_studies_and_comparisons_have_folders_of_their_own(kept: Path, tmp_path: Path) -> None:
+    assert typed("sweep", kept / "out", "--table").exit_code == 0
+    page = (kept / "out" / "report.html").read_bytes()
+    said = refused("compare", kept / "plate.yaml", "--out", kept / "out")
+    assert "holds a study" in said
+    assert (kept / "out" / "report.html").read_bytes() == page
+    compared = tmp_path / "compared"
+    assert typed("compare", kept / "plate.yaml", "--out", compared).exit_code == 0
+    said = refused("sweep", kept / "study.yaml", "--out", compared)
+    assert "holds a comparison (metrics.json)" in said
+    assert not (compared / "journal.jsonl").exists()
+
+
+def test_opening_a_study_runs_none_of_its_code(plate: Path) -> None:
+    """Somebody's folder names plug-ins that leave a mark when they are read."""
+    source = '''"""How many ticks."""
+from pathlib import Path
+
+from coopqp import Metric, Trace, spec
+
+Path(__file__).with_suffix(".mark").touch()
+
+
+@spec
+class Thrice(Metric):
+    """Ticks, thrice."""
+
+    def measure(self, trace: Trace) -> int:
+        return 3 * trace.ticks
+'''
+    folders = []
+    for name in ("own", "theirs"):
+        metrics = plate / name / "metrics"
+        metrics.mkdir(parents=True)
+        (metrics / "thrice.py").write_text(source, encoding="utf-8")
+        folders.append(metrics)
+    path, out = study_in(plate, ("[loop_error_max]", "[thrice]")), plate / "out"
+    assert (
+        typed("sweep", path, "--out", out, "--jobs", "1", "--plugins", plate / "own").exit_code == 0
+    )
+    assert (folders[0] / "thrice.mark").exists()
+    head, *lines = (out / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    said = {**json.loads(head), "folders": [[], [str(plate / "theirs")]]}
+    del said["crc"]
+    (out / "journal.jsonl").write_bytes(b"".join([line_of(said), *lines]))
+    assert typed("sweep", out, "--table").exit_code == 0
+    assert typed("sweep", out, "--watch").exit_code == 0
+    told = refused("sweep", out, "--show", "1")
+    assert f"add --plugins {plate / 'theirs'}" in told
+    assert not (folders[1] / "thrice.mark").exists()
+    shown = typed("sweep", out, "--show", "1", "--plugins", plate / "own")
+    assert shown.exit_code == 0
+    assert "warning" not in shown.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -56,7 +57,7 @@ def check_plugins(folder: Path, study: Study) -> list[str]:
     """
     head = _head(folder)
     named = [
-        f"{option} {path}"
+        f"{option} {quote(path)}"
         for option, paths in zip(("--tasks", "--plugins"), head["folders"], strict=True)
         for path in paths
     ]
