@@ -124,6 +124,23 @@ def test_shipped_studies_can_be_read(path: Path) -> None:
     [
         ("tasks.slide.goal", "tasks.slid.goal", 3, "unknown task 'slid'; did you mean 'slide'?"),
         ("slide.goal", "slide.gaol", 3, "unknown key 'gaol'; did you mean 'goal'"),
+        ("object.mass", "''", 4, "'' is no path; needs one such as tasks.reach.goal"),
+        ("log: [0.1, 2.0]", "choice: [1.0, true]", 4, "found true; needs a number"),
+        ("log: [0.1, 2.0]", "choice: [1.0, 2020-01-01]", 4, 'found "2020-01-01"; needs a number'),
+        ("log: [0.1, 2.0]", "values: [1.0,\n  -1.0]", 5, "found -1"),
+        (
+            "object.mass: {log: [0.1, 2.0]}",
+            "tasks.slide.profile: {choice: [{kind: quintic}, \n   {kind: stp}]}",
+            5,
+            'kind: found "stp"; needs',
+        ),
+        (
+            "choice: [qp, pseudoinverse]",
+            "choice: [{qp: {damping: 1}},\n    {qp: {damping: 2}}]",
+            6,
+            "the name 'qp' is taken; give this one another, such as {qp: {name: other}}",
+        ),
+        ("choice: [qp,", "choice: [\n   qp,\n   pq,", 7, "unknown controller 'pq'"),
         ("object.mass", "object.mas", 4, "unknown key 'mas'; did you mean 'mass'?"),
         ("object.mass", "objekt.mass", 4, "unknown key 'objekt'; did you mean 'object'"),
         ("log: [0.1", "log: [0.0", 4, "a logarithm needs numbers above 0"),

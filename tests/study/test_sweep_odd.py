@@ -241,6 +241,13 @@ def test_studies_and_comparisons_have_folders_of_their_own(kept: Path, tmp_path:
     assert not (compared / "journal.jsonl").exists()
 
 
+def test_a_study_file_is_no_folder(kept: Path) -> None:
+    for option in (("--table",), ("--show", "1")):
+        assert "is a file; --table and --show need the folder of a study" in refused(
+            "sweep", kept / "study.yaml", *option
+        )
+
+
 def test_opening_a_study_runs_none_of_its_code(plate: Path) -> None:
     """Somebody's folder names plug-ins that leave a mark when they are read."""
     source = '''"""How many ticks."""

@@ -70,6 +70,8 @@ def check_plugins(folder: Path, study: Study) -> list[str]:
 
 
 def _head(folder: Path) -> dict[str, Any]:
+    if folder.is_file():
+        raise CoopqpError(f"'{folder}' is a file; --table and --show need the folder of a study")
     if not folder.is_dir():
         raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
     found = journals(folder)

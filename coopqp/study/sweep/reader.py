@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from coopqp.checked import taken_names
 from coopqp.errors import CoopqpError, Fault, InvalidValueError, ScenarioError, unknown_name
 from coopqp.reading import absolute
 from coopqp.scenario.catalog import Catalog
@@ -21,7 +22,7 @@ from coopqp.study.sweep import space
 from coopqp.study.sweep.path import located, put
 from coopqp.study.sweep.points import MOST, Points
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied
-from coopqp.wording import Location
+from coopqp.wording import Location, dotted
 
 T = TypeVar("T")
 
@@ -34,7 +35,7 @@ KEYS = {
 GRID = "grid"
 #: Measured in every study, because its page shows them.
 ALWAYS = ("reached", "task_error", "limit_margin_min", "limit_violation_max")
-MOST_TRIED = 20  # values of a key that are checked before anything runs
+MOST_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
@@ -180,6 +181,9 @@ class _Reader:
             return {}
         found = {}
         for path, value in given.items():
+            if not path:
+                self._fault(["vary"], "'' is no path; needs one such as tasks.reach.goal", [path])
+                continue
             variation = self._told(["vary", path], lambda value=value: space.read(value))  # type: ignore[misc]
             if variation is not None:
                 found[path] = variation
@@ -216,33 +220,59 @@ class _Reader:
             return []
         chosen = list(over.values)
         if not self._kept:
-            for fault in self._wrong(base.changed({**base.data, CONTROLLERS: chosen})):
-                if f": {CONTROLLERS}" in fault.place:
-                    self._fault(["vary", CONTROLLERS], fault.message)
+            self._check_controllers(chosen, base)
         base.data[CONTROLLERS] = chosen
         return chosen
 
+    def _check_controllers(self, chosen: list[Any], base: YamlFile) -> None:
+        place = ["vary", CONTROLLERS]
+        known = len(self._faults)
+        for i, one in enumerate(chosen):
+            for fault in self._wrong(base.changed({**base.data, CONTROLLERS: [one]})):
+                if f": {CONTROLLERS}" in fault.place:
+                    self._fault(place, fault.message, ["choice", i])
+        if len(self._faults) == known:
+            names = list(_names(base, chosen, self._catalog))
+            for i, taken in taken_names(names):
+                words = f"{taken}; give this one another, such as {{{names[i]}: {{name: other}}}}"
+                self._fault(place, words, ["choice", i])
+
     def _tried(self, varied: Sequence[Varied], scenario: YamlFile, base: YamlFile) -> None:
-        """See whether each key takes at least one of its values, and the scenario all of them."""
+        """See whether each key takes its values, each alone, and the scenario one of all keys.
+
+        Of numbers between two a few are tried, and one that is taken is enough.
+        """
         known = [fault.message for fault in self._wrong(scenario)]
         data = base.data
         for one in varied:
-            words: list[str] = []
             alone = {**copy.deepcopy(scenario.data), CONTROLLERS: base.data.get(CONTROLLERS)}
             if alone[CONTROLLERS] is None:
                 del alone[CONTROLLERS]
             located(alone, one.path, self._defaults)
-            for value in one.over.tried()[:MOST_TRIED]:
+            taken, words, before = [], [], len(self._faults)
+            for i, value in enumerate(one.over.tried()[:MOST_TRIED]):
                 tried = scenario.changed(put(alone, one.location, value))
-                new = [f.message for f in self._wrong(tried) if f.message not in known]
+                new = [fault for fault in self._wrong(tried) if fault.message not in known]
+                words += [fault.message for fault in new]
                 if not new:
-                    data = put(data, one.location, value)
-                    break
-                words += new
-            else:
+                    taken.append(value)
+                elif isinstance(one.over, space.Listed):
+                    self._own_faults(one, i, new)
+            if taken:
+                data = put(data, one.location, taken[0])
+            elif len(self._faults) == before:
                 self._fault(["vary", one.path], words[0])
         self._end()
         self._faults += self._wrong(base.changed(data))
+
+    def _own_faults(self, one: Varied, index: int, faults: Sequence[Fault]) -> None:
+        """Those of a listed value itself; what contradicts other keys may go with others."""
+        kind = next(iter(self._file.data["vary"][one.path]))
+        for fault in faults:
+            _, found, inside = fault.place.partition(f": {dotted(one.location)}")
+            if found and inside[:1] in ("", ".", "["):
+                words = f"{inside.lstrip('.')}: {fault.message}" if inside else fault.message
+                self._fault(["vary", one.path], words, [kind, index])
 
     def _wrong(self, file: YamlFile) -> list[Fault]:
         """What is wrong with the form of a scenario."""

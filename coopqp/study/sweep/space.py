@@ -23,6 +23,7 @@ from scipy.special import ndtri
 
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.wording import shown
 
 LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
 MOST_LEVELS = 1_000_000
@@ -257,9 +258,14 @@ def _several(value: Any) -> list[Any]:
     if not isinstance(value, list) or not value:
         raise InvalidValueError("is empty; needs a list of at least one value")
     for i, one in enumerate(value):
-        if one in value[:i]:
-            raise InvalidValueError(f"has {one!r:.40} twice; leave one out")
+        if any(one == other and _is_truth(one) is _is_truth(other) for other in value[:i]):
+            raise InvalidValueError(f"has {shown(one)} twice; leave one out")
     return value
+
+
+def _is_truth(value: Any) -> bool:
+    """Python has True equal to 1."""
+    return isinstance(value, bool)
 
 
 def _numbers(value: Any) -> list[float]:
@@ -270,9 +276,9 @@ def _numbers(value: Any) -> list[float]:
     """
     listed = value if isinstance(value, list) else [value]
     for one in listed:
-        number = isinstance(one, int | float) and not isinstance(one, bool)
+        number = isinstance(one, int | float) and not _is_truth(one)
         if not number or not math.isfinite(one):
-            raise InvalidValueError(f"found {one!r:.40}; needs numbers")
+            raise InvalidValueError(f"found {shown(one)}; needs numbers")
     return listed
 
 
