@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, WRITTEN, catalogued, engined, read_scenario, say
+from coopqp.cli.options import (
+    JSON,
+    WRITTEN,
+    catalogued,
+    engined,
+    printed_aside,
+    read_scenario,
+    say,
+)
 from coopqp.reading import absolute
 
 
@@ -36,6 +44,10 @@ def sweep(
     With the FOLDER of a study: print its table, draw its page, or run one of its rows again.
     """
     if out is None and (what.is_dir() or table or show is not None):
+        if table and show is not None:
+            raise click.UsageError("--table and --show are two questions; ask one at a time")
+        if engine.scheduler or not engine.share.whole:
+            raise click.UsageError("--shard and --scheduler need a study file and --out FOLDER")
         _look(what, catalog, watch=watch, show=show, as_json=as_json)
         return
     if out is None:
@@ -49,11 +61,12 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
     from coopqp.report.sweep.progress import shown
     from coopqp.study import sweep as study_of
 
-    study = study_of.read_study(what, catalog)
+    with printed_aside(as_json):
+        study = study_of.read_study(what, catalog)
     for note in study.notes:
         say(f"note: {note}")
     drawn = _Drawn(out, study) if watch else None
-    with shown(study) as show_progress:
+    with printed_aside(as_json), shown(study) as show_progress:
 
         def progress(state: Any) -> None:
             show_progress(state)

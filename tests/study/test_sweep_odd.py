@@ -241,6 +241,83 @@ def test_studies_and_comparisons_have_folders_of_their_own(kept: Path, tmp_path:
     assert not (compared / "journal.jsonl").exists()
 
 
+def test_what_differs_is_named_by_its_key(kept: Path, tmp_path: Path) -> None:
+    shutil.copytree(kept, tmp_path / "kept")
+    study_in(tmp_path / "kept", ("seed: 1", "seed: 2"))
+    said = refused("sweep", tmp_path / "kept" / "study.yaml", "--out", tmp_path / "kept" / "out")
+    assert ": the study file (samples.seed) differs; " in said
+    assert "scipy" not in said
+
+
+def test_options_that_contradict_each_other_are_refused(kept: Path, tmp_path: Path) -> None:
+    study, out = kept / "study.yaml", kept / "out"
+    for words, told in (
+        ((study, "--out", tmp_path / "x", "--scheduler", ""), "--scheduler"),
+        ((study, "--out", tmp_path / "x", "--jobs", "5000"), "--jobs: found 5000; needs at most"),
+        ((out, "--table", "--show", "1"), "ask one at a time"),
+        ((out, "--shard", "1/2"), "--shard and --scheduler need a study file"),
+        ((study, "--out", study / "x", "--jobs", "1"), "cannot be made"),
+    ):
+        result = typed("sweep", *words)
+        assert result.exit_code == 2
+        assert told in result.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_validate_knows_studies(kept: Path, tmp_path: Path) -> None:
+    result = typed("validate", kept / "plate.yaml", kept / "study.yaml")
+    assert result.exit_code == 0, result.output
+    assert f"{kept / 'study.yaml'}: ok" in result.stdout
+    shutil.copy(kept / "plate.yaml", tmp_path)
+    wrong = study_in(tmp_path, ("log: [0.1, 2.0]", "choice: [1.0, heavy]"))
+    assert f'{wrong}:4: vary.object.mass: found "heavy"; needs a number' in refused(
+        "validate", wrong
+    )
+
+
+def test_reasons_that_only_differ_in_numbers_are_one(plate: Path) -> None:
+    path = study_in(plate, (MASS, "dt: {range: [0.02, 0.03]}"))
+    result = typed("sweep", path, "--out", plate / "out", "--jobs", "1", "--json")
+    (reason,) = json.loads(result.stdout)["reasons"].items()
+    assert reason[0].startswith("such as ")
+    assert "kappa: found 100.0" in reason[0]
+    assert reason[1] == 16
+
+
+def test_what_plugins_print_does_not_stand_in_the_json(
+    plate: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    metrics = plate / "loud" / "metrics"
+    metrics.mkdir(parents=True)
+    source = '''"""A metric that talks."""
+import os
+
+from coopqp import Metric, Trace, spec
+
+print("imported")
+
+
+@spec
+class Talks(Metric):
+    """Ticks."""
+
+    def measure(self, trace: Trace) -> int:
+        print("measured")
+        os.system("echo below")
+        return trace.ticks
+'''
+    (metrics / "talks.py").write_text(source, encoding="utf-8")
+    path = study_in(plate, ("[loop_error_max]", "[talks]"), ("sobol: 8", "sobol: 2"))
+    options = ("--out", plate / "out", "--plugins", plate / "loud", "--jobs", "1")
+    done = typed("sweep", path, "--json", *options)
+    assert json.loads(done.stdout)["rows"] == 4
+    assert "imported" in done.stderr
+    assert "measured" in done.stderr
+    below = capfd.readouterr()
+    assert "below" in below.err
+    assert "below" not in below.out
+
+
 def test_a_study_file_is_no_folder(kept: Path) -> None:
     for option in (("--table",), ("--show", "1")):
         assert "is a file; --table and --show need the folder of a study" in refused(

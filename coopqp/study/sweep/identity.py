@@ -49,8 +49,8 @@ def plugins_hash(study: Study) -> str:
 
 
 def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
-    """In words, what is not the same."""
-    return [words for part, words in PARTS.items() if one.get(part) != other.get(part)]
+    """Names of the parts that are not the same."""
+    return [part for part in PARTS if one.get(part) != other.get(part)]
 
 
 def _hash(*texts: str) -> str:

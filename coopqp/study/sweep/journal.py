@@ -113,6 +113,9 @@ class Journal:
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise CoopqpError(f"'{path.parent}' cannot be made: {error.strerror}") from None
+        try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
             raise _unwritten(path, error) from None

@@ -82,7 +82,7 @@ def sweep(
     """
     needs_arrow()
     own = identity(study)
-    check_folder(folder, own)
+    check_folder(folder, study, own)
     job = job_of(study, folders)
     head = _head(study, own, folders)
     with Journal.opened(path_of(folder, engine.share), head) as journal:
