@@ -26,15 +26,11 @@ class _Written(click.Path):
         return super().convert(value, param, ctx)
 
 
-class _Filled(click.ParamType):
-    """A text; an empty one, as of a variable of the shell that is not set, is a mistake."""
-
-    name = "text"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if value == "":
-            self.fail("is empty; leave the option out, or fill it in", param, ctx)
-        return value
+def _filled(_: Any, __: Any, value: str | None) -> str | None:
+    """Refuse an empty text, as of a variable of the shell that is not set."""
+    if value == "":
+        raise click.BadParameter("is empty; leave the option out, or fill it in")
+    return value
 
 
 WRITTEN = _Written(path_type=Path)
@@ -80,7 +76,7 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     """Options that say where many runs are done; the command gets the engine."""
 
     @click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
-    @click.option("--scheduler", type=_Filled(), metavar="ADDRESS", help="Of a Dask cluster.")
+    @click.option("--scheduler", callback=_filled, metavar="ADDRESS", help="Of a Dask cluster.")
     @click.option(
         "--shard", default="1/1", metavar="I/N", help="Do this share of N, as job I does."
     )
