@@ -124,6 +124,17 @@ def test_shipped_studies_can_be_read(path: Path) -> None:
     [
         ("tasks.slide.goal", "tasks.slid.goal", 3, "unknown task 'slid'; did you mean 'slide'?"),
         ("slide.goal", "slide.gaol", 3, "unknown key 'gaol'; did you mean 'goal'"),
+        ("0.10, 0.0]]", "0.10, 0.0], [2, 3]]", 3, "found 2 levels; needs 3, or one for all"),
+        ("{sobol: 8, seed: 1}", "", 6, "found null; needs a way to sample, such as sobol: 1024"),
+        ("sobol: 8", "sobol: true", 6, "found true; needs a whole number"),
+        ("plate.yaml", "study.yaml", 1, "'study.yaml' is a study; needs a scenario"),
+        (
+            "object.mass",
+            "tasks[0].gain",
+            4,
+            "'tasks[0]' is a point_on_point; write tasks[0].point_on_point.gain",
+        ),
+        ("object.mass", "object.size.0", 4, "'object.size' is a list of values; needs a place"),
         ("object.mass", "''", 4, "'' is no path; needs one such as tasks.reach.goal"),
         ("log: [0.1, 2.0]", "choice: [1.0, true]", 4, "found true; needs a number"),
         ("log: [0.1, 2.0]", "choice: [1.0, 2020-01-01]", 4, 'found "2020-01-01"; needs a number'),

@@ -22,7 +22,7 @@ from coopqp.study.sweep import space
 from coopqp.study.sweep.path import located, put
 from coopqp.study.sweep.points import MOST, Points
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied
-from coopqp.wording import Location, dotted
+from coopqp.wording import Location, dotted, shown
 
 T = TypeVar("T")
 
@@ -141,7 +141,7 @@ class _Reader:
         samples = self._file.data.get("samples")
         seed = samples.get(SEED, 0) if isinstance(samples, dict) else 0
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            self._fault(["samples", SEED], f"found {seed!r:.40}; needs a whole number, at least 0")
+            self._fault(["samples", SEED], f"found {shown(seed)}; needs a whole number, at least 0")
             return 0
         return seed
 
@@ -166,7 +166,11 @@ class _Reader:
             return None
         beside = self._file.path.parent / given
         try:
-            return read_yaml(beside if beside.exists() else find(given))
+            found = read_yaml(beside if beside.exists() else find(given))
+            if "vary" in found.data and "robot" not in found.data:
+                self._fault(["scenario"], f"'{given}' is a study; needs a scenario")
+                return None
+            return found
         except ScenarioError as error:
             for fault in error.faults:
                 self._fault(["scenario"], str(fault))
@@ -287,6 +291,10 @@ class _Reader:
     def _points(self, varied: tuple[Varied, ...], seed: int) -> tuple[Points, tuple[Varied, ...]]:
         """The points, and what is varied over them: on a grid everything has levels."""
         given = self._file.data["samples"]
+        if not isinstance(given, str | dict):
+            words = f"found {shown(given)}; needs a way to sample, such as sobol: 1024, or grid"
+            self._fault(["samples"], words)
+            return sampling.grid(()), varied
         named = given if isinstance(given, dict) else {given: None}
         methods = (GRID, *sampling.METHODS)
         asked = [key for key in named if key != SEED]
@@ -300,7 +308,7 @@ class _Reader:
         if method == GRID and count is None:
             count = 0
         elif not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST:
-            words = f"found {count!r:.40}; needs a whole number of 1 to {MOST:,}"
+            words = f"found {shown(count)}; needs a whole number of 1 to {MOST:,}"
             self._fault(["samples", method], words)
             return sampling.grid(()), varied
         if method == GRID:

@@ -186,8 +186,10 @@ def _box(value: Any) -> Variation:
     low, high = (_numbers(corner) for corner in value[:2])
     counts = value[2] if len(value) == 3 else 0
     listed = counts if isinstance(counts, list) else [counts] * len(low)
-    if not low or not len(low) == len(high) == len(listed):
+    if not low or len(low) != len(high):
         raise InvalidValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
+    if len(listed) != len(low):
+        raise InvalidValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
     sides = [
         _interval([a, b], n) if n else _interval([a, b])
         for a, b, n in zip(value[0], value[1], listed, strict=True)
@@ -221,7 +223,7 @@ def _interval(ends: Sequence[Any], count: Any = None) -> Interval:
     if count is None:
         return Interval(low, high)
     if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_LEVELS:
-        raise InvalidValueError(f"found {count!r} levels; needs a whole number, at least 1")
+        raise InvalidValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
     if count == 1 and low != high:
         raise InvalidValueError("found 1 level between two numbers; needs at least 2")
     if low == high:
