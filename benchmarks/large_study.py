@@ -12,7 +12,6 @@ hundred variants and to end, with all rows in results and page.
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import signal
 import subprocess
@@ -23,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.studies import written
+from coopqp.study.sweep.journal import line_of, records
 
 LEFT = 100  # variants that are run after the others were copied
 LIMIT = 2048  # MB
@@ -90,14 +90,13 @@ def watched(study: Path, out: Path, jobs: int, seconds: float) -> float:
 def fill(out: Path, variants: int) -> int:
     """Copy journal lines until few variants are left; how many were copied."""
     path = out / "journal.jsonl"
-    _, *known = path.read_text(encoding="utf-8").splitlines()
-    rows = [json.loads(line)["rows"] for line in known]
-    there = {json.loads(line)["variant"] for line in known}
+    known = [record for _, record in records(path) if record]
+    rows = [record["rows"] for record in known]
+    there = {record["variant"] for record in known}
     missing = [k for k in range(variants) if k not in there][:-LEFT]
-    with open(path, "a", encoding="utf-8") as stream:
+    with open(path, "ab") as stream:
         for k in missing:
-            record = {"variant": k, "rows": rows[k % len(rows)]}
-            stream.write(json.dumps(record, separators=(",", ":")) + "\n")
+            stream.write(line_of({"variant": k, "rows": rows[k % len(rows)]}))
     return len(missing)
 
 

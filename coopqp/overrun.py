@@ -28,6 +28,15 @@ AT_JOINT_LIMIT = 1e-6
 JUDGED_OTHERWISE = ("position", "velocity", "braking")
 
 
+#: Slower than this the arms rest [rad/s, m/s].
+RESTS = 1e-3
+#: A speed or acceleration with less room than this is at its limit [the row's unit], and a limit
+#: that is met in more than this share of the ticks holds a run up.
+AT_SPEED, OFTEN = 1e-4, 0.25
+#: What joints' limits that bound no place are called, by the end of their unit.
+RATES = {"/s": "speed", "/s2": "acceleration"}
+
+
 @dataclass(frozen=True)
 class Overrun:
     """A limit that a run has broken.
@@ -104,3 +113,31 @@ def _others_at(trace: Trace, instant: int) -> Iterator[str]:
             yield row.joint
         elif row.unit == "m" and not row.joint and margin[instant - 1] < AT_LIMIT:
             yield row.owner
+
+
+def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
+    """Limits of speed and acceleration that held a run up, by name, such as "speed of left_2".
+
+    Those that were met in more than a quarter of the ticks for which a task counts, where the arms
+    still move when these end. ``coopqp explain`` finds out more, with what would do.
+
+    Args:
+        trace: of a run.
+        k: which of its tasks.
+    """
+    instants = range(len(trace.t))[trace.tasks[k].rows]
+    ticks = slice(instants[0], instants[-1])
+    moves = np.abs(trace.v[ticks][-1:]).max(initial=0.0) > RESTS
+    if not trace.keeps_limits or not moves:
+        return ()
+    met = (
+        row
+        for row, margin in trace.margins.items()
+        if row.unit.endswith(tuple(RATES)) and np.mean(margin[ticks] < AT_SPEED) > OFTEN
+    )
+    return tuple(dict.fromkeys(_called(row) for row in met))
+
+
+def _called(row: Row) -> str:
+    rate = next(word for end, word in RATES.items() if row.unit.endswith(end))
+    return f"{rate} of {row.joint}" if row.joint else row.owner

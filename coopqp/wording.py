@@ -149,7 +149,7 @@ def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
 def _fault(
     detail: ErrorDetails, data: Any, model: type, instead: Mapping[type, Any]
 ) -> tuple[tuple[str | int, ...], str]:
-    kind, found = detail["type"], _shown(detail["input"])
+    kind, found = detail["type"], shown(detail["input"])
     location = _inside(data, detail["loc"], missing=kind.startswith("missing"))
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         known = _keys(model, location[:-1], instead)
@@ -170,7 +170,7 @@ def _fault(
     return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
 
 
-def _shown(found: Any) -> str:
+def shown(found: Any) -> str:
     """What was found, short, as a file would say it where it can."""
     if isinstance(found, ArgsKwargs):
         found = found.kwargs or {}

@@ -162,3 +162,12 @@ def test_a_small_stress_breaks_no_promise() -> None:
     assert everything["position_excess"] <= 1e-9
     assert everything["velocity_excess"] <= 1e-9
     assert set(everything["outcomes"]) <= set(OUTCOMES)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_where_what_is_printed_cannot_be_written_it_is_said() -> None:
+    words = [sys.executable, "-c", "from coopqp.cli import main; main()", "list", "tasks", "--json"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == ("error: cannot write what the command prints: No space left on device\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import threading
 import traceback
@@ -18,6 +19,8 @@ from coopqp.errors import CoopqpError, InternalError, one_line
 BAD_INPUT = 2  # the same that click uses for wrong options
 OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
 INTERRUPTED, TERMINATED = 130, 143  # 128 and the signal's number, as shells have it
+#: What a stream says that takes no more; files of ours are said by name.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 REPORT = (
     "this is a fault of coopqp, please report it with the command and its files; "
     "'coopqp --debug COMMAND ...' shows where it happened"
@@ -60,6 +63,8 @@ def _ending(error: BaseException) -> tuple[int, str]:
         return INTERRUPTED, "interrupted"
     if isinstance(error, CoopqpError) and not isinstance(error, InternalError):
         return BAD_INPUT, "\n".join(f"error: {line}" for line in str(error).splitlines())
+    if isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+        return BAD_INPUT, f"error: cannot write what the command prints: {error.strerror}"
     told = str(error) if isinstance(error, InternalError) else _said(error)
     line = f"error: {' '.join(told.split())}"
     return (BAD_INPUT, line) if _by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")

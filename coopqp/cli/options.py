@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -23,9 +26,17 @@ class _Written(click.Path):
         return super().convert(value, param, ctx)
 
 
+def _filled(_: Any, __: Any, value: str | None) -> str | None:
+    """Refuse an empty text, as of a variable of the shell that is not set."""
+    if value == "":
+        raise click.BadParameter("is empty; leave the option out, or fill it in")
+    return value
+
+
 WRITTEN = _Written(path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
+A_CORE = 4  # processes at most
 SAME = 1e-6  # velocities of a tick that is done again [rad/s, m/s]
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
@@ -54,7 +65,9 @@ def catalogued(command: Callable[..., None]) -> Callable[..., None]:
     ) -> None:
         from coopqp.scenario.catalog import Catalog
 
-        command(catalog=Catalog(task_folders, plugin_folders), **options)
+        with printed_aside(options.get("as_json", False)):
+            catalog = Catalog(task_folders, plugin_folders)
+        command(catalog=catalog, **options)
 
     return with_catalog
 
@@ -63,17 +76,48 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     """Options that say where many runs are done; the command gets the engine."""
 
     @click.option("--jobs", type=click.IntRange(0), default=0, help="Processes; all cores if 0.")
-    @click.option("--scheduler", default="", metavar="ADDRESS", help="Of a Dask cluster to run on.")
+    @click.option("--scheduler", callback=_filled, metavar="ADDRESS", help="Of a Dask cluster.")
     @click.option(
         "--shard", default="1/1", metavar="I/N", help="Do this share of N, as job I does."
     )
     @wraps(command)
-    def with_engine(*, jobs: int, scheduler: str, shard: str, **options: Any) -> None:
+    def with_engine(*, jobs: int, scheduler: str | None, shard: str, **options: Any) -> None:
         from coopqp.study.engine import Engine, Share
 
-        command(engine=Engine(jobs, scheduler, Share.read(shard)), **options)
+        _check_jobs(jobs)
+        command(engine=Engine(jobs, scheduler or "", Share.read(shard)), **options)
 
     return with_engine
+
+
+def _check_jobs(jobs: int) -> None:
+    from coopqp.errors import InvalidValueError
+    from coopqp.study.engine.processes import cores
+
+    if jobs > A_CORE and jobs > (most := A_CORE * cores()):
+        words = f"--jobs: found {jobs}; needs at most {most}, {A_CORE} for each core"
+        raise InvalidValueError(f"{words}, because each process takes 0.2 GB")
+
+
+@contextlib.contextmanager
+def printed_aside(aside: bool) -> Iterator[None]:
+    """Let what plug-ins print, here and in workers, go where messages go.
+
+    Args:
+        aside: whether to do so; else nothing is changed.
+    """
+    if not aside:
+        yield
+        return
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:

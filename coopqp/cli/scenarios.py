@@ -131,19 +131,38 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 @click.argument("scenarios", nargs=-1, required=True)
 @catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
-    """Check scenario files; every fault is listed with its line."""
+    """Check scenario files, and study files; every fault is listed with its line."""
     from coopqp.errors import Fault, ScenarioError
 
     faults: list[Fault] = []
     for name in scenarios:
         try:
-            print_notes(read_scenario(name, catalog))
+            if _is_study(name):
+                _check_study(name, catalog)
+            else:
+                print_notes(read_scenario(name, catalog))
         except ScenarioError as error:
             faults.extend(error.faults)
         else:
             say(f"{name}: ok", aside=False)
     if faults:
         raise ScenarioError(faults)
+
+
+def _is_study(name: str) -> bool:
+    """Whether a file says what is varied, and not which robot."""
+    from coopqp.scenario.loader import find
+    from coopqp.scenario.yaml import read_yaml
+
+    data = read_yaml(find(name)).data
+    return "robot" not in data and bool({"vary", "samples"} & set(data))
+
+
+def _check_study(name: str, catalog: Any) -> None:
+    from coopqp.study.sweep import read_study
+
+    for note in read_study(Path(name), catalog).notes:
+        say(f"note: {note}")
 
 
 @click.command(name="list")

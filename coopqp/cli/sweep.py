@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from coopqp.cli.options import JSON, WRITTEN, catalogued, engined, read_scenario, say
+from coopqp.cli.options import (
+    JSON,
+    WRITTEN,
+    catalogued,
+    engined,
+    printed_aside,
+    read_scenario,
+    say,
+)
 from coopqp.reading import absolute
 
 
@@ -36,7 +44,11 @@ def sweep(
     With the FOLDER of a study: print its table, draw its page, or run one of its rows again.
     """
     if out is None and (what.is_dir() or table or show is not None):
-        _look(what, watch=watch, show=show, as_json=as_json)
+        if table and show is not None:
+            raise click.UsageError("--table and --show are two questions; ask one at a time")
+        if engine.scheduler or not engine.share.whole:
+            raise click.UsageError("--shard and --scheduler need a study file and --out FOLDER")
+        _look(what, catalog, watch=watch, show=show, as_json=as_json)
         return
     if out is None:
         raise click.UsageError("needs --out FOLDER for the results of a study file")
@@ -49,37 +61,46 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
     from coopqp.report.sweep.progress import shown
     from coopqp.study import sweep as study_of
 
-    study = study_of.read_study(what, catalog)
+    with printed_aside(as_json):
+        study = study_of.read_study(what, catalog)
     for note in study.notes:
         say(f"note: {note}")
     drawn = _Drawn(out, study) if watch else None
-    with shown(study) as show_progress:
+    with printed_aside(as_json), shown(study) as show_progress:
 
         def progress(state: Any) -> None:
             show_progress(state)
             if drawn:
                 drawn.perhaps()
 
-        study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+        done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+    if done.damaged:
+        say(f"warning: {_lines(done.damaged)} damaged; what stood there has been done again")
     _print(study, out, as_json=as_json)
 
 
-def _look(folder: Path, *, watch: bool, show: int | None, as_json: bool) -> None:
+def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json: bool) -> None:
     """What can be done with a folder, also while another command runs the study."""
     from coopqp.study.sweep import kept_study
     from coopqp.study.sweep.results import compact, needs_arrow
 
-    study = kept_study(folder)
+    study = kept_study(folder, catalog)
     if show is not None:
         _show(study, folder, show)
         return
     needs_arrow()
     index = compact(study, folder)
+    if index.damaged:
+        say(f"warning: {_lines(index.damaged)} damaged; what stands there does not count")
     while watch and index.done < study.points.count:
         _print(study, folder, as_json=as_json)
         time.sleep(_Drawn.EVERY)
         index = compact(study, folder)
     _print(study, folder, as_json=as_json)
+
+
+def _lines(count: int) -> str:
+    return "a line of the journal is" if count == 1 else f"{count:,} lines of the journal are"
 
 
 def _print(study: Any, folder: Path, *, as_json: bool) -> None:
@@ -93,15 +114,14 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
 
     columns = Columns.of(folder)
     summary = summarize(columns)
-    missing = study.rows - summary.rows
     if as_json:
         click.echo(strict_json.text(table.as_json(study.name, summary)))
     else:
         console().print(table.table(study.name, summary))
         for sentence in table.sentences(summary):
             say(sentence, aside=False)
-        if missing:
-            say(f"{missing:,} of {study.rows:,} rows are not there yet", aside=False)
+        if summary.rows < study.rows:
+            say(f"{summary.rows:,} of {study.rows:,} rows are there yet", aside=False)
     page = write(study, columns, summary, folder)
     for path in (columns.path, page):
         say(f"wrote {path}", aside=as_json)
@@ -113,7 +133,10 @@ def _show(study: Any, folder: Path, row: int) -> None:
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS
     from coopqp.study.sweep import scenario_of_row
+    from coopqp.study.sweep.kept import check_plugins
 
+    for odd in check_plugins(folder, study):
+        say(f"warning: {odd}")
     text, controller = scenario_of_row(study, row)
     path = folder / ROWS / f"{row}.yaml"
     write_one(path, text)

@@ -19,6 +19,7 @@ from coopqp.report import strict_json
 from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
 from coopqp.report.trace_columns import Beside
+from coopqp.study.sweep.journal import PATTERN as JOURNALS
 from coopqp.trace import InputTrace, Trace
 from coopqp.wording import by_user, raised
 
@@ -83,6 +84,9 @@ def check_folder(folder: Path) -> None:
     Raises:
         CoopqpError: with the reason.
     """
+    if next(folder.glob(JOURNALS), None):
+        words = "holds a study, whose page a report would replace; give another --out"
+        raise CoopqpError(f"'{folder}' {words}")
     report_folder.check_folder(folder, NAMES)
 
 

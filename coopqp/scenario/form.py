@@ -32,6 +32,7 @@ from coopqp.held_object import HeldObject
 from coopqp.input import InputSettings
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.literal import mistaken
 from coopqp.scenario.yaml import YamlFile
 from coopqp.signal import Signal
 from coopqp.solver import Budget
@@ -305,7 +306,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
 
     def read_robot(value: Any) -> Any:
         """A robot inside a robot, such as one of several."""
-        return chosen(robot.validate_json(json.dumps(value), context=context))[1]
+        return _inner(robot, value, context)
 
     own = file.data.get("folder")
     folder = file.path.parent / own if isinstance(own, str) else file.path.parent
@@ -314,13 +315,12 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         """A signal where a task may have one."""
         if not needed and not (len(value) == 1 and set(value) <= set(catalog.entries("signals"))):
             return None
-        signal: Signal = chosen(signal_slot.validate_json(json.dumps(value), context=context))[1]
+        signal: Signal = _inner(signal_slot, value, context)
         return signal
 
     context = {"folder": folder, "robot": read_robot, "signal": read_signal}
     faults = _phases_or_not(file)
     try:
-        # Strict JSON: a list is a tuple, but "5" is no number and 1 is no boolean.
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
         found = wording.faults(
@@ -334,9 +334,19 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         raise
     except BaseException as error:  # from the __post_init__ of a plug-in
         raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
+    else:
+        faults += [Fault(file.place(place), words) for place, words in mistaken(file.data, read)]
     if faults:
         raise ScenarioError(faults)
     return read
+
+
+def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:
+    """The plug-in in a slot inside another plug-in."""
+    read = slot.validate_json(json.dumps(value), context=context)
+    for place, words in mistaken(value, read):
+        raise ValueError(f"{wording.dotted(place)}: {words}")
+    return chosen(read)[1]
 
 
 @functools.lru_cache(maxsize=8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
@@ -115,7 +116,12 @@ def test_no_share(text: str) -> None:
 def test_a_scheduler_that_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("coopqp.study.engine.cluster.PATIENCE", 0.5)
+    unraised: list[object] = []
+    monkeypatch.setattr("sys.unraisablehook", unraised.append)
     begun = time.monotonic()
-    with pytest.raises(CoopqpError, match=r"no Dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
-        list(Engine(scheduler="tcp://127.0.0.1:9").results(squares, range(3)))
+    for address in ("tcp://127.0.0.1:9", "nonsense"):
+        with pytest.raises(CoopqpError, match=f"no Dask scheduler answers at '{address}'"):
+            list(Engine(scheduler=address).results(squares, range(3)))
+        gc.collect()  # what the client has begun is not waited for
     assert time.monotonic() - begun < 10.0
+    assert not unraised

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ LEVELS = 24  # values that are shown each by itself; of texts the most frequent
 MOST_AXES = 8  # on the page; the first ones
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 OTHER = "others"
+NULL = "left out"  # what a scenario does with a key that is null
 
 Codes = NDArray[np.int64]
 
@@ -62,32 +63,48 @@ def axes(study: Study, columns: Columns) -> list[Axis]:
 
 
 def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
-    if columns.kinds[name] in ("string", "bool"):
+    kind = columns.kinds[name]
+    if kind == "string":
         return _texts(columns, name)
     values = columns.numbers(name)
-    if not np.isfinite(values).any():
+    there = np.isfinite(values)
+    if not there.any():
         return None
-    known = np.unique(values)
-    if len(known) <= LEVELS:
-        labels = tuple(f"{value:.4g}" for value in known)
-        return Axis(name, labels, (), log, np.searchsorted(known, values))
-    shown = np.log10(values) if log else values
-    edges = np.linspace(shown.min(), shown.max(), BINS + 1)
+    known = np.unique(values[there])
+    if kind == "bool" or len(known) <= LEVELS:
+        labels = tuple(("false", "true")[int(v)] if kind == "bool" else f"{v:.4g}" for v in known)
+        return _with_null(Axis(name, labels, (), log, np.searchsorted(known, values)), there)
+    return _with_null(_even(name, values, there, log=log), there)
+
+
+def _even(name: str, values: Array, there: NDArray[np.bool_], *, log: bool) -> Axis:
+    """Bins of one width; only rows with a number have one."""
+    shown = np.log10(values, where=there, out=np.zeros_like(values)) if log else values
+    edges = np.linspace(shown[there].min(), shown[there].max(), BINS + 1)
     code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, BINS - 1)
     return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
 
 
+def _with_null(axis: Axis, there: NDArray[np.bool_]) -> Axis:
+    """The axis with a bin more for rows whose key is null; its bins then all have labels."""
+    if there.all():
+        return axis
+    between = (f"{a:.4g} to {b:.4g}" for a, b in itertools.pairwise(axis.edges))
+    labels = (*(axis.labels or between), NULL)
+    return replace(axis, labels=labels, edges=(), code=np.where(there, axis.code, axis.count))
+
+
 def _texts(columns: Columns, name: str) -> Axis:
-    if columns.kinds[name] == "bool":
-        return Axis(name, ("false", "true"), (), False, columns.numbers(name).astype(np.int64))
     codes, texts = columns.codes(name)
+    there = codes >= 0
     if len(texts) <= LEVELS:
-        return Axis(name, tuple(texts), (), False, codes)
-    order = np.argsort(-np.bincount(codes[codes >= 0], minlength=len(texts)), kind="stable")
+        return _with_null(Axis(name, tuple(texts), (), False, codes), there)
+    order = np.argsort(-np.bincount(codes[there], minlength=len(texts)), kind="stable")
     kept = order[: LEVELS - 1]
     new = np.full(len(texts) + 1, LEVELS - 1)
     new[kept] = np.arange(len(kept))
-    return Axis(name, (*(texts[i] for i in kept), OTHER), (), False, new[codes])
+    labels = (*(texts[i] for i in kept), OTHER)
+    return _with_null(Axis(name, labels, (), False, new[codes]), there)
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,13 @@ def table(name: str, summary: Summary) -> Table:
         padding=(0, 1),
         show_edge=False,
     )
-    found.add_column("controller", overflow="fold")
+    names = [len(one_line(line.controller)) for line in summary.lines]
+    found.add_column("controller", overflow="fold", min_width=min(24, max(names, default=0)))
     for heading in ("done", "invalid", "failed", "success\n%, 95 % interval", "reached\n%"):
         found.add_column(heading, justify="right", no_wrap=True)
-    found.add_column("error, median\nand 95 %", justify="right", no_wrap=True)
-    found.add_column("blocked by, how often", overflow="fold")
+    found.add_column("error, median\n95 % (m, rad)", justify="right", no_wrap=True)
+    found.add_column("blocked by,\nhow often", overflow="fold")
+    found.add_column("broken,\nhow often", overflow="fold")
     for line in summary.lines:
         found.add_row(*_cells(line))
     return found
@@ -44,7 +46,7 @@ def _cells(line: Line) -> Iterator[Text]:
     yield Text(percent(line.success))
     yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
     yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
-    yield Text(one_line(named(line.blocked_by)))
+    yield from (Text(named(counts)) for counts in (line.blocked_by, line.broken))
 
 
 def sentences(summary: Summary) -> Iterator[str]:
@@ -70,10 +72,10 @@ def percent(share: Share) -> str:
 
 
 def named(counts: Mapping[str, int]) -> str:
-    """The most frequent names with their counts."""
-    shown = [f"{name} {count:,}" for name, count in list(counts.items())[:MOST_NAMES]]
+    """The most frequent names with their counts, one a line."""
+    shown = [one_line(f"{name} {count:,}") for name, count in list(counts.items())[:MOST_NAMES]]
     more = len(counts) - MOST_NAMES
-    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+    return "\n".join([*shown, *([f"and {more} more"] if more > 0 else [])])
 
 
 def _number(value: float) -> str:

@@ -45,9 +45,11 @@ class Cluster:
         except ImportError:
             raise MissingDependencyError("--scheduler", "dask") from None
         _hush()
+        client = Client.__new__(Client)
         try:
-            client = Client(address, timeout=PATIENCE, set_as_default=False)
+            client.__init__(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
+            client.status = "closed"  # else its __del__ waits for the scheduler to take its leave
             words = f"no Dask scheduler answers at '{address}' within {PATIENCE:g} s"
             raise CoopqpError(f"{words}; start one: dask scheduler") from error
         try:

@@ -9,6 +9,7 @@ import numpy as np
 
 from coopqp.checked import Array, type_name
 from coopqp.disturbance import Disturbance
+from coopqp.overrun import RESTS
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import words
@@ -26,8 +27,6 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
-#: Slower than this the arms rest [rad/s, m/s].
-RESTS = 1e-3
 #: A motor this near to its limit is at it, and is the cause in more than this share of the ticks.
 AT_EFFORT, OFTEN = 0.999, 0.25
 

@@ -9,6 +9,7 @@ variant    a variant under some controllers: its rows
 identity   hashes of what results follow from
 journal    a line for each finished variant
 index      where in the journals each variant is
+folder     whether a folder is the study's own
 results    the journals as one Parquet file
 sweep      runs what is not there yet
 kept       a study from its folder alone

@@ -55,7 +55,12 @@ class Columns:
         return pq.read_table(self.path, columns=[name]).column(0).combine_chunks()
 
     def numbers(self, name: str) -> Array:
-        """A column of numbers or truths, NaN where there is none, shape (rows,)."""
+        """A column of numbers or truths, shape (rows,); NaN where there is none.
+
+        What only rows that are done have is no column before one is.
+        """
+        if name not in self.kinds:
+            return np.full(len(self), np.nan)
         import pyarrow as pa
 
         column = self._column(name).cast(pa.float64())

@@ -37,15 +37,20 @@ def identity(study: Study) -> dict[str, str]:
             study.scenario.path.stem, json.dumps(study.scenario.data, sort_keys=True)
         ),
         "files": _hash(*_of_files(sorted(set(_named(study)), key=str))),
-        "plugins": _hash(*_of_files(sorted(_plugins(study)))),
+        "plugins": plugins_hash(study),
         "points": study.points.digest,
         "version": f"{coopqp.__version__} ({_code()})",
     }
 
 
+def plugins_hash(study: Study) -> str:
+    """Of the plug-ins that are not shipped."""
+    return _hash(*_of_files(sorted(_plugins(study))))
+
+
 def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
-    """In words, what is not the same."""
-    return [words for part, words in PARTS.items() if one.get(part) != other.get(part)]
+    """Names of the parts that are not the same."""
+    return [part for part in PARTS if one.get(part) != other.get(part)]
 
 
 def _hash(*texts: str) -> str:

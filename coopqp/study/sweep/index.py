@@ -14,7 +14,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from coopqp.errors import CoopqpError
 from coopqp.study.sweep.journal import journals, records
+from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.variant import Row
 
 NONE = -1
@@ -25,25 +27,42 @@ class Index:
 
     Args:
         folder: of the study.
-        count: of its variants.
+        study: whose it is.
 
     Attributes:
+        damaged: how many lines are not as they were written; what they said is not there.
         states: how many rows are in each state.
         columns: kind of each column that is not fixed, "bool", "int", "float" or "text", in the
             order of the first variant that has it.
+
+    Raises:
+        CoopqpError: a line is none of this study's.
     """
 
-    def __init__(self, folder: Path, count: int) -> None:
-        self._paths = journals(folder)
+    def __init__(self, folder: Path, study: Study) -> None:
+        self._paths, count = journals(folder), study.points.count
+        self._controllers, self.damaged = len(study.controllers), 0
         self._journal = np.full(count, NONE, np.int32)
         self._offset = np.full(count, NONE, np.int64)
         self.states: Counter[str] = Counter()
         found: dict[str, tuple[int, int, str]] = {}
         for number, path in enumerate(self._paths):
-            for at, _, record in records(path):
-                self._take(number, at, record, found)
+            for at, record in records(path):
+                if record is None:
+                    self.damaged += 1
+                elif self._fits(record):
+                    self._take(number, at, record, found)
+                else:
+                    words = f"holds a line that is none of this study's, at byte {at}"
+                    raise CoopqpError(f"'{path}' {words}; remove the line, or the folder")
         ordered = sorted(found.items(), key=lambda item: item[1][:2])
         self.columns = {name: kind or "float" for name, (_, _, kind) in ordered}
+
+    def _fits(self, record: dict[str, Any]) -> bool:
+        variant, rows = record.get("variant"), record.get("rows")
+        if type(variant) is not int or not 0 <= variant < len(self._offset):
+            return False
+        return isinstance(rows, list) and len(rows) == self._controllers
 
     def _take(
         self, number: int, at: int, record: dict[str, Any], found: dict[str, tuple[int, int, str]]

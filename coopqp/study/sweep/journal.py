@@ -2,6 +2,7 @@
 
 The first line is the head: what the study is, whole, so that the folder can be read by itself. The
 file only grows. What a kill or a full disk has left half written is the last line, and is cut off.
+Each line ends with a checksum of itself; one that is not right counts as not there.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from coopqp.errors import CoopqpError
+from coopqp.reading import open_bytes
 from coopqp.study.engine import Share
-from coopqp.study.sweep.identity import differences
 
 PATTERN = "journal*.jsonl"
-FORM = 1  # of the files; others are refused
+FORM = 2  # of the files; others are refused
+_SUM = b',"crc":"%08x"}\n'
+_LENGTH = len(_SUM % 0)
 
 
 def path_of(folder: Path, share: Share) -> Path:
@@ -29,7 +33,11 @@ def path_of(folder: Path, share: Share) -> Path:
 
 
 def journals(folder: Path) -> list[Path]:
-    """All journals of a study that have a head."""
+    """All journals of a study that have a head.
+
+    Raises:
+        CoopqpError: one cannot be read, or is none.
+    """
     return [path for path in sorted(folder.glob(PATTERN)) if head_of(path) is not None]
 
 
@@ -37,50 +45,51 @@ def head_of(path: Path) -> dict[str, Any] | None:
     """The first line; None where none was finished.
 
     Raises:
-        CoopqpError: it is no journal.
+        CoopqpError: it cannot be read, is no journal, or one of another form, or is damaged.
     """
-    with open(path, "rb") as stream:
+    with open_bytes(path) as stream:
         line = stream.readline()
     if not line.endswith(b"\n"):
         return None
+    head = read(line)
+    if head is not None and head.get("form") == FORM:
+        return head
     try:
-        head = json.loads(line)
-        if head["form"] == FORM and isinstance(head["identity"], dict):
-            return dict(head)
+        form = json.loads(line)["form"]
     except (ValueError, KeyError, TypeError):
-        pass
-    raise CoopqpError(f"'{path}' is no journal of a study that this coopqp can read")
+        form = FORM
+    if form != FORM:
+        words = f"was written by another coopqp (form {form!r:.20}, this one has {FORM})"
+        raise CoopqpError(f"'{path}' {words}; use that one, or give another --out")
+    raise CoopqpError(f"'{path}': its head is damaged; move the folder away")
 
 
-def records(path: Path) -> Iterator[tuple[int, int, dict[str, Any]]]:
-    """Each whole line after the head: where it begins, where it ends, what it says."""
-    with open(path, "rb") as stream:
-        at = len(stream.readline())
-        for line in stream:
-            try:
-                record = json.loads(line) if line.endswith(b"\n") else None
-            except ValueError:
-                record = None
-            if not isinstance(record, dict):
-                return  # cut short, or what a machine that lost its power left behind
-            yield at, at + len(line), record
-            at += len(line)
+def line_of(said: dict[str, Any]) -> bytes:
+    """As a line of JSON, with its checksum as the last value."""
+    text = json.dumps(said, separators=(",", ":")).encode()[:-1]
+    return text + _SUM % crc32(text)
 
 
-def check_same(folder: Path, identity: dict[str, str]) -> None:
-    """Refuse a folder with results of another study.
+def read(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None where it is not as it was written."""
+    if line[-_LENGTH:] != _SUM % crc32(line[:-_LENGTH]):
+        return None
+    said: dict[str, Any] = json.loads(line)
+    return said
+
+
+def records(path: Path) -> Iterator[tuple[int, dict[str, Any] | None]]:
+    """Each whole line after the head: where it begins, what it says; None where it is damaged.
 
     Raises:
-        CoopqpError: saying what differs.
+        CoopqpError: it cannot be read.
     """
-    for path in journals(folder):
-        head = head_of(path) or {}
-        if different := differences(head["identity"], identity):
-            words = f"'{folder}' belongs to another study ('{head.get('name')}'), or an older one"
-            raise CoopqpError(
-                f"{words}: {', '.join(different)} differ{'' if len(different) > 1 else 's'}; "
-                "give another --out, or remove the folder"
-            )
+    with open_bytes(path) as stream:
+        at = len(stream.readline())
+        for line in stream:
+            if line.endswith(b"\n"):
+                yield at, read(line)
+            at += len(line)
 
 
 class Journal:
@@ -104,6 +113,9 @@ class Journal:
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise CoopqpError(f"'{path.parent}' cannot be made: {error.strerror}") from None
+        try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
             raise _unwritten(path, error) from None
@@ -125,10 +137,10 @@ class Journal:
             os.ftruncate(self._descriptor, 0)
             self.append([head])
             return
-        with open(self._path, "rb") as stream:
-            end = len(stream.readline())
-        for _, after, _ in records(self._path):
-            end = after
+        with open_bytes(self._path) as stream:
+            end = 0
+            for line in stream:
+                end += len(line) if line.endswith(b"\n") else 0
         os.ftruncate(self._descriptor, end)
         os.lseek(self._descriptor, end, os.SEEK_SET)
 
@@ -138,7 +150,7 @@ class Journal:
         Raises:
             CoopqpError: the disk is full, or gone; what was written before is kept.
         """
-        lines = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in said).encode()
+        lines = b"".join(map(line_of, said))
         begun = os.lseek(self._descriptor, 0, os.SEEK_CUR)
         try:
             written = 0

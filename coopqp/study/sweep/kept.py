@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -12,18 +13,65 @@ from coopqp.errors import CoopqpError, ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import has_files
 from coopqp.scenario.yaml import parsed
+from coopqp.study.sweep.identity import plugins_hash
 from coopqp.study.sweep.journal import head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.study import CONTROLLERS, Study
 
 
-def kept_study(folder: Path) -> Study:
+def kept_study(folder: Path, catalog: Catalog | None = None) -> Study:
     """The study whose results a folder holds.
 
+    No plug-ins are looked for where it was run: who opens a folder runs none of its code.
+
+    Args:
+        folder: of the study.
+        catalog: what its scenario can name, for who runs it; shipped and installed plug-ins when
+            omitted.
+
     Raises:
-        CoopqpError: it holds none; plug-ins are no longer where they were; its points cannot be
-            drawn again.
+        CoopqpError: it holds none; its points cannot be drawn again.
     """
+    head = _head(folder)
+    path, text = head["scenario"]
+    own, words = head["study"]
+    study = study_text(Path(own), words, (Path(path), text), catalog or Catalog())
+    if head["identity"]["points"] != study.points.digest:
+        words = "other points are drawn here than where it was run, by another scipy or numpy"
+        raise CoopqpError(f"'{folder}': {words}; use that one's")
+    return study
+
+
+def check_plugins(folder: Path, study: Study) -> list[str]:
+    """Refuse to run a row without the plug-ins that the study was run with.
+
+    Args:
+        folder: of the study.
+        study: as it was opened, with its catalogue.
+
+    Returns:
+        What is odd.
+
+    Raises:
+        CoopqpError: it was run with plug-ins of the user's own, and none are given.
+    """
+    head = _head(folder)
+    named = [
+        f"{option} {quote(path)}"
+        for option, paths in zip(("--tasks", "--plugins"), head["folders"], strict=True)
+        for path in paths
+    ]
+    if named and not any(study.catalog.folders):
+        words = "was run with plug-ins, and opening a folder never runs code by itself"
+        raise CoopqpError(f"'{folder}' {words}; if you trust them, add {' '.join(named)}")
+    if head["identity"]["plugins"] != plugins_hash(study):
+        return ["the plug-ins are not those that the study was run with"]
+    return []
+
+
+def _head(folder: Path) -> dict[str, Any]:
+    if folder.is_file():
+        raise CoopqpError(f"'{folder}' is a file; --table and --show need the folder of a study")
     if not folder.is_dir():
         raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
     found = journals(folder)
@@ -31,18 +79,7 @@ def kept_study(folder: Path) -> Study:
         raise CoopqpError(
             f"'{folder}' holds no study: needs a journal, as 'coopqp sweep' writes it"
         )
-    head = head_of(found[0]) or {}
-    tasks, plugins = (tuple(map(Path, kind)) for kind in head["folders"])
-    for path in (*tasks, *plugins):
-        if not path.is_dir():
-            raise CoopqpError(f"'{path}' is gone, with the plug-ins of this study")
-    path, text = head["scenario"]
-    own, words = head["study"]
-    study = study_text(Path(own), words, (Path(path), text), Catalog(tasks, plugins))
-    if head["identity"]["points"] != study.points.digest:
-        words = "other points are drawn here than where it was run, by another scipy or numpy"
-        raise CoopqpError(f"'{folder}': {words}; use that one's")
-    return study
+    return head_of(found[0]) or {}
 
 
 def scenario_of_row(study: Study, row: int) -> tuple[str, str]:

@@ -83,8 +83,12 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
             raise InvalidValueError(f"'{_upto(path, after)}': the list has {len(here)} values")
         if after and isinstance(here[step], str):
             here[step] = {here[step]: {}}
+        _check_slot(here[step], after, path)
         return [step], after
     found = [i for i, item in enumerate(names) if step in item]
+    if not found and not known:
+        words = "is a list of values; needs a place in it, from [0] on"
+        raise InvalidValueError(f"'{_upto(path, rest).rstrip('.')}' {words}")
     if not found:
         what = _upto(path, rest).rpartition(".")[2].rstrip("s") or "name"
         raise InvalidValueError(unknown_name(what, step, known))
@@ -94,6 +98,16 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
     if isinstance(here[i], str):
         here[i] = {here[i]: {}}
     return ([i] if "name" in here[i] else [i, next(iter(here[i]))]), after
+
+
+def _check_slot(item: Any, after: str, path: str) -> None:
+    """Refuse keys of a plug-in that its type does not stand before."""
+    name = _STEP.match(after)
+    if name and isinstance(item, dict) and len(item) == 1 and name[2]:
+        ((kind, fields),) = item.items()
+        if name[2] != kind and (isinstance(fields, dict) or fields is None):
+            to = _upto(path, after)
+            raise InvalidValueError(f"'{to}' is a {kind}; write {to}.{kind}{after}")
 
 
 def _names(item: Any) -> set[str]:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from coopqp.checked import taken_names
 from coopqp.errors import CoopqpError, Fault, InvalidValueError, ScenarioError, unknown_name
 from coopqp.reading import absolute
 from coopqp.scenario.catalog import Catalog
@@ -21,7 +22,7 @@ from coopqp.study.sweep import space
 from coopqp.study.sweep.path import located, put
 from coopqp.study.sweep.points import MOST, Points
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied
-from coopqp.wording import Location
+from coopqp.wording import Location, dotted, shown
 
 T = TypeVar("T")
 
@@ -34,7 +35,7 @@ KEYS = {
 GRID = "grid"
 #: Measured in every study, because its page shows them.
 ALWAYS = ("reached", "task_error", "limit_margin_min", "limit_violation_max")
-MOST_TRIED = 20  # values of a key that are checked before anything runs
+MOST_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
@@ -47,34 +48,37 @@ def read_study(path: Path, catalog: Catalog | None = None) -> Study:
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    return study_of(read_yaml(path), None, catalog or Catalog())
+    return _Reader(read_yaml(path), catalog or Catalog()).study(None)
 
 
 def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catalog) -> Study:
-    """The same from texts that were kept.
+    """The same from texts that were kept of a study that has been read before.
+
+    What its scenario names is not looked up, so that the plug-ins need not be there.
 
     Args:
         path: of the study's file.
         text: what it held.
         scenario: path and text of its scenario.
-        catalog: what it can name.
+        catalog: what the scenario can name, for who runs it.
 
     Raises:
         ScenarioError: as :func:`read_study`.
     """
-    return study_of(parsed(path, text), parsed(*scenario), catalog)
-
-
-def study_of(file: YamlFile, scenario: YamlFile | None, catalog: Catalog) -> Study:
-    """The same from a file that has been read; its scenario is looked for when omitted."""
-    return _Reader(file, catalog).study(scenario)
+    return _Reader(parsed(path, text), catalog, kept=True).study(parsed(*scenario))
 
 
 class _Reader:
-    """Collects the faults of a study's file."""
+    """Collects the faults of a study's file.
 
-    def __init__(self, file: YamlFile, catalog: Catalog) -> None:
-        self._file, self._catalog = file, catalog
+    Args:
+        file: read.
+        catalog: what its scenario can name.
+        kept: whether it has been read before, with all that it names.
+    """
+
+    def __init__(self, file: YamlFile, catalog: Catalog, *, kept: bool = False) -> None:
+        self._file, self._catalog, self._kept = file, catalog, kept
         self._faults: list[Fault] = []
         self._notes: list[str] = []
         self._defaults = _defaults(file_model(catalog))
@@ -99,7 +103,8 @@ class _Reader:
         varied = self._located(vary, base)
         self._contradictions(varied)
         self._end()
-        self._tried(varied, scenario, base)
+        if not self._kept:
+            self._tried(varied, scenario, base)
         points, varied = self._points(varied, seed)
         self._end()
         named = tuple(_names(base, controllers, self._catalog))
@@ -136,7 +141,7 @@ class _Reader:
         samples = self._file.data.get("samples")
         seed = samples.get(SEED, 0) if isinstance(samples, dict) else 0
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            self._fault(["samples", SEED], f"found {seed!r:.40}; needs a whole number, at least 0")
+            self._fault(["samples", SEED], f"found {shown(seed)}; needs a whole number, at least 0")
             return 0
         return seed
 
@@ -147,7 +152,7 @@ class _Reader:
             self._fault(["metrics"], "needs a list of names")
             return ()
         for i, name in enumerate(given):
-            if name not in known:
+            if name not in known and not self._kept:
                 self._fault(["metrics", i], unknown_name("metric", str(name), known))
         return tuple(dict.fromkeys((*ALWAYS, *map(str, given))))
 
@@ -161,7 +166,11 @@ class _Reader:
             return None
         beside = self._file.path.parent / given
         try:
-            return read_yaml(beside if beside.exists() else find(given))
+            found = read_yaml(beside if beside.exists() else find(given))
+            if "vary" in found.data and "robot" not in found.data:
+                self._fault(["scenario"], f"'{given}' is a study; needs a scenario")
+                return None
+            return found
         except ScenarioError as error:
             for fault in error.faults:
                 self._fault(["scenario"], str(fault))
@@ -176,6 +185,9 @@ class _Reader:
             return {}
         found = {}
         for path, value in given.items():
+            if not path:
+                self._fault(["vary"], "'' is no path; needs one such as tasks.reach.goal", [path])
+                continue
             variation = self._told(["vary", path], lambda value=value: space.read(value))  # type: ignore[misc]
             if variation is not None:
                 found[path] = variation
@@ -211,36 +223,60 @@ class _Reader:
             self._fault(["vary", CONTROLLERS], "needs choice: [...], names of controllers")
             return []
         chosen = list(over.values)
-        try:
-            check(base.changed({**base.data, CONTROLLERS: chosen}), self._catalog)
-        except ScenarioError as error:
-            for fault in error.faults:
-                if f": {CONTROLLERS}" in fault.place:
-                    self._fault(["vary", CONTROLLERS], fault.message)
+        if not self._kept:
+            self._check_controllers(chosen, base)
         base.data[CONTROLLERS] = chosen
         return chosen
 
+    def _check_controllers(self, chosen: list[Any], base: YamlFile) -> None:
+        place = ["vary", CONTROLLERS]
+        known = len(self._faults)
+        for i, one in enumerate(chosen):
+            for fault in self._wrong(base.changed({**base.data, CONTROLLERS: [one]})):
+                if f": {CONTROLLERS}" in fault.place:
+                    self._fault(place, fault.message, ["choice", i])
+        if len(self._faults) == known:
+            names = list(_names(base, chosen, self._catalog))
+            for i, taken in taken_names(names):
+                words = f"{taken}; give this one another, such as {{{names[i]}: {{name: other}}}}"
+                self._fault(place, words, ["choice", i])
+
     def _tried(self, varied: Sequence[Varied], scenario: YamlFile, base: YamlFile) -> None:
-        """See whether each key takes at least one of its values, and the scenario all of them."""
+        """See whether each key takes its values, each alone, and the scenario one of all keys.
+
+        Of numbers between two a few are tried, and one that is taken is enough.
+        """
         known = [fault.message for fault in self._wrong(scenario)]
         data = base.data
         for one in varied:
-            words: list[str] = []
             alone = {**copy.deepcopy(scenario.data), CONTROLLERS: base.data.get(CONTROLLERS)}
             if alone[CONTROLLERS] is None:
                 del alone[CONTROLLERS]
             located(alone, one.path, self._defaults)
-            for value in one.over.tried()[:MOST_TRIED]:
+            taken, words, before = [], [], len(self._faults)
+            for i, value in enumerate(one.over.tried()[:MOST_TRIED]):
                 tried = scenario.changed(put(alone, one.location, value))
-                new = [f.message for f in self._wrong(tried) if f.message not in known]
+                new = [fault for fault in self._wrong(tried) if fault.message not in known]
+                words += [fault.message for fault in new]
                 if not new:
-                    data = put(data, one.location, value)
-                    break
-                words += new
-            else:
+                    taken.append(value)
+                elif isinstance(one.over, space.Listed):
+                    self._own_faults(one, i, new)
+            if taken:
+                data = put(data, one.location, taken[0])
+            elif len(self._faults) == before:
                 self._fault(["vary", one.path], words[0])
         self._end()
         self._faults += self._wrong(base.changed(data))
+
+    def _own_faults(self, one: Varied, index: int, faults: Sequence[Fault]) -> None:
+        """Those of a listed value itself; what contradicts other keys may go with others."""
+        kind = next(iter(self._file.data["vary"][one.path]))
+        for fault in faults:
+            _, found, inside = fault.place.partition(f": {dotted(one.location)}")
+            if found and inside[:1] in ("", ".", "["):
+                words = f"{inside.lstrip('.')}: {fault.message}" if inside else fault.message
+                self._fault(["vary", one.path], words, [kind, index])
 
     def _wrong(self, file: YamlFile) -> list[Fault]:
         """What is wrong with the form of a scenario."""
@@ -255,6 +291,10 @@ class _Reader:
     def _points(self, varied: tuple[Varied, ...], seed: int) -> tuple[Points, tuple[Varied, ...]]:
         """The points, and what is varied over them: on a grid everything has levels."""
         given = self._file.data["samples"]
+        if not isinstance(given, str | dict):
+            words = f"found {shown(given)}; needs a way to sample, such as sobol: 1024, or grid"
+            self._fault(["samples"], words)
+            return sampling.grid(()), varied
         named = given if isinstance(given, dict) else {given: None}
         methods = (GRID, *sampling.METHODS)
         asked = [key for key in named if key != SEED]
@@ -268,7 +308,7 @@ class _Reader:
         if method == GRID and count is None:
             count = 0
         elif not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST:
-            words = f"found {count!r:.40}; needs a whole number of 1 to {MOST:,}"
+            words = f"found {shown(count)}; needs a whole number of 1 to {MOST:,}"
             self._fault(["samples", method], words)
             return sampling.grid(()), varied
         if method == GRID:

@@ -50,7 +50,7 @@ def compact(study: Study, folder: Path) -> Index:
     aside = folder / f".{NAME}.{os.getpid()}"
     try:
         with _alone(folder):
-            index = Index(folder, study.points.count)
+            index = Index(folder, study)
             _write(study, index, aside)
             os.replace(aside, folder / NAME)
     except OSError as error:

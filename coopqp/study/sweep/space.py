@@ -23,6 +23,7 @@ from scipy.special import ndtri
 
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.wording import shown
 
 LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
 MOST_LEVELS = 1_000_000
@@ -185,8 +186,10 @@ def _box(value: Any) -> Variation:
     low, high = (_numbers(corner) for corner in value[:2])
     counts = value[2] if len(value) == 3 else 0
     listed = counts if isinstance(counts, list) else [counts] * len(low)
-    if not low or not len(low) == len(high) == len(listed):
+    if not low or len(low) != len(high):
         raise InvalidValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
+    if len(listed) != len(low):
+        raise InvalidValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
     sides = [
         _interval([a, b], n) if n else _interval([a, b])
         for a, b, n in zip(value[0], value[1], listed, strict=True)
@@ -220,7 +223,7 @@ def _interval(ends: Sequence[Any], count: Any = None) -> Interval:
     if count is None:
         return Interval(low, high)
     if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_LEVELS:
-        raise InvalidValueError(f"found {count!r} levels; needs a whole number, at least 1")
+        raise InvalidValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
     if count == 1 and low != high:
         raise InvalidValueError("found 1 level between two numbers; needs at least 2")
     if low == high:
@@ -257,9 +260,14 @@ def _several(value: Any) -> list[Any]:
     if not isinstance(value, list) or not value:
         raise InvalidValueError("is empty; needs a list of at least one value")
     for i, one in enumerate(value):
-        if one in value[:i]:
-            raise InvalidValueError(f"has {one!r:.40} twice; leave one out")
+        if any(one == other and _is_truth(one) is _is_truth(other) for other in value[:i]):
+            raise InvalidValueError(f"has {shown(one)} twice; leave one out")
     return value
+
+
+def _is_truth(value: Any) -> bool:
+    """Python has True equal to 1."""
+    return isinstance(value, bool)
 
 
 def _numbers(value: Any) -> list[float]:
@@ -270,9 +278,9 @@ def _numbers(value: Any) -> list[float]:
     """
     listed = value if isinstance(value, list) else [value]
     for one in listed:
-        number = isinstance(one, int | float) and not isinstance(one, bool)
+        number = isinstance(one, int | float) and not _is_truth(one)
         if not number or not math.isfinite(one):
-            raise InvalidValueError(f"found {one!r:.40}; needs numbers")
+            raise InvalidValueError(f"found {shown(one)}; needs numbers")
     return listed
 
 

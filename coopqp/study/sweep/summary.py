@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from coopqp.study.statistics.summary import Share, wilson
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.variant import DONE
 
+#: In a reason, but not in names and in places of files.
+_NUMBER = re.compile(r"(?<![\w.:])[-+]?\d+(\.\d+)?([eE][-+]?\d+)?\b")
 Rows = NDArray[np.bool_]
 """Which rows count."""
 
@@ -47,7 +50,8 @@ class Summary:
     Attributes:
         rows: how many.
         lines: one a controller.
-        reasons: how often each was given by rows that are not done, the most frequent first.
+        reasons: how often each was given by rows that are not done, the most frequent first; those
+            that only differ in numbers together.
     """
 
     rows: int
@@ -107,7 +111,15 @@ def _counted(codes: NDArray[np.int64], texts: list[str]) -> dict[str, int]:
 
 
 def _reasons(columns: Columns, rows: Rows) -> dict[str, int]:
+    """Reasons that only differ in numbers are one, with the numbers of the most frequent."""
     codes, texts = columns.codes("reason")
     counts = np.bincount(codes[rows & (codes >= 0)], minlength=len(texts))
-    found = Counter({text: int(n) for text, n in zip(texts, counts, strict=True) if text and n})
+    alike: dict[str, Counter[str]] = {}
+    for text, count in zip(texts, counts.tolist(), strict=True):
+        if text and count:
+            alike.setdefault(_NUMBER.sub("#", text), Counter())[text] += count
+    found: Counter[str] = Counter()
+    for several in alike.values():
+        ((text, _),) = several.most_common(1)
+        found[text if len(several) == 1 else f"such as {text}"] += several.total()
     return dict(found.most_common())

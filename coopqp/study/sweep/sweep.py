@@ -12,11 +12,11 @@ from typing import Any, overload
 
 import numpy as np
 
-from coopqp.errors import CoopqpError
 from coopqp.study.engine import Engine, Lost, Share
+from coopqp.study.sweep.folder import check_folder
 from coopqp.study.sweep.identity import identity
 from coopqp.study.sweep.index import Index
-from coopqp.study.sweep.journal import FORM, Journal, check_same, path_of
+from coopqp.study.sweep.journal import FORM, Journal, path_of
 from coopqp.study.sweep.results import compact, needs_arrow
 from coopqp.study.sweep.study import Study, Variant
 from coopqp.study.sweep.variant import Row, job_of, lost_rows, run_variants
@@ -35,6 +35,7 @@ class Progress:
         before: of them, those that were there when it began.
         done: of them, those that are there.
         states: of the rows that came since, by state.
+        damaged: lines of journals that were not as they were written; what they said is done again.
         begun: when [s].
     """
 
@@ -42,6 +43,7 @@ class Progress:
     before: int
     done: int
     states: Counter[str] = field(default_factory=Counter)
+    damaged: int = 0
     begun: float = field(default_factory=time.monotonic)
 
     @property
@@ -80,15 +82,15 @@ def sweep(
     """
     needs_arrow()
     own = identity(study)
-    if folder.exists() and not folder.is_dir():
-        raise CoopqpError(f"'{folder}' is not a folder")
-    check_same(folder, own)
+    check_folder(folder, study, own)
     job = job_of(study, folders)
     head = _head(study, own, folders)
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
-        missing = Index(folder, study.points.count).missing(mine)
-        state = Progress(len(mine), len(mine) - len(missing), len(mine) - len(missing))
+        index = Index(folder, study)
+        missing = index.missing(mine)
+        there = len(mine) - len(missing)
+        state = Progress(len(mine), there, there, damaged=index.damaged)
         alone = replace(engine, share=Share())
         for batch in alone.batches(partial(run_variants, job=job), _Variants(study, missing)):
             found = [

@@ -20,7 +20,7 @@ from coopqp.controller_run import run
 from coopqp.errors import CoopqpError, InternalError
 from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.limit import ROUNDING
-from coopqp.overrun import at_limits, broken, matters, outside
+from coopqp.overrun import at_limits, broken, matters, outside, slowed_by
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.known import Known
 from coopqp.scenario.loader import load_file
@@ -32,6 +32,8 @@ from coopqp.verdict import FASTER
 from coopqp.wording import by_user, raised
 
 DONE, INVALID, FAILED = "done", "invalid", "failed"
+#: What a run can break that is no limit: the closed loops, the hold of an object, the plant.
+LOOP, HOLD, PLANT = "loop", "hold", "plant"
 
 Row = dict[str, Any]
 """What came of one variant under one controller: state, reason, success and so on, metrics."""
@@ -124,17 +126,15 @@ def _without(state: str, reason: str) -> Row:
 
 def succeeds(trace: Trace) -> bool:
     """Whether a run reaches all goals, goes beyond no limit and keeps the loops closed."""
-    if trace.broke_down or any(trace.torn):
-        return False
     ends = zip(trace.final_error, trace.tasks, strict=True)
-    reached = all(bool(error <= task.tolerance) for error, task in ends)
-    position, angle = trace.loop_position.max(), trace.loop_orientation.max()
-    closed = bool(position <= CLOSED_POSITION and angle <= CLOSED_ORIENTATION)
-    return reached and closed and not any(_broken(trace))
+    return all(bool(error <= task.tolerance) for error, task in ends) and not any(_broken(trace))
 
 
 def _broken(trace: Trace) -> Iterator[str]:
-    """Limits that the run went beyond, by name: joints, and those that are no joint's."""
+    """What the run broke, by name: limits of joints, other limits, the loop, the hold, the plant.
+
+    A run that reaches its goals and breaks nothing is a success.
+    """
     beyond = np.maximum(outside(trace), 0.0)
     worst = beyond.max(axis=0)
     fast = np.abs(trace.v).max(axis=0, initial=0.0) > (1.0 + FASTER) * trace.velocity
@@ -145,14 +145,22 @@ def _broken(trace: Trace) -> Iterator[str]:
         if fast[i]:
             yield f"speed of {joint}"
     yield from (found.row.owner for found in broken(trace) if found.farther)
+    position, angle = trace.loop_position.max(), trace.loop_orientation.max()
+    if not (position <= CLOSED_POSITION and angle <= CLOSED_ORIENTATION):  # a NaN is open
+        yield LOOP
+    if any(trace.torn) and "held" in trace.signals:
+        yield HOLD
+    elif trace.broke_down:
+        yield PLANT
 
 
 def _blocked_by(trace: Trace) -> dict[str, None]:
-    """Limits at which the run stands where it has missed a goal."""
+    """Limits at which the run stands where it has missed a goal, or that held it up on its way."""
     found: dict[str, None] = {}
     for k, (error, task) in enumerate(zip(trace.final_error, trace.tasks, strict=True)):
         if not error <= task.tolerance:
             found |= dict.fromkeys(at_limits(trace, trace.last_instants[k]))
+            found |= dict.fromkeys(slowed_by(trace, k))
     return found
 
 
