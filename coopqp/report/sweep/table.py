@@ -29,11 +29,11 @@ def table(name: str, summary: Summary) -> Table:
     )
     names = [len(one_line(line.controller)) for line in summary.lines]
     found.add_column("controller", overflow="fold", min_width=min(24, max(names, default=0)))
-    for heading in ("done", "invalid", "failed", "success\n%, 95 % interval", "reached\n%"):
+    for heading in ("done,\ninvalid,\nfailed", "success\n%, 95 % interval", "reached\n%"):
         found.add_column(heading, justify="right", no_wrap=True)
     found.add_column("error, median\n95 % (m, rad)", justify="right", no_wrap=True)
-    found.add_column("blocked by,\nhow often", overflow="fold")
-    found.add_column("broken,\nhow often", overflow="fold")
+    for heading in ("blocked by,\nhow often", "broken,\nhow often"):
+        found.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
         found.add_row(*_cells(line))
     return found
@@ -41,8 +41,7 @@ def table(name: str, summary: Summary) -> Table:
 
 def _cells(line: Line) -> Iterator[Text]:
     yield Text(one_line(line.controller), style="bold")
-    for state in ("done", "invalid", "failed"):
-        yield Text(f"{line.states.get(state, 0):,}")
+    yield Text(", ".join(f"{line.states.get(s, 0):,}" for s in ("done", "invalid", "failed")))
     yield Text(percent(line.success))
     yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
     yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
