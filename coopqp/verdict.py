@@ -34,6 +34,10 @@ SINGULAR = 0.02
 MOST_NAMES = 3
 #: An object that moves along a hand by more has slipped; less is the creep of simulated contacts.
 SLIPPED = 1e-3  # [m]
+#: A smaller share of the friction is none.
+WORTH_A_NUMBER = 5e-3
+#: With less of a pad between the pressure and its edge the pad stands on the edge.
+ON_EDGE = 1e-3
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
@@ -228,11 +232,16 @@ def _hold(trace: Trace, metrics: Mapping[str, Any]) -> str:
         lost = [f.note for f in trace.failures if f.cause == Status.OBJECT_LOST.value]
         why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
         return f"loses the object at {held['lost_at']:.3g} s{why}"
-    margin, slip = metrics["friction_margin"], metrics["slip_distance"]
-    slipped = f" and slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
-    if margin <= 0.0:
-        return f"holds the object at the edge of its friction{slipped}"
-    return f"holds the object with {100.0 * margin:.0f} % of the friction unused{slipped}"
+    margin, edge, slip = (
+        metrics[name] for name in ("friction_margin", "edge_margin", "slip_distance")
+    )
+    said = "at the edge of its friction"
+    if margin >= WORTH_A_NUMBER:
+        said = f"with {100.0 * margin:.0f} % of the friction unused"
+    if edge is not None and edge <= ON_EDGE:
+        said += " and a pad on its edge"
+    slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
+    return f"holds the object {said}{slipped}"
 
 
 def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:
