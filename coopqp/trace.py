@@ -18,6 +18,11 @@ from coopqp.row import Row
 from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
 
+#: Units of what is asked of the hands' wrenches.
+FORCES = ("N", "N m")
+#: A force has to stay within its tolerance for so long at its end [s].
+SETTLED = 0.2
+
 
 @dataclass(frozen=True)
 class TaskInfo:
@@ -357,9 +362,23 @@ class Trace:
 
     @property
     def final_error(self) -> Array:
-        """Each task's error at the end of the time for which it counts, shape (K,)."""
-        ends = [self.task_error[i, k] for k, i in enumerate(self.last_instants)]
-        return np.array(ends, float)
+        """Each task's error at the end of the time for which it counts, shape (K,).
+
+        Of forces the largest of :meth:`at_end`, because one sample of a swing says nothing.
+        """
+        return np.array([self.at_end(k).max() for k in range(len(self.tasks))], float)
+
+    def at_end(self, k: int) -> Array:
+        """The errors of task k that count as its end: the last; of a force those that came last.
+
+        These are the last ``SETTLED`` seconds, and no more than the last fifth of its time.
+        """
+        last, task = self.last_instants[k], self.tasks[k]
+        if task.unit not in FORCES:
+            return np.asarray(self.task_error[last : last + 1, k])
+        first = range(len(self.t))[task.rows][0]
+        ticks = min(round(SETTLED / self.dt), (last - first) // 5)
+        return np.asarray(self.task_error[last - max(ticks - 1, 0) : last + 1, k])
 
     @property
     def last_instants(self) -> tuple[int, ...]:

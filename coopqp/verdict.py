@@ -82,7 +82,19 @@ def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
     if np.isnan(error):
         return f"loses '{task.name}': its error is no number"
     far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
+    if _swings(trace, k):
+        return f"swings to the end up to {far} off the goal of '{task.name}'"
     return f"ends {far} off the goal of '{task.name}'{_where(trace, k)}"
+
+
+def _swings(trace: Trace, k: int) -> bool:
+    """Whether what task k asks for, missed at its end, is only passed through or about."""
+    task, off = trace.tasks[k], trace.at_end(k)
+    last = trace.last_instants[k] + 1
+    own = [i for i, row in enumerate(trace.task_rows) if row.startswith(f"{task.name}.")]
+    rows = trace.e[last - len(off) : last, own]
+    about = (rows.min(axis=0) < -task.tolerance) & (rows.max(axis=0) > task.tolerance)
+    return bool(off.min() <= task.tolerance or about.any())
 
 
 def _unheard(metrics: Mapping[str, Any]) -> str:
@@ -235,6 +247,8 @@ def _hold(trace: Trace, metrics: Mapping[str, Any]) -> str:
     margin, edge, slip = (
         metrics[name] for name in ("friction_margin", "edge_margin", "slip_distance")
     )
+    if margin is None:  # a run that was over before they pressed
+        return "holds the object so far"
     said = "at the edge of its friction"
     if margin >= WORTH_A_NUMBER:
         said = f"with {100.0 * margin:.0f} % of the friction unused"
