@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
-from scenario_files import cut, write
+from scenario_files import HAS_ROBOTS, cut, write
 
 import coopqp
 from coopqp.comparison import Comparison, compare
 from coopqp.metrics.held import Held
 from coopqp.report.figures.groups import groups
+from coopqp.report.how_to_read import how_to_read
+from coopqp.report.page import render
 from coopqp.solver import Status
 from coopqp.trace import Failure
 from coopqp.verdict import verdict
@@ -95,3 +97,39 @@ def test_a_force_on_a_plant_without_forces_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, text)
     with pytest.raises(coopqp.ScenarioError, match="asks 'internal_wrench' for a force"):
         coopqp.load(path)
+
+
+def test_the_page_explains_forces_where_there_are_some_and_laws_where_they_are_compared(
+    pressed: Comparison,
+) -> None:
+    said = " ".join(how_to_read(pressed))
+    assert "coefficient of friction times the normal force" in said
+    assert "pseudoinverse" not in said
+    assert "spring" not in said
+    plain = " ".join(how_to_read(compare(cut(coopqp.load("point_on_point"), 5))))
+    assert "pseudoinverse" in plain
+    assert "friction" not in plain
+
+
+@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+def test_fastened_hands_have_no_section_of_pressing_ones() -> None:
+    yielding = compare(cut(coopqp.load("position_pair"), 5))
+    titles = {group.title: group for group in groups(yielding)}
+    assert "Hands that press" not in titles
+    told = [figure.title for figure in titles["Torques and forces"].folded]
+    assert [title for title in told if title.startswith("Share of the load")]
+    said = " ".join(how_to_read(yielding))
+    assert "there is a spring" in said
+    assert "squeeze is the force" in said
+
+
+def test_a_page_draws_hands_that_touch_nothing_for_a_while(pressed: Comparison) -> None:
+    """What there is none of is left out; JSON would not take it."""
+    (name,) = pressed.traces
+    trace = pressed.traces[name]
+    uses = {key: trace.signals[key].copy() for key in ("friction_use", "edge_use")}
+    for use in uses.values():
+        use[10:20] = np.nan
+    apart = replace(trace, signals={**trace.signals, **uses})
+    page = render(replace(pressed, traces={name: apart}))
+    assert "Pressure of left from the middle of its pad to the edge" in page
