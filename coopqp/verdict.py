@@ -27,6 +27,8 @@ GIVEN_UP = {
 }
 #: A speed beyond its limit by less than this share is not worth a word.
 FASTER = 1e-3
+#: Speeds below so many times the limit are told by what they are beyond it.
+HARDLY = 1.1
 #: A motor that is at its limit in less than this share of the ticks was only passing.
 PASSING = 0.01
 #: Joints that can bring about less than this share of what they could at the start are singular.
@@ -190,6 +192,10 @@ def _speed(trace: Trace) -> str:
     worst = int(share.argmax())
     if share[worst] <= 1.0 + FASTER:
         return ""
+    if share[worst] < HARDLY:
+        return (
+            f"needs {100.0 * (share[worst] - 1.0):.1g} % more speed than {trace.joints[worst]} has"
+        )
     return f"needs {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 

@@ -32,11 +32,11 @@ def check_speed(key: str, speed: float) -> None:
 
     Args:
         key: of what makes it fast, for the message.
-        speed: the largest [m/s, rad/s].
+        speed: the largest [m/s, rad/s, N/s].
 
     Raises:
         InvalidValueError: it is beyond that of any arm.
     """
     if speed > FASTEST:
-        words = f"goes at {speed:.3g} m/s (rad/s), needs at most {FASTEST:g}; times are seconds"
-        raise InvalidValueError(f"{key}: {words}")
+        words = f"goes at {speed:.3g} m/s (rad/s; of forces N/s), needs at most {FASTEST:g}"
+        raise InvalidValueError(f"{key}: {words}; times are seconds")
