@@ -23,7 +23,7 @@ def check_places(key: str, numbers: Array) -> None:
     """
     most = float(np.abs(numbers).max(initial=0.0))
     if most > FARTHEST:
-        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians)"
+        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
         raise InvalidValueError(f"{key}: {words}")
 
 
