@@ -13,6 +13,8 @@ from scenario_files import HAS_ROBOTS, cut, write
 
 import coopqp
 from coopqp.comparison import Comparison, compare
+from coopqp.metrics.edge_margin import EdgeMargin
+from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
 from coopqp.report.figures.groups import groups
 from coopqp.report.how_to_read import how_to_read
@@ -47,6 +49,21 @@ def test_the_verdict_tells_what_friction_is_left(pressed: Comparison) -> None:
     words = f"Holds the object with {100.0 * margin:.0f} % of the friction unused"
     assert pressed.verdicts[name].startswith(words)
     assert 0.4 < margin < 0.6
+
+
+def test_the_verdict_tells_a_pad_on_its_edge_apart_from_friction(pressed: Comparison) -> None:
+    """The same run, its pressure moved to an edge: as much friction is left as before."""
+    (name,) = pressed.traces
+    trace, metrics = pressed.traces[name], pressed.metrics[name]
+    assert "on its edge" not in pressed.verdicts[name]
+    edge = trace.signals["edge_use"].copy()
+    edge[-1, 0] = 1.0
+    tipping = replace(trace, signals={**trace.signals, "edge_use": edge})
+    told = {"edge_margin": EdgeMargin(), "friction_margin": FrictionMargin()}
+    found = {key: metric.measure(tipping) for key, metric in told.items()}
+    assert found == {"edge_margin": 0.0, "friction_margin": metrics["friction_margin"]}
+    said = verdict(tipping, {**metrics, **found})
+    assert "% of the friction unused and a pad on its edge; " in said
 
 
 def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
