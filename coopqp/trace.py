@@ -17,28 +17,7 @@ from coopqp.checked import Array
 from coopqp.row import Row
 from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
-
-#: Units of what is asked of the hands' wrenches.
-FORCES = ("N", "N m")
-#: A force has to stay within its tolerance for so long at its end [s].
-SETTLED = 0.2
-
-
-@dataclass(frozen=True)
-class TaskInfo:
-    """A task, or a part of it with a unit of its own, as the trace needs it.
-
-    Attributes:
-        name, unit, tolerance: as the task says.
-        end: when its reference arrives [s].
-        rows: of the trace, during which it counts; its error is NaN in the others.
-    """
-
-    name: str
-    unit: str
-    tolerance: float
-    end: float
-    rows: slice = field(default_factory=lambda: slice(None))
+from coopqp.task_end import TaskInfo
 
 
 @dataclass(frozen=True)
@@ -364,21 +343,23 @@ class Trace:
     def final_error(self) -> Array:
         """Each task's error at the end of the time for which it counts, shape (K,).
 
-        Of forces the largest of :meth:`at_end`, because one sample of a swing says nothing.
+        Of forces the largest of :meth:`at_end`, because one sample of a swing says nothing. Of an
+        impedance what :meth:`at_end` leaves out: that it gives way to a push as it was asked to.
         """
         return np.array([self.at_end(k).max() for k in range(len(self.tasks))], float)
 
     def at_end(self, k: int) -> Array:
-        """The errors of task k that count as its end: the last; of a force those that came last.
-
-        These are the last ``SETTLED`` seconds, and no more than the last fifth of its time.
-        """
+        """The errors of task k that count as its end, :mod:`coopqp.task_end`."""
         last, task = self.last_instants[k], self.tasks[k]
-        if task.unit not in FORCES:
-            return np.asarray(self.task_error[last : last + 1, k])
-        first = range(len(self.t))[task.rows][0]
-        ticks = min(round(SETTLED / self.dt), (last - first) // 5)
-        return np.asarray(self.task_error[last - max(ticks - 1, 0) : last + 1, k])
+        if self.pushed(k):
+            rows = task.columns(self.task_rows)
+            return task.beyond_springs(self.e[last, rows], self.signals["push"][last - 1])
+        return task.settled(self.task_error[: last + 1, k], self.dt)
+
+    def pushed(self, k: int) -> bool:
+        """Whether task k is an impedance, and the plant pushes the object to its end."""
+        last, push = self.last_instants[k], self.signals.get("push")
+        return bool(self.tasks[k].springs and push is not None and last and push[last - 1].any())
 
     @property
     def last_instants(self) -> tuple[int, ...]:

@@ -75,6 +75,8 @@ def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
         for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
         if not error <= task.tolerance  # a NaN has reached nothing
     ]
+    if not missed and (yielded := _gives_way(trace)):
+        return yielded
     if not missed:
         torn = any(trace.torn)
         return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
@@ -87,6 +89,17 @@ def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
     if _swings(trace, k):
         return f"swings to the end up to {far} off the goal of '{task.name}'"
     return f"ends {far} off the goal of '{task.name}'{_where(trace, k)}"
+
+
+def _gives_way(trace: Trace) -> str:
+    """How far impedances have given way to what pushes the object to the end, as asked."""
+    said = []
+    for k, task in enumerate(trace.tasks):
+        far = float(trace.task_error[trace.last_instants[k], k])
+        if trace.pushed(k) and far > task.tolerance and not trace.torn[k]:
+            amount = f"{1e3 * far:.1f} mm" if task.unit == "m" else f"{far:.3g} {task.unit}"
+            said.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
+    return "; ".join(said)
 
 
 def _swings(trace: Trace, k: int) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from coopqp.comparison import Comparison
 from coopqp.report.cells import plugin_name
-from coopqp.trace import FORCES
+from coopqp.task_end import FORCES
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:

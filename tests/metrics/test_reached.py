@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenario_files import HAS_ROBOTS
 
 import coopqp
 from coopqp.checked import Array
 from coopqp.comparison import Comparison, summarize
+from coopqp.disturbance import Disturbance, Push
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -88,3 +90,19 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
     found = judged(scenario, trace, off, "N")
     assert not found.metrics["qp"]["reached"]
     assert "its error is no number" in found.verdicts["qp"]
+
+
+@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are() -> None:
+    """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
+    given = coopqp.load("impedance")
+    push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
+    for seconds, there in ((2.2, True), (0.2, False)):
+        pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))
+        found = coopqp.compare(pushed, controllers=["torque_qp"])
+        assert found.metrics["torque_qp"]["reached"] is there
+        words = "Gives way 20.1 mm to what pushes it, as 'springs.position' was asked to"
+        assert found.verdicts["torque_qp"].startswith(words) is there
+        (trace,) = found.traces.values()
+        off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
+        assert trace.final_error[0] == pytest.approx(off)
