@@ -47,9 +47,9 @@ def line(what: str, trace: Trace) -> str:
     margin = FrictionMargin().measure(trace)
     assert held is not None
     assert slip is not None
-    assert margin is not None
     lost = "held" if held["held"] else f"lost at {held['lost_at']:.2f} s"
-    return f"| {what} | {lost} | {max(0.0, 100 * margin):.0f} | {1e3 * slip:.2f} |"
+    unused = "-" if margin is None else f"{max(0.0, 100 * margin):.0f}"  # none: it never pressed
+    return f"| {what} | {lost} | {unused} | {1e3 * slip:.2f} |"
 
 
 def tables() -> None:

@@ -10,6 +10,7 @@ so that what it allows friction bears; the outer one around it, so that what it 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,6 +27,8 @@ SAFETY = 1.5
 REACH = 0.95
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6
+#: A pad tips over its edge where the normal force is beyond it by more than this share.
+BEYOND = 1e-5
 
 
 @dataclass(frozen=True)
@@ -72,12 +75,35 @@ class Contact(ABC):
         """
 
     @abstractmethod
+    def friction_needed(self, wrench: ArrayLike) -> float:
+        """The coefficient of true friction that a wrench needs, whether or not it tips the hand.
+
+        Args:
+            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
+
+        Returns:
+            inf where the hand does not press.
+        """
+
+    @abstractmethod
+    def edge_use(self, wrench: ArrayLike) -> float:
+        """How far out the normal force is, over the half-lengths: 0 in the middle, 1 at an edge.
+
+        Args:
+            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
+
+        Returns:
+            NaN for a contact without an edge, and where the hand does not press.
+        """
+
     def needed(self, wrench: ArrayLike) -> float:
         """The coefficient of true friction that a wrench needs; inf where none bears it.
 
         Args:
             wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
         """
+        tips = self.edge_use(wrench) > 1.0 + BEYOND
+        return math.inf if tips else self.friction_needed(wrench)
 
     def holds(self, wrench: ArrayLike, friction: float) -> bool:
         """Whether true friction bears a wrench.

@@ -22,7 +22,7 @@ from coopqp.kernel.survey import Survey, joint_points, survey
 from coopqp.plant import PlantModel
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.trace import TaskInfo
+from coopqp.task_end import TaskInfo
 from coopqp.wording import suppressed
 
 
@@ -201,12 +201,21 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
     """What the trace says of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
+        first = at
         for part in task.parts(chain):
             name = f"{task.name}.{part.name}" if part.name else task.name
-            info = TaskInfo(name, part.unit, part.tolerance, task.end)
+            springs = _springs(task)[at - first : at - first + part.rows]
+            info = TaskInfo(name, part.unit, part.tolerance, task.end, springs=springs)
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found
+
+
+def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
+    """Row, axis and stiffness of each of an impedance's rows; none of other tasks."""
+    asked = task.impedance
+    pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
+    return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

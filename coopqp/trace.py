@@ -17,23 +17,7 @@ from coopqp.checked import Array
 from coopqp.row import Row
 from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
-
-
-@dataclass(frozen=True)
-class TaskInfo:
-    """A task, or a part of it with a unit of its own, as the trace needs it.
-
-    Attributes:
-        name, unit, tolerance: as the task says.
-        end: when its reference arrives [s].
-        rows: of the trace, during which it counts; its error is NaN in the others.
-    """
-
-    name: str
-    unit: str
-    tolerance: float
-    end: float
-    rows: slice = field(default_factory=lambda: slice(None))
+from coopqp.task_end import TaskInfo
 
 
 @dataclass(frozen=True)
@@ -357,9 +341,25 @@ class Trace:
 
     @property
     def final_error(self) -> Array:
-        """Each task's error at the end of the time for which it counts, shape (K,)."""
-        ends = [self.task_error[i, k] for k, i in enumerate(self.last_instants)]
-        return np.array(ends, float)
+        """Each task's error at the end of the time for which it counts, shape (K,).
+
+        Of forces the largest of :meth:`at_end`, because one sample of a swing says nothing. Of an
+        impedance what :meth:`at_end` leaves out: that it gives way to a push as it was asked to.
+        """
+        return np.array([self.at_end(k).max() for k in range(len(self.tasks))], float)
+
+    def at_end(self, k: int) -> Array:
+        """The errors of task k that count as its end, :mod:`coopqp.task_end`."""
+        last, task = self.last_instants[k], self.tasks[k]
+        if self.pushed(k):
+            rows = task.columns(self.task_rows)
+            return task.beyond_springs(self.e[last, rows], self.signals["push"][last - 1])
+        return task.settled(self.task_error[: last + 1, k], self.dt)
+
+    def pushed(self, k: int) -> bool:
+        """Whether task k is an impedance, and the plant pushes the object to its end."""
+        last, push = self.last_instants[k], self.signals.get("push")
+        return bool(self.tasks[k].springs and push is not None and last and push[last - 1].any())
 
     @property
     def last_instants(self) -> tuple[int, ...]:

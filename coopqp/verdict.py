@@ -27,6 +27,8 @@ GIVEN_UP = {
 }
 #: A speed beyond its limit by less than this share is not worth a word.
 FASTER = 1e-3
+#: Speeds below so many times the limit are told by what they are beyond it.
+HARDLY = 1.1
 #: A motor that is at its limit in less than this share of the ticks was only passing.
 PASSING = 0.01
 #: Joints that can bring about less than this share of what they could at the start are singular.
@@ -34,6 +36,10 @@ SINGULAR = 0.02
 MOST_NAMES = 3
 #: An object that moves along a hand by more has slipped; less is the creep of simulated contacts.
 SLIPPED = 1e-3  # [m]
+#: A smaller share of the friction is none.
+WORTH_A_NUMBER = 5e-3
+#: With less of a pad between the pressure and its edge the pad stands on the edge.
+ON_EDGE = 1e-3
 
 
 def verdict(trace: Trace, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
@@ -69,6 +75,8 @@ def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
         for k, (task, error) in enumerate(zip(trace.tasks, trace.final_error, strict=True))
         if not error <= task.tolerance  # a NaN has reached nothing
     ]
+    if not missed and (yielded := _gives_way(trace)):
+        return yielded
     if not missed:
         torn = any(trace.torn)
         return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
@@ -78,7 +86,30 @@ def _arrival(trace: Trace, metrics: Mapping[str, Any]) -> str:
     if np.isnan(error):
         return f"loses '{task.name}': its error is no number"
     far = f"{1e3 * error:.1f} mm" if task.unit == "m" else f"{error:.3g} {task.unit}"
+    if _swings(trace, k):
+        return f"swings to the end up to {far} off the goal of '{task.name}'"
     return f"ends {far} off the goal of '{task.name}'{_where(trace, k)}"
+
+
+def _gives_way(trace: Trace) -> str:
+    """How far impedances have given way to what pushes the object to the end, as asked."""
+    said = []
+    for k, task in enumerate(trace.tasks):
+        far = float(trace.task_error[trace.last_instants[k], k])
+        if trace.pushed(k) and far > task.tolerance and not trace.torn[k]:
+            amount = f"{1e3 * far:.1f} mm" if task.unit == "m" else f"{far:.3g} {task.unit}"
+            said.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
+    return "; ".join(said)
+
+
+def _swings(trace: Trace, k: int) -> bool:
+    """Whether what task k asks for, missed at its end, is only passed through or about."""
+    task, off = trace.tasks[k], trace.at_end(k)
+    last = trace.last_instants[k] + 1
+    own = [i for i, row in enumerate(trace.task_rows) if row.startswith(f"{task.name}.")]
+    rows = trace.e[last - len(off) : last, own]
+    about = (rows.min(axis=0) < -task.tolerance) & (rows.max(axis=0) > task.tolerance)
+    return bool(off.min() <= task.tolerance or about.any())
 
 
 def _unheard(metrics: Mapping[str, Any]) -> str:
@@ -174,6 +205,10 @@ def _speed(trace: Trace) -> str:
     worst = int(share.argmax())
     if share[worst] <= 1.0 + FASTER:
         return ""
+    if share[worst] < HARDLY:
+        return (
+            f"needs {100.0 * (share[worst] - 1.0):.1g} % more speed than {trace.joints[worst]} has"
+        )
     return f"needs {_round(share[worst])} times the speed {trace.joints[worst]} has"
 
 
@@ -228,11 +263,18 @@ def _hold(trace: Trace, metrics: Mapping[str, Any]) -> str:
         lost = [f.note for f in trace.failures if f.cause == Status.OBJECT_LOST.value]
         why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
         return f"loses the object at {held['lost_at']:.3g} s{why}"
-    margin, slip = metrics["friction_margin"], metrics["slip_distance"]
-    slipped = f" and slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
-    if margin <= 0.0:
-        return f"holds the object at the edge of its friction{slipped}"
-    return f"holds the object with {100.0 * margin:.0f} % of the friction unused{slipped}"
+    margin, edge, slip = (
+        metrics[name] for name in ("friction_margin", "edge_margin", "slip_distance")
+    )
+    if margin is None:  # a run that was over before they pressed
+        return "holds the object so far"
+    said = "at the edge of its friction"
+    if margin >= WORTH_A_NUMBER:
+        said = f"with {100.0 * margin:.0f} % of the friction unused"
+    if edge is not None and edge <= ON_EDGE:
+        said += " and a pad on its edge"
+    slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
+    return f"holds the object {said}{slipped}"
 
 
 def _ticks(trace: Trace, metrics: Mapping[str, Any]) -> str:

@@ -59,3 +59,13 @@ def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
 def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
     """Each hand's contact axes: R_CW, shape (N, 3, 3)."""
     return np.array([(R_WO @ hand.X_OC.rotation).T for hand in hands])
+
+
+def in_axes(wrench: Array, R: Array) -> Array:
+    """A wrench in other axes, at the same point, shape (6,).
+
+    Args:
+        wrench: force and torque, shape (6,).
+        R: from its axes into the others, shape (3, 3).
+    """
+    return np.concatenate([R @ wrench[:3], R @ wrench[3:]])

@@ -158,6 +158,11 @@ def require_impedances(
     if found < (needed := min(LEAST_DAMPING, 0.5 * asked)):
         raise InvalidValueError(
             f"{which} rings at dt {1e3 * dt:g} ms when commands are a tick late (damping ratio "
-            f"{found:.2f}, needs {needed:.2f}); lower stiffness and damping, or dt, or state more "
-            "mass"
+            f"{found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, or "
+            "state more mass"
         )
+
+
+def _at_least(ratio: float) -> str:
+    """A damping ratio that is needed, which is next to none where next to none was asked for."""
+    return f"{ratio:.2f}" if ratio >= 5e-3 else "more than 0"

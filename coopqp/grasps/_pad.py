@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coopqp.checked import Array
-from coopqp.contact import NO_CONTACT, Contact
+from coopqp.contact import BEYOND, NO_CONTACT, Contact
 
 #: From a circle to the square inside it.
 INNER = 1.0 / np.sqrt(2.0)
@@ -30,8 +30,6 @@ INNER = 1.0 / np.sqrt(2.0)
 CORNER_EDGES = 16
 #: To what share the friction that is needed is told.
 NEAR = 0.005
-#: A pad tips over its edge where the normal force is beyond it by more than this share.
-ROUNDING = 1e-5
 #: Forces sum up to a wrench where no more than this share of the normal force is left.
 SUMS_UP = 1e-6
 
@@ -51,15 +49,24 @@ class Pad(Contact):
         """The 16 rows with the square inside Coulomb's circle, and 2 where torsion is below 1."""
         return self._rows(INNER * friction)
 
-    def needed(self, wrench: ArrayLike) -> float:
-        """By cones at the corners, between what the squares in and around them say."""
-        w = np.array(wrench, float)
+    def edge_use(self, wrench: ArrayLike) -> float:
+        """Of the nearer pair of edges."""
+        w = np.asarray(wrench, float)
         X, Y = self.half_lengths
-        edge = (1.0 + ROUNDING) * float(w[2])
-        if not w[2] > NO_CONTACT or abs(w[3]) > Y * edge or abs(w[4]) > X * edge:
+        return max(abs(w[3]) / Y, abs(w[4]) / X) / float(w[2]) if w[2] > NO_CONTACT else math.nan
+
+    def friction_needed(self, wrench: ArrayLike) -> float:
+        """By cones at the corners, between what the squares in and around them say.
+
+        Where the normal force is beyond the edge it is taken to be on it, with the same yaw
+        about the place where it is.
+        """
+        w = self._on_the_pad(np.array(wrench, float))
+        X, Y = self.half_lengths
+        if not w[2] > NO_CONTACT:
             return math.inf
         # On one corner alone the rows compare nothing with nothing: keep off it by rounding.
-        w[3:5] *= 1.0 - 2.0 * ROUNDING
+        w[3:5] *= 1.0 - 2.0 * BEYOND
         # The square around needs the least, and the one inside sqrt(2) of that at most.
         low = max(self._needed(w), float(np.hypot(w[0], w[1]) / w[2]))
         low = max(low, float(abs(w[5]) / (w[2] * np.hypot(X, Y) * self.torsion)))
@@ -77,6 +84,17 @@ class Pad(Contact):
             else:
                 low = middle
         return float(max(low, high))
+
+    def _on_the_pad(self, w: Array) -> Array:
+        """With the normal force no farther out than the edges."""
+        X, Y = self.half_lengths
+        fx, fy, fz, tx, ty, tz = w.tolist()
+        on_x, on_y = float(np.clip(tx, -Y * fz, Y * fz)), float(np.clip(ty, -X * fz, X * fz))
+        if fz > NO_CONTACT and (on_x != tx or on_y != ty):
+            # Pressure at x = -ty / fz, y = tx / fz: what the friction there makes about the middle.
+            tz += ((ty - on_y) * fy + (tx - on_x) * fx) / fz
+            return np.array([fx, fy, fz, on_x, on_y, tz])
+        return w
 
     def _needed(self, w: Array) -> float:
         """The least m with which the 16 rows hold, by what they are made of."""

@@ -42,10 +42,14 @@ class Fingertip(Contact):
         rows[:, 2] = -friction * math.cos(0.5 * step)
         return rows
 
-    def needed(self, wrench: ArrayLike) -> float:
+    def friction_needed(self, wrench: ArrayLike) -> float:
         """By the round cone."""
         w = np.asarray(wrench, float)
         return math.hypot(w[0], w[1]) / float(w[2]) if w[2] > NO_CONTACT else math.inf
+
+    def edge_use(self, wrench: ArrayLike) -> float:
+        """A point has no edge."""
+        return math.nan
 
 
 @spec

@@ -26,6 +26,17 @@ def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
     return np.asarray(told[first : end_of_hold(trace)].reshape(-1, told.shape[1] // width, width))
 
 
+def margin(use: Array | None) -> float | None:
+    """What the largest use of any hand leaves of 1; none where none is told.
+
+    Args:
+        use: by tick and hand, NaN where there is nothing to use.
+    """
+    if use is None or np.isnan(use).all():
+        return None
+    return 1.0 - float(np.nanmax(use))
+
+
 def end_of_hold(trace: Trace) -> int:
     """The tick in which the object was lost; the number of ticks where it was not."""
     held = trace.signals.get("held")

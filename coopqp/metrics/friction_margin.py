@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.metrics._hands import by_hand
+from coopqp.metrics._hands import by_hand, margin
 from coopqp.trace import Trace
 
 
 @spec
 class FrictionMargin(Metric):
-    """Least share of the real friction that no hand used while it held; below 0 it slipped."""
+    """Least share of the real friction that no hand used while it held; at 0 it slips."""
 
     def measure(self, trace: Trace) -> float | None:
         """One less the largest use of any hand; none where no hand presses."""
-        use = by_hand(trace, "friction_use")
-        return None if use is None or not use.size else 1.0 - float(use.max())
+        return margin(by_hand(trace, "friction_use"))

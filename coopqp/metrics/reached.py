@@ -1,5 +1,6 @@
 """Whether every task's error ended within its tolerance, the object in all hands.
 
+A force has to stay within it for the last 0.2 s: one sample of a swing says nothing.
 A goal that is an input, and was never followed, is not reached, however small the error.
 """
 
@@ -16,7 +17,7 @@ class Reached(Metric):
     """Whether every task's error ended within its tolerance, the object in all hands."""
 
     def measure(self, trace: Trace) -> bool:
-        """At the last instant for which each counts."""
+        """At the end of the time for which each counts, :attr:`Trace.final_error`."""
         if trace.broke_down or not followed(trace):
             return False
         ends = zip(trace.final_error, trace.tasks, trace.torn, strict=True)

@@ -11,7 +11,7 @@ from coopqp.trace import Trace
 
 @spec
 class TaskError(Metric):
-    """Each task's error at its end."""
+    """Each task's error at its end; a force's largest of the last 0.2 s."""
 
     unit: ClassVar[str] = "the task's own"
 

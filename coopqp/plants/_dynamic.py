@@ -32,7 +32,7 @@ class DynamicModel(PlantModel):
         true: the state of the true chain, before noise; its time goes on from phase to phase.
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
-            [J].
+            [J]; ``push`` (6,), on the object at the end of the period [N, N m].
 
     Raises:
         InvalidValueError: the time step does not divide the control period, or the robot has no
@@ -67,6 +67,7 @@ class DynamicModel(PlantModel):
             "tau": self.servo.tau,
             "saturated": np.zeros(n),
             "energy": np.zeros(2),
+            "push": np.zeros(6),
         }
         self.measured = self._noisy(self.true.q, disturbance.noise_position)
         self.servo.hold(self.measured)
@@ -82,6 +83,8 @@ class DynamicModel(PlantModel):
             self._at_limit += np.abs(self.servo.asked) > self.servo.effort
         np.divide(self._at_limit, self._steps, self.signals["saturated"])
         self.signals["energy"][:] = self.energy()
+        push = self.disturbance.wrench(self.true.t)
+        self.signals["push"][:] = 0.0 if push is None else push
         self._measure(state, command)
 
     def truth(self, state: State) -> State:

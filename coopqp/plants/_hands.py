@@ -7,6 +7,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.hands import Hand, hands
+from coopqp.contact import BEYOND, NO_CONTACT
 
 #: A hand that presses and has not touched the object for so long has lost it [s].
 LOST = 0.02
@@ -26,8 +27,10 @@ class HandSignals:
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
             N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
             ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), the
-            friction that is needed over what there is, ``slip`` (N,), how far the object has moved
-            along the contact [m], and ``held`` (1,), 1 until the object is lost.
+            friction that is needed over what there is, at most ``MOST_USE``, ``edge_use`` (N,), how
+            far out on the pad the pressure is, 1 at its edge, ``slip`` (N,), how far the object has
+            moved along the contact [m], and ``held`` (1,), 1 until the object is lost. Both uses
+            are NaN while a hand presses on nothing, and ``edge_use`` of a point always is.
         lost: which hand lost it and why; empty while it is held.
     """
 
@@ -37,7 +40,7 @@ class HandSignals:
         self.signals = {"hand_wrench": np.zeros(6 * arms), "hand_point": np.zeros(3 * arms)}
         self.lost, self._friction, self._apart = "", friction, np.zeros(arms)
         if any(grasp.contact for grasp in chain.grasps.values()):
-            for name in ("normal_force", "tangential_force", "friction_use", "slip"):
+            for name in ("normal_force", "tangential_force", "friction_use", "edge_use", "slip"):
                 self.signals[name] = np.zeros(arms)
             self.signals["held"] = np.ones(1)
         self.follow(chain)
@@ -53,13 +56,17 @@ class HandSignals:
         """Whether a hand holds by pressing."""
         return any(hand.contact for hand in self.hands)
 
-    def tell(self, wrenches: Array, points: Array, turned: Array) -> None:
+    def tell(
+        self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
+    ) -> None:
         """Write what the hands do now.
 
         Args:
             wrenches: on the object, each at its point, world axes, shape (holding, 6).
             points: in the world, shape (holding, 3) [m].
-            turned: R_CW of each contact, shape (holding, 3, 3).
+            in_contacts: the same wrenches in the contacts' frames, shape (holding, 6).
+            borne: what friction does at all points of each contact, one by one, summed up without
+                signs, shape (holding,) [N]; by the contact's own model of friction if omitted.
         """
         for name, told in self.signals.items():
             if name not in ("held", "slip"):
@@ -67,13 +74,16 @@ class HandSignals:
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
         by_arm[self._at] = wrenches
         self.signals["hand_point"].reshape(-1, 3)[self._at] = points
-        for hand, i, h, R in zip(self.hands, self._at, wrenches, turned, strict=True):
+        for k, (hand, i, w) in enumerate(zip(self.hands, self._at, in_contacts, strict=True)):
             if hand.contact:
-                w = np.concatenate([R @ h[:3], R @ h[3:]])
-                needed = hand.contact.needed(w) / (self._friction * hand.contact.friction)
                 self.signals["normal_force"][i] = w[2]
                 self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
-                self.signals["friction_use"][i] = min(needed, MOST_USE)
+                self.signals["edge_use"][i] = hand.contact.edge_use(w)
+                self.signals["friction_use"][i] = np.nan
+                if w[2] > NO_CONTACT:
+                    needed = hand.contact.friction_needed(w) if borne is None else borne[k] / w[2]
+                    use = needed / (self._friction * hand.contact.friction)
+                    self.signals["friction_use"][i] = min(use, MOST_USE)
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed; the object is lost after some time.
@@ -91,11 +101,14 @@ class HandSignals:
     def bear(self) -> None:
         """Take the object for lost where friction cannot bear what the hands would have to do."""
         for hand, i in zip(self.hands, self._at, strict=True):
-            if not hand.contact or self.signals["friction_use"][i] <= 1.0 + ROUNDING:
+            if not hand.contact:
                 continue
-            pulls = self.signals["normal_force"][i] <= 0.0
-            why = "would have to pull it" if pulls else "needs more friction than there is"
-            self.lose(f"{hand.arm} {why}")
+            if np.isnan(self.signals["friction_use"][i]):
+                self.lose(f"{hand.arm} would have to pull it")
+            elif self.signals["edge_use"][i] > 1.0 + BEYOND:
+                self.lose(f"{hand.arm} tips over its pad's edge")
+            elif self.signals["friction_use"][i] > 1.0 + ROUNDING:
+                self.lose(f"{hand.arm} needs more friction than there is")
 
     def lose(self, why: str) -> None:
         """The object is lost, from now on."""
@@ -104,5 +117,5 @@ class HandSignals:
         self.signals["held"][0] = 0.0
 
 
-#: Where no friction bears a wrench, so much of it is told to be used.
+#: Beyond this it is not told how much more friction would be needed.
 MOST_USE = 10.0

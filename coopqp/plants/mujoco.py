@@ -9,7 +9,7 @@ but a contact with friction, and nothing else holds the object.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from coopqp.checked import Array, Positive, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
-from coopqp.closed_loop.hands import into_contacts
+from coopqp.closed_loop.hands import in_axes, into_contacts
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import InvalidValueError, MissingDependencyError
@@ -171,7 +171,7 @@ class MujocoModel(DynamicModel):
         place = data.xpos[self._object]
         R_WO = data.xmat[self._object].reshape(3, 3)
         self._follow_balls(R_WO)
-        wrenches = self._wrenches()
+        wrenches, borne = self._wrenches()
         told = self._told_hands
         self.signals["gap"][0] = self._gap(place)
         internal = self.signals["internal_wrench"].reshape(-1, 6)
@@ -180,10 +180,11 @@ class MujocoModel(DynamicModel):
         internal[self._held_by] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
         points = place + np.array([R_WO @ hand.X_OC.translation for hand in told.hands])
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
-        told.tell(np.array(at_hands), points, into_contacts(told.hands, R_WO))
+        told.tell(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
         if told.pressing:
             self._tell_slip(points)
             told.touch(self._dt)
+            self.lost = told.lost
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
@@ -193,6 +194,27 @@ class MujocoModel(DynamicModel):
         told = zip(self._ends, self._told_hands.hands, strict=True)
         fastened = [self._data.site_xpos[k] - place for k, hand in told if not hand.contact]
         return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
+
+    def _in_contacts(self, at_hands: Sequence[Array], points: Array, R_WO: Array) -> Array:
+        """The hands' wrenches in their contacts' frames, shape (holding, 6).
+
+        A pad's frame is in front of the pad, along which the object may have slipped, and on the
+        object's face, from which the pad may have tilted. A fingertip's stays at its place.
+        """
+        data, found = self._data, []
+        hands, turned = self._told_hands.hands, into_contacts(self._told_hands.hands, R_WO)
+        for hand, site, h, p, R in zip(hands, self._ends, at_hands, points, turned, strict=True):
+            if not hand.contact or min(hand.contact.half_lengths) <= 0.0:
+                found.append(in_axes(h, R))
+                continue
+            normal, along = R[2], data.site_xmat[site].reshape(3, 3)[:, 0]
+            x = along - normal.dot(along) * normal
+            x /= np.linalg.norm(x)
+            on_face = np.array([x, np.cross(normal, x), normal])
+            middle = data.site_xpos[site]
+            middle = middle + normal.dot(p - middle) * normal
+            found.append(in_axes(moved(h, p, middle), on_face))
+        return np.array(found)
 
     def _tell_slip(self, points: Array) -> None:
         """How far the object's points of contact have moved along the pads."""
@@ -213,8 +235,12 @@ class MujocoModel(DynamicModel):
             true.q[index] = angles_xyz(R)
             true.v[index] = (true.q[index] - before) / self._dt
 
-    def _wrenches(self) -> Array:
-        """What each hand does to the object, at its origin in world axes, shape (holding, 6)."""
+    def _wrenches(self) -> tuple[Array, Array]:
+        """What each hand does to the object, at its origin in world axes, shape (holding, 6).
+
+        And what friction does along the faces at all points of each contact, summed up without
+        signs, so that it can be no more than friction times normal force; shape (holding,) [N].
+        """
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
         welds = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
@@ -226,7 +252,7 @@ class MujocoModel(DynamicModel):
             # A free body's angular velocity, and so its torque, is in the body's own axes.
             by_arm[i] = generalised[self._object_v]
             by_arm[i, 3:] = R_WO @ by_arm[i, 3:]
-        found = np.zeros(6)
+        found, borne = np.zeros(6), np.zeros(len(self._ends))
         for k in range(data.ncon if self._pads else 0):
             contact = data.contact[k]
             pad = self._pads.get(contact.geom1, self._pads.get(contact.geom2))
@@ -237,7 +263,8 @@ class MujocoModel(DynamicModel):
             frame = sign * contact.frame.reshape(3, 3).T
             at = np.concatenate([frame @ found[:3], frame @ found[3:]])
             by_arm[pad] += moved(at, contact.pos, data.xpos[self._object])
-        return by_arm
+            borne[pad] += np.hypot(found[1], found[2])
+        return by_arm, borne
 
 
 def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:

@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.checked import Array, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.closed_loop.grasp_matrix import moved
-from coopqp.closed_loop.hands import into_contacts, points
+from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.plant import Plant, PlantModel
@@ -123,7 +123,8 @@ class RigidBodyModel(DynamicModel):
         true, told = self.true, self._told_hands
         at = points(told.hands, true.p_WO, true.R_WO)
         wrenches = [moved(h, true.p_WO, p) for h, p in zip(by_arm, at, strict=False)]
-        told.tell(np.array(wrenches), at, into_contacts(told.hands, true.R_WO))
+        turned = into_contacts(told.hands, true.R_WO)
+        told.tell(np.array(wrenches), at, np.array(list(map(in_axes, wrenches, turned))))
         if told.pressing:
             told.bear()
             self.lost = told.lost

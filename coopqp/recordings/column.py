@@ -23,7 +23,11 @@ _WHOLE = ("tick",)
 _ROTATION = tuple(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 _FIXED = {
     "t": "s", "x": "m", "y": "m", "z": "m", "loop_position": "m", "loop_orientation": "rad",
-    "tick": "1", "scale": "1", "tick_us": "us", **dict.fromkeys(_ROTATION, "1"),
+    "tick": "1", "scale": "1", "tick_us": "us", "held": "1", **dict.fromkeys(_ROTATION, "1"),
+}  # fmt: skip
+_OF_HANDS = {
+    "hand_point": "m", "normal_force": "N", "tangential_force": "N", "slip": "m",
+    "friction_use": "1", "edge_use": "1",
 }  # fmt: skip
 
 Value = float | int | str | None
@@ -153,6 +157,8 @@ def unit_of(scenario: Scenario) -> UnitOf:
             **dict.fromkeys(("error", "e"), of_task),
             "rate": f"{of_task}/s",
             "margin": part,
+            "hand_wrench": "N m" if part.startswith("t") else "N",
+            **_OF_HANDS,
         }.get(name, "")
 
     return unit

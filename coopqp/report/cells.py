@@ -35,7 +35,7 @@ class Column:
 
 
 COLUMNS = {
-    "reached": Column("Goal reached", "", "Every task's error ends within its tolerance."),
+    "reached": Column("Goal reached", "", "Every error ends within tolerance, forces for 0.2 s."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
     "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit."),
     "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),

@@ -109,7 +109,9 @@ def trace_csv(comparison: Comparison) -> str:
     traces = comparison.traces
     joints = list(dict.fromkeys(joint for trace in traces.values() for joint in trace.joints))
     memory = max(trace.memory.shape[1] for trace in traces.values())
-    beside = Beside(list(traces.values()))
+    beside = Beside(
+        list(traces.values()), [arm.name for arm in comparison.scenario.robot_model.arms]
+    )
     writer.writerow(_header(joints, memory, next(iter(traces.values())), beside))
     for name, trace in traces.items():
         writer.writerows(_rows(name, trace, joints, memory, beside))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -17,6 +16,7 @@ from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures.groups import Group, groups
+from coopqp.report.how_to_read import how_to_read
 from coopqp.report.scene.playback import scene
 from coopqp.report.style import Style, styles
 
@@ -170,26 +170,4 @@ def _figure(figure: Figure) -> str:
 
 def _how(comparison: Comparison) -> str:
     """For readers who know neither the paper nor QPs."""
-    return "".join(f"<p>{text(paragraph)}</p>" for paragraph in _explanation(comparison))
-
-
-def _explanation(comparison: Comparison) -> Sequence[str]:
-    bounded = (
-        "and no joint goes beyond its limits"
-        if comparison.scenario.limits
-        else "and joints keep the limits that the scenario lists (this one lists none)"
-    )
-    return (
-        "All arms hold one object, so the joints are not free: whatever they do, every hand has "
-        "to stay where it holds the object. This condition is the closed loop. The loop error is "
-        "what steps of finite length still let open; the drift correction κ pulls it back.",
-        "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
-        "closed, but they do not know the joint limits; the null-space variant leans away from "
-        "limits and cannot stop there. The QP solves a small optimisation problem in every "
-        f"control period, with two hard conditions: the loop stays closed, {bounded}. "
-        "It follows the task as well as these allow.",
-        "So the curves are much alike while no limit is in the way. Where one is, the QP stops at "
-        "it and goes on with the other joints, or keeps a task error. A pseudoinverse law goes "
-        "on into the hatched region: a motion that only looks good, because the real robot "
-        "cannot make it.",
-    )
+    return "".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison))

@@ -23,7 +23,7 @@ def check_places(key: str, numbers: Array) -> None:
     """
     most = float(np.abs(numbers).max(initial=0.0))
     if most > FARTHEST:
-        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians)"
+        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
         raise InvalidValueError(f"{key}: {words}")
 
 
@@ -32,11 +32,11 @@ def check_speed(key: str, speed: float) -> None:
 
     Args:
         key: of what makes it fast, for the message.
-        speed: the largest [m/s, rad/s].
+        speed: the largest [m/s, rad/s, N/s].
 
     Raises:
         InvalidValueError: it is beyond that of any arm.
     """
     if speed > FASTEST:
-        words = f"goes at {speed:.3g} m/s (rad/s), needs at most {FASTEST:g}; times are seconds"
-        raise InvalidValueError(f"{key}: {words}")
+        words = f"goes at {speed:.3g} m/s (rad/s; of forces N/s), needs at most {FASTEST:g}"
+        raise InvalidValueError(f"{key}: {words}; times are seconds")

@@ -132,6 +132,46 @@ def test_what_tilts_a_pad_is_counted_on_short_of_its_edge() -> None:
     assert (kept.rows @ w <= kept.most).all()
 
 
+def test_beyond_a_pads_edge_friction_is_told_as_on_it_and_the_edge_by_itself() -> None:
+    """A linear program over forces at the corners, with the pressure moved on to the edge."""
+    pad, (X, Y), rng = (
+        pad_of(SurfaceContact(half_lengths=(0.04, 0.025))),
+        (0.04, 0.025),
+        np.random.default_rng(5),
+    )
+    for x, y in ((1.002, 0.1), (-1.05, -0.6), (0.3, 1.01), (0.2, -0.4)):
+        force = 50.0 * np.array([*rng.uniform(-0.3, 0.3, 2), 1.0])
+        twist = rng.uniform(-0.2, 0.2)  # about the pressure [N m]
+        wrench, moved = (
+            np.append(force, np.cross([a * X, b * Y, 0.0], force) + np.array([0.0, 0.0, twist]))
+            for a, b in ((x, y), (np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)))
+        )
+        assert pad.edge_use(wrench) == pytest.approx(max(abs(x), abs(y)))
+        assert math.isinf(pad.needed(wrench)) == (max(abs(x), abs(y)) > 1.0)
+        assert pad.friction_needed(wrench) == pytest.approx(least_friction(moved, X, Y), rel=0.02)
+    assert math.isnan(pad.edge_use([0.0] * 6))
+
+
+def least_friction(w: Array, X: float, Y: float) -> float:
+    """The least friction with which forces at the corners sum up to a wrench."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 65)[:-1]
+    columns = []
+    for x, y in ((X, Y), (X, -Y), (-X, Y), (-X, -Y)):
+        columns.append([0.0, 0.0, 1.0, y, -x, 0.0])
+        columns += [
+            [c, s, 0.0, 0.0, 0.0, x * s - y * c] for c, s in np.c_[np.cos(angles), np.sin(angles)]
+        ]
+    low, high = 0.0, 10.0
+    while high - low > 1e-4:
+        mu = 0.5 * (low + high)
+        cone = np.zeros((4, 4 * 65))
+        for i in range(4):
+            cone[i, 65 * i : 65 * i + 65] = [-mu, *np.ones(64)]
+        found = linprog(np.zeros(4 * 65), cone, np.zeros(4), np.array(columns).T, w, method="highs")
+        low, high = (low, mu) if found.status == 0 else (mu, high)
+    return high
+
+
 @pytest.mark.parametrize(
     ("edges", "worst"), [(4, 0.707), (6, 0.866), (8, 0.924), (12, 0.966), (16, 0.981)]
 )

@@ -20,6 +20,7 @@ from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import InvalidValueError
 from coopqp.grasps import PointContact, Rigid
 from coopqp.held_object import HeldObject
+from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
 from coopqp.metrics.load_share import LoadShare
@@ -132,10 +133,16 @@ def test_with_half_the_friction_the_box_is_lost_in_both_plants() -> None:
         found = Held().measure(trace)
         assert found
         assert not found["held"]
-    assert trace.status[-1] == Status.OBJECT_LOST.name  # rigid bodies: the run ends
-    assert trace.broke_down
-    assert "needs more friction than there is" in trace.failures[0].note
-    assert np.array_equal(trace.q[-1], trace.q[-2])
+        # The run ends there: nothing moves any more, and nothing counts on.
+        assert trace.status[-1] == Status.OBJECT_LOST.name
+        assert trace.broke_down
+        assert np.array_equal(trace.q[-1], trace.q[-2])
+        last = int(np.argmin(trace.signals["held"][:, 0]))
+        assert np.array_equal(trace.signals["slip"][-1], trace.signals["slip"][last])
+        ended = [f for f in trace.failures if f.cause == Status.OBJECT_LOST.value]
+        assert [f.tick for f in ended] == list(range(ended[0].tick, trace.ticks))
+        assert last < ended[0].tick <= last + 2
+    assert "needs more friction than there is" in ended[0].note
 
 
 def test_with_enough_friction_left_it_is_held() -> None:
@@ -143,6 +150,31 @@ def test_with_enough_friction_left_it_is_held() -> None:
         found = Held().measure(ran(plant, Disturbance(friction=0.6), seconds=0.4))
         assert found
         assert found["held"]
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_pad_that_tips_is_no_lack_of_friction(name: str) -> None:
+    """Walker's torques on pads ask for m g a / (2 X) = 5.1 N, friction for m g / (2 mu N) of it."""
+    newtons = 4.4
+    trace = ran(PLANTS[name], seconds=0.3, controller=WrenchSplit(split="walker", squeeze=newtons))
+    found = Held().measure(trace)
+    assert found
+    assert not found["held"]
+    if name == "rigid_body":
+        assert "tips over its pad's edge" in trace.failures[0].note
+        assert trace.signals["edge_use"][0].max() == pytest.approx(5.12 / newtons, rel=0.01)
+        needed = MASS * G / (2.0 * 0.5 * newtons)
+        assert np.allclose(trace.signals["friction_use"][0], needed, rtol=0.03)
+        assert EdgeMargin().measure(trace) == pytest.approx(1.0 - 5.12 / newtons, abs=0.01)
+    else:  # the engine's contacts bear no more than friction, and nothing outside of the pads
+        assert np.nanmax(trace.signals["friction_use"]) < 1.0 + 1e-6
+        assert 0.999 < np.nanmax(trace.signals["edge_use"][:20]) < 1.001
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_of_friction_without_end_next_to_none_is_used(name: str) -> None:
+    trace = ran(PLANTS[name], Disturbance(friction=1e6), seconds=0.1)
+    assert FrictionMargin().measure(trace) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_push_uses_friction_and_a_large_one_loses_the_box() -> None:

@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
-from scenario_files import cut, write
+from scenario_files import HAS_ROBOTS, cut, write
 
 import coopqp
 from coopqp.comparison import Comparison, compare
+from coopqp.metrics.edge_margin import EdgeMargin
+from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
 from coopqp.report.figures.groups import groups
+from coopqp.report.how_to_read import how_to_read
+from coopqp.report.page import render
 from coopqp.solver import Status
 from coopqp.trace import Failure
 from coopqp.verdict import verdict
@@ -45,6 +49,21 @@ def test_the_verdict_tells_what_friction_is_left(pressed: Comparison) -> None:
     words = f"Holds the object with {100.0 * margin:.0f} % of the friction unused"
     assert pressed.verdicts[name].startswith(words)
     assert 0.4 < margin < 0.6
+
+
+def test_the_verdict_tells_a_pad_on_its_edge_apart_from_friction(pressed: Comparison) -> None:
+    """The same run, its pressure moved to an edge: as much friction is left as before."""
+    (name,) = pressed.traces
+    trace, metrics = pressed.traces[name], pressed.metrics[name]
+    assert "on its edge" not in pressed.verdicts[name]
+    edge = trace.signals["edge_use"].copy()
+    edge[-1, 0] = 1.0
+    tipping = replace(trace, signals={**trace.signals, "edge_use": edge})
+    told = {"edge_margin": EdgeMargin(), "friction_margin": FrictionMargin()}
+    found = {key: metric.measure(tipping) for key, metric in told.items()}
+    assert found == {"edge_margin": 0.0, "friction_margin": metrics["friction_margin"]}
+    said = verdict(tipping, {**metrics, **found})
+    assert "% of the friction unused and a pad on its edge; " in said
 
 
 def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
@@ -95,3 +114,39 @@ def test_a_force_on_a_plant_without_forces_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, text)
     with pytest.raises(coopqp.ScenarioError, match="asks 'internal_wrench' for a force"):
         coopqp.load(path)
+
+
+def test_the_page_explains_forces_where_there_are_some_and_laws_where_they_are_compared(
+    pressed: Comparison,
+) -> None:
+    said = " ".join(how_to_read(pressed))
+    assert "coefficient of friction times the normal force" in said
+    assert "pseudoinverse" not in said
+    assert "spring" not in said
+    plain = " ".join(how_to_read(compare(cut(coopqp.load("point_on_point"), 5))))
+    assert "pseudoinverse" in plain
+    assert "friction" not in plain
+
+
+@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+def test_fastened_hands_have_no_section_of_pressing_ones() -> None:
+    yielding = compare(cut(coopqp.load("position_pair"), 5))
+    titles = {group.title: group for group in groups(yielding)}
+    assert "Hands that press" not in titles
+    told = [figure.title for figure in titles["Torques and forces"].folded]
+    assert [title for title in told if title.startswith("Share of the load")]
+    said = " ".join(how_to_read(yielding))
+    assert "there is a spring" in said
+    assert "squeeze is the force" in said
+
+
+def test_a_page_draws_hands_that_touch_nothing_for_a_while(pressed: Comparison) -> None:
+    """What there is none of is left out; JSON would not take it."""
+    (name,) = pressed.traces
+    trace = pressed.traces[name]
+    uses = {key: trace.signals[key].copy() for key in ("friction_use", "edge_use")}
+    for use in uses.values():
+        use[10:20] = np.nan
+    apart = replace(trace, signals={**trace.signals, **uses})
+    page = render(replace(pressed, traces={name: apart}))
+    assert "Pressure of left from the middle of its pad to the edge" in page

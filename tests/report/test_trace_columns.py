@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenario_files import cut
 
 import coopqp
 from coopqp.comparison import Comparison
+from coopqp.recordings.column import unit_of
 from coopqp.report import files
 from coopqp.study.recorded_tick import recorded_tick
 
@@ -74,3 +76,24 @@ def test_a_trace_without_these_columns_can_still_be_explained(
         writer.writerows(rows)
     scenario = comparison.scenario
     assert recorded_tick(old, scenario, "qp", 100) == recorded_tick(new, scenario, "qp", 100)
+
+
+def test_forces_of_the_hands_are_told_with_their_units() -> None:
+    """The hands bear the weight, whichever arm is told first."""
+    held = coopqp.compare(cut(coopqp.load("nao_presses"), 60))
+    (trace,) = held.traces.values()
+    rows = list(csv.DictReader(io.StringIO(files.trace_csv(held))))
+    last, unit = rows[-2], unit_of(held.scenario)
+    arms = [arm.name for arm in held.scenario.robot_model.arms]
+    lift = sum(float(last[f"hand_wrench[{arm}].fz"]) for arm in arms)
+    assert lift == pytest.approx(held.scenario.chain.held.mass * 9.81, rel=0.05)
+    for i, arm in enumerate(arms):
+        across = float(last[f"tangential_force[{arm}]"])
+        assert across / float(last[f"normal_force[{arm}]"]) / 0.5 == pytest.approx(
+            float(last[f"friction_use[{arm}]"]), rel=0.02
+        )
+        assert float(last[f"hand_point[{arm}].y"]) == trace.signals["hand_point"][-1, 3 * i + 1]
+    assert last["held"] == "1.0"
+    assert rows[-1]["held"] == ""  # the end has no tick
+    units = [f"hand_wrench[{arms[0]}].fx", f"hand_wrench[{arms[0]}].tx", f"slip[{arms[0]}]", "held"]
+    assert [unit(column) for column in units] == ["N", "N m", "m", "1"]

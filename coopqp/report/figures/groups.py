@@ -133,20 +133,24 @@ def _freedom(chart: Chart) -> Group:
 
 
 def _hands(chart: Chart) -> Group:
+    figures = hands(chart)
     return Group(
         title="Hands that press",
-        hint="Hatched: beyond friction, where the object slips along the hand.",
+        hint="Hatched: beyond friction, where the object slips along the hand, and beyond a pad's "
+        "edge, over which it tips.",
         words={
             "Friction": "the coefficient that the hand's wrench needs, over the real one. What a "
             "controller counts on is less, by its safety factor.",
+            "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
         },
-        figures=hands(chart),
-        folded=load_shares(chart),
+        figures=figures,
+        folded=load_shares(chart) if figures else [],
         more="Share of the load by arm",
     )
 
 
 def _torques(chart: Chart) -> Group:
+    shares = [] if hands(chart) else load_shares(chart)
     return Group(
         title="Torques and forces",
         hint="Hatched: beyond what the motor can do.",
@@ -158,8 +162,8 @@ def _torques(chart: Chart) -> Group:
         if forces(chart)
         else {},
         figures=[*squeeze_of_fastened(chart), *forces(chart)],
-        folded=torques(chart),
-        more="Torque of each motor",
+        folded=[*torques(chart), *shares],
+        more="Torque of each motor" + (", share of the load by arm" if shares else ""),
     )
 
 

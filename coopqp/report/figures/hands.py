@@ -11,19 +11,25 @@ from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
 from coopqp.trace import Trace
 
-#: Friction use beyond this is not worth a scale.
+#: Use beyond this is not worth a scale.
 MOST_USE = 1.5
 
 
 def hands(chart: Chart) -> list[Figure]:
-    """Normal force, friction and load share by hand, slip; none where no hand presses."""
+    """Normal force, use of friction and of pads by hand, slip; none where no hand presses."""
     pressing = {n: t for n, t in chart.traces.items() if "normal_force" in t.signals}
     figures = []
     arms = [arm.name for arm in chart.chain.robot.arms]
     for i, arm in enumerate(arms) if pressing else ():
-        normal, use = (_of(pressing, name, i) for name in ("normal_force", "friction_use"))
+        normal, use, edge = (
+            _of(pressing, name, i) for name in ("normal_force", "friction_use", "edge_use")
+        )
         figures.append(chart.plain(f"Normal force of {arm}", "N", normal))
-        figures.append(_friction(chart, arm, use))
+        title = f"Friction that {arm} needs over what there is"
+        figures.append(_up_to_one(chart, title, "slips", use))
+        if not all(np.isnan(line).all() for line in edge.values()):
+            title = f"Pressure of {arm} from the middle of its pad to the edge"
+            figures.append(_up_to_one(chart, title, "tips", edge))
     if pressing:
         slip = {n: 1e3 * t.signals["slip"].max(axis=1) for n, t in pressing.items()}
         figures.append(chart.plain("Slip along the hands, largest", "mm", slip))
@@ -71,13 +77,13 @@ def _of(traces: dict[str, Trace], signal: str, i: int) -> dict[str, Array]:
     return {name: trace.signals[signal][:, i] for name, trace in traces.items()}
 
 
-def _friction(chart: Chart, arm: str, lines: dict[str, Array]) -> Figure:
-    """With the edge of the cone as the limit that it is."""
+def _up_to_one(chart: Chart, title: str, beyond: str, lines: dict[str, Array]) -> Figure:
+    """What is used up at 1, and what comes beyond."""
     shown = Window(0.0, MOST_USE)
     clipped = {name: np.minimum(line, MOST_USE) for name, line in lines.items()}
     return Figure(
-        title=f"Friction that {arm} needs over what there is",
+        title=title,
         unit="1",
         data=chart.beyond_limits(shown, -1.0, 1.0) + chart.curves(clipped),
-        layout=chart.layout(curves.linear(shown), curves.level(1.0, "slips")),
+        layout=chart.layout(curves.linear(shown), curves.level(1.0, beyond)),
     )
