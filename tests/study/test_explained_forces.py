@@ -49,7 +49,7 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
 def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of() -> None:
     push = Push(force=(8.0, 6.0, 0.0), start=0.0, duration=9.0)
     scenario = replace(
-        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=1.2,
+        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=1.5,
         disturbance=Disturbance(push=push), phases=(),
     )  # fmt: skip
     found = explained(scenario, next(iter(scenario.controllers)))

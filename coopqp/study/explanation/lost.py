@@ -1,7 +1,7 @@
 """An object that hands which press have lost: when, by whom and by what, and what would hold it.
 
-A recorded run does not tell forces, so it is made again. The hands are named whose contacts were the
-first at the end of what they bear, without a break until something had slipped by SLIPPED:
+A recorded run does not tell forces, so it is made again. The hands are named whose contacts were
+the first at the end of what they bear, without a break until something had slipped by SLIPPED:
 
     edge        |t_x| = Y f_z or |t_y| = X f_z, the pressure is at the pad's edge
     friction    else, all the friction that there is has been needed

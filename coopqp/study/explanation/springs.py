@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.closed_chain import AXES
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import words
 from coopqp.study.explanation.goal import Goal
@@ -52,15 +54,12 @@ def _end(leg: Leg) -> float:
     return leg.first * leg.problem.dt + leg.t_end
 
 
-def _said(axes: tuple[str, ...], forces: np.ndarray) -> str:
+def _said(axes: tuple[str, ...], forces: Array) -> str:
     """Forces and torques by axis, without what is next to nothing."""
     turns = np.array([axis.startswith("rot") for axis in axes])
+    sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
     told = []
-    for kind, unit in ((~turns, "N"), (turns, "N m")):
-        most = np.abs(forces[kind]).max(initial=0.0)
-        told += [
-            f"{forces[i] + 0.0:.3g} {unit} {'about' if turns[i] else 'along'} {axes[i].removeprefix('rot_')}"
-            for i in np.flatnonzero(kind)
-            if abs(forces[i]) > WORTH_TELLING * most
-        ]
+    for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
+        unit, way = ("N m", "about") if turns[i] else ("N", "along")
+        told.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
     return words.listed(told)
