@@ -251,7 +251,9 @@ class Law(ABC):
             tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
             command.note = not_finite(tasks, asked.limits, asked.chain, state, asked.dt)
         if wrong:
-            command.note = command.note or "; ".join(state.inputs.refused)
+            pressed = self.squeezer.note if self.squeezer else ""
+            said = (command.note, pressed, *state.inputs.refused)
+            command.note = "; ".join(note for note in said if note)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command
@@ -290,8 +292,8 @@ class Law(ABC):
         """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
         wrong, pressed = list[Status](), self.squeezer
         try:
-            if pressed and not pressed.update(state):
-                wrong.append(Status.FORCE_NOT_MEASURED)
+            if pressed and (fault := pressed.update(state)):
+                wrong.append(fault)
             if not self._observer.update(state, pressed.along if pressed else None):
                 wrong.append(Status.NOT_MEASURED)
             return self.decide(state), wrong

@@ -24,6 +24,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.solver import Status
 from coopqp.state import State
 
 #: Time constant, at least so long and at least so many ticks [s].
@@ -41,8 +42,11 @@ class Squeezer(Protocol):
     memory_sizes: Mapping[str, int]
     """What a law must remember for it, see ``State.memory``."""
 
-    def update(self, state: State) -> bool:
-        """Move the gap along it; False where the force has not been measured."""
+    note: str
+    """What else is to be said of the last tick."""
+
+    def update(self, state: State) -> Status | None:
+        """Move the gap along it; what is wrong with the force, None if nothing is."""
 
 
 class LoopObserver:

@@ -55,6 +55,11 @@ class Bound:
         *before, last = self.by or ("nothing",)
         return f"{', '.join(before)} and {last}" if before else last
 
+    @property
+    def holds(self) -> str:
+        """That with its verb, such as "motor a and friction of b hold it"."""
+        return f"{self.words} {'hold' if len(self.by) > 1 else 'holds'} it"
+
 
 class StaticHold:
     """The programs of one pose.

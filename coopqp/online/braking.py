@@ -26,12 +26,13 @@ class _Kept:
     """Hands that squeeze stay as close as they are, while nobody looks at the force."""
 
     memory_sizes: Mapping[str, int] = {}
+    note = ""
 
     def __init__(self, squeezer: Squeezer) -> None:
         self.along = squeezer.along
 
-    def update(self, state: State) -> bool:
-        return True
+    def update(self, state: State) -> Status | None:
+        return None
 
 
 class Braking:

@@ -7,13 +7,17 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from coopqp.closed_loop.forces import contact_notes
+from coopqp.closed_loop.holding import StaticHold
+from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Controller
+from coopqp.controllers._force_checks import out_of_reach
 from coopqp.controllers.qp import QPController
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.unit_hints import far_goals, far_inputs
+from coopqp.state import State
 
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
@@ -51,6 +55,7 @@ def notes(
         *far_goals(scenario),
         *far_inputs(scenario),
         *_of_inputs(scenario, steered=steered),
+        *_of_forces(scenario, chosen),
     ]
 
 
@@ -71,6 +76,19 @@ def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
                 f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
                 "give it feed or feed_file"
             )
+
+
+def _of_forces(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
+    """Forces beyond what motors give, for who squeezes by velocities and does not know them."""
+    problem = scenario.problem()
+    pressing = [name for name, c in chosen.items() if isinstance(c, QPController) and c.admittance]
+    if not (pressing and problem.wrenches and problem.chain.holding > 1):
+        return
+    start = State(problem.chain)
+    asked = WrenchStack(problem.wrenches, start)
+    asked.update(start)
+    for said in out_of_reach(StaticHold(problem.chain, safety=1.0), asked):
+        yield f"{' and '.join(pressing)}: {said}"
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:

@@ -26,6 +26,7 @@ from coopqp.plant import Plant
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.profile import Profile
 from coopqp.rollout import rollout
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import Impedance, Orientation, PointOnLine
@@ -243,3 +244,24 @@ def test_numbers_that_are_none_are_refused(settings: dict[str, Any], words: str)
     given = {"goal": Pose(position=(0.2, 0.0, 0.05)), "stiffness": {"x": 100.0}}
     with pytest.raises(ValueError, match=words):
         Impedance(**(given | settings))
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (None, "no hand_wrench has come"),
+        (np.full(12, np.nan), "no finite number"),
+        (np.full(12, 1e9), "found 1e+09"),
+        (np.zeros((2, 6)), "found shape (2, 6)"),
+    ],
+)
+def test_who_goes_by_sensors_says_that_they_are_silent(found: Any, words: str) -> None:
+    asked = problem(small_pair(), Impedance(goal=here(), stiffness={"x": 300.0}))
+    law = TorqueQp(external_wrench="measured").build(asked)
+    state = law.start()
+    state.hand_wrench = found
+    for _ in range(2):
+        assert law.tick(state).causes == (Status.FORCE_NOT_MEASURED,)
+        assert words in law.command.note
+    state.hand_wrench = np.zeros(12)
+    assert law.tick(state).causes == (Status.OPTIMAL,)

@@ -70,7 +70,7 @@ class RunExplanation:
         phase: that missed, empty where there is one only.
         tick: its last.
         kind: reached, open, lost, limits, elsewhere, reach, contradiction, freedom, speed, budget,
-            short, rest, model, motors, springs, failed or unplaced.
+            short, rest, model, motors, springs, way, failed or unplaced.
         missed: what ended outside its tolerance, the worst first.
         held_back: limits by their share of the force.
         needed: what limits would have to give.
@@ -206,6 +206,11 @@ class _Whole:
         velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
         if velocities and (not places or velocity.contradicting(leg)):
             return self._velocity()
+        if not places and Status.SQUEEZE_GIVEN_UP in leg.causes[-1]:
+            said = (
+                "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
+            )
+            return replace(base, kind="way", sentence=f"{words.stops(leg)}; {said}")
         if not places:
             said = f"{words.stops(leg)}; it asks for no place"
             return replace(base, kind="unplaced", sentence=said)
