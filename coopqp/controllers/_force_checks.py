@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.closed_loop.carrying import cannot_carry
 from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
@@ -37,8 +38,8 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
     hold, asked = StaticHold(problem.chain, safety=safety), WrenchStack(problem.wrenches, start)
     if pressing and (load := hold.load()).value < 1.0:
         raise GraspError(
-            f"{name}: with safety {safety:g} the hands carry {100.0 * load.value:.0f} % of the "
-            f"object's weight; {load.words} hold it back"
+            f"{name}: cannot hold the object at rest with safety {safety:g}: "
+            f"{cannot_carry(problem.chain, hold, load)}"
         )
     asked.update(start)
     _require_each(hold, asked, name)
