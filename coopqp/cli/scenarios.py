@@ -94,12 +94,14 @@ def mobility(
         files.write_one(page, report.page(study))
     if as_json:
         click.echo(strict_json.text(report.as_json(study)))
-        return
-    for table in report.tables(study):
-        console().print(table)
-    console().print(study.verdict(), markup=False, highlight=False)
-    if page:
-        say(f"wrote {page}", aside=False)
+    else:
+        for table in report.tables(study):
+            console().print(table)
+        console().print(study.verdict(), markup=False, highlight=False)
+        if page:
+            say(f"wrote {page}", aside=False)
+    if study.refused:
+        raise study.refused
 
 
 @click.command(name="solve-start")
