@@ -134,18 +134,43 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 @catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenario files; every fault is listed with its line."""
-    from coopqp.errors import Fault, ScenarioError
+    from coopqp.errors import CoopqpError, Fault, ScenarioError
 
     faults: list[Fault] = []
     for name in scenarios:
         try:
-            print_notes(read_scenario(name, catalog))
+            loaded = read_scenario(name, catalog)
+            print_notes(loaded)
+            _build_all(loaded, name)
         except ScenarioError as error:
             faults.extend(error.faults)
+        except CoopqpError as error:
+            faults.append(Fault(name, str(error)))
         else:
             say(f"{name}: ok", aside=False)
     if faults:
         raise ScenarioError(faults)
+
+
+def _build_all(scenario: Any, name: str) -> None:
+    """Build what a comparison builds before it runs; a controller that is refused is told.
+
+    Raises:
+        CoopqpError: all of them are refused; why the last one is.
+    """
+    from coopqp.controller_run import built
+    from coopqp.errors import CoopqpError
+
+    refused: dict[str, CoopqpError] = {}
+    for controller in scenario.controllers:
+        try:
+            built(scenario, controller)
+        except CoopqpError as error:
+            refused[controller] = error
+    if refused and len(refused) == len(scenario.controllers):
+        raise next(iter(refused.values()))
+    for controller, why in refused.items():
+        say(f"warning: {name}: {controller} is left out: {why}")
 
 
 @click.command(name="list")

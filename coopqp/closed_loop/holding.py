@@ -35,8 +35,8 @@ WORDS = {
 }  # fmt: skip
 
 
-#: What may be asked for in vain, the kinds of rows that ask for it, and what it is then. Pressure is
-#: kept off a pad's edge by what is above the least force.
+#: What may be asked for in vain, the kinds of rows that ask for it, and what it is then.
+#: A pad's edge is kept by what is above the least force.
 IN_VAIN = (
     ("least", ("least", "pad"), "more than the motors bear"),
     ("most", ("most",), "less than holds it"),

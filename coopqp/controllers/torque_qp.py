@@ -270,6 +270,13 @@ class TorqueQp(Controller):
     acceleration: Positive = 500.0
     """Largest joint acceleration [rad/s2]."""
 
+    def __post_init__(self) -> None:
+        if self.external_wrench == "unknown" and self.observer_gain != TorqueQp.observer_gain:
+            raise ValueError(
+                f"observer_gain: found {self.observer_gain:g}, but nothing is observed; add "
+                "external_wrench: observed or measured, or leave it out"
+            )
+
     @property
     def commands_torques(self) -> bool:
         """Always."""

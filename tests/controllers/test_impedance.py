@@ -17,9 +17,10 @@ from chains import ring
 from laws import problem
 
 from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controllers import PassiveGraspPid, QPController, TorqueQp, WrenchSplit
+from coopqp.controllers._impedances import leaks
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.plant import Plant
@@ -244,6 +245,22 @@ def test_numbers_that_are_none_are_refused(settings: dict[str, Any], words: str)
     given = {"goal": Pose(position=(0.2, 0.0, 0.05)), "stiffness": {"x": 100.0}}
     with pytest.raises(ValueError, match=words):
         Impedance(**(given | settings))
+
+
+def test_what_is_felt_of_a_push_along_an_axis_without_a_spring_is_as_foretold() -> None:
+    """A torque about z, which nobody knows of, on a box that is kept level by another task."""
+    springs = Impedance(goal=here(), stiffness={axis: K[axis] for axis in ("x", "y", "z")})
+    level = Orientation(rpy=here().rpy, gain=20.0)
+    found = leaks(problem(small_pair(), springs, level, dt=0.002, kappa=100.0))
+    assert found
+    felt, pushed, share = found
+    size = 0.2 / (1.0 if pushed.startswith("rot") else 0.1)
+    wrench = np.zeros(6)
+    wrench[AXES.index(pushed)] = size
+    push = Push(force=tuple(wrench[:3]), torque=tuple(wrench[3:]), start=0.0, duration=9.0)
+    trace = ran(springs, UNKNOWN, 1.5, level, dt=0.002, disturbance=Disturbance(push=push))
+    row = ("x", "y", "z").index(felt)
+    assert K[felt] * trace.e[-1, row] == pytest.approx(size * share, rel=0.1)
 
 
 @pytest.mark.parametrize(
