@@ -174,7 +174,7 @@ def _whole_steps(dt: float, time_step: float) -> int:
     steps = round(dt / time_step)
     if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
         raise InvalidValueError(
-            f"time_step: is {time_step:g} s, stated or by default, and needs a whole part of dt = "
+            f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt = "
             f"{dt:g} s; state one, such as time_step: {_fitting(dt, time_step):g}"
         ).at("time_step")
     return steps

@@ -30,7 +30,7 @@ from coopqp.rollout import rollout
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task
-from coopqp.tasks import Impedance, Orientation, PointOnLine
+from coopqp.tasks import Impedance, Orientation, PointOnLine, PointOnPlane, RelativeMotion
 from coopqp.tasks import Pose as PoseTask
 from coopqp.trace import Trace
 
@@ -282,3 +282,24 @@ def test_who_goes_by_sensors_says_that_they_are_silent(found: Any, words: str) -
         assert words in law.command.note
     state.hand_wrench = np.zeros(12)
     assert law.tick(state).causes == (Status.OPTIMAL,)
+
+
+def test_rows_of_all_priorities_together_have_to_be_independent() -> None:
+    plane = PointOnPlane(normal=(0, 0, 1), through=here().position, mode="hard")
+    level = Orientation(rpy=here().rpy, gain=20.0)
+    across = Impedance(goal=here(), stiffness={"x": 300.0, "y": 300.0}, priority=1)
+    asked = problem(small_pair(), plane, across, level, dt=0.002, kappa=100.0)
+    assert TorqueQp().build(asked)
+    whole = Impedance(goal=here(), stiffness=K, priority=1)
+    with pytest.raises(CoopqpError, match=r"only 6 of the rows are.*whatever priority"):
+        TorqueQp().build(problem(small_pair(), plane, whole, dt=0.002, kappa=100.0))
+
+
+def test_an_arm_that_has_let_go_is_named_with_the_task_that_moves_it() -> None:
+    pair = small_pair()
+    last = pair.arms[-1].name
+    chain = pair.handed_over(pair.q_start, (last,))
+    reach = RelativeMotion(arm=last, goal={"position": (0.0, 0.0, 0.01)})
+    asked = problem(chain, PoseTask(goal=here(), gain=10.0), reach, dt=0.002, kappa=100.0)
+    with pytest.raises(CoopqpError, match="'relative_motion' moves an arm that does not hold"):
+        TorqueQp().build(asked)
