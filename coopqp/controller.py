@@ -16,10 +16,11 @@ from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_nam
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
-from coopqp.loop_observer import LoopObserver, Squeezer
+from coopqp.loop_observer import LoopObserver
 from coopqp.memory import Memory
 from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 from coopqp.task import Task, refuse_impedances
 from coopqp.ticks import Ticks

@@ -15,10 +15,10 @@ import numpy as np
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import QPController
-from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
 from coopqp.online.acceleration import acceleration_of
 from coopqp.solver import Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 
 

@@ -32,7 +32,6 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.loop_observer import Squeezer
 from coopqp.qp import QP
 from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT, loop_rows, step_damping
 from coopqp.qp_law.exact_tasks import ExactTasks
@@ -41,6 +40,7 @@ from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel, deciding
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Solution, Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 from coopqp.task import TaskStack
 
