@@ -178,18 +178,22 @@ def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
 
     Returns:
         The axis along which it is felt, that along which it pushes, and the force felt of a push by
-        1 N or 1 N m [N, N m]; None where all axes have a spring, or none has.
+        1 N or 1 N m [N, N m]; None where all axes have a spring, none has, or one cannot move.
     """
     given = [task.impedance for task in problem.tasks if task.impedance is not None]
     sprung = sorted({axis for impedance in given for axis in impedance.axes})
     others = [axis for axis in range(6) if axis not in sprung]
-    if not sprung or not others:
+    massless = not any(body.mass for body in problem.chain.robot.model.inertias)
+    if not sprung or not others or massless:
         return None
     level, state = TaskDynamics(problem), State(problem.chain)
     state.update()
     level.update(state)
     W = state.J_task @ level.inverse_inertia() @ state.J_task.T
-    felt = np.linalg.solve(W[np.ix_(sprung, sprung)], W[np.ix_(sprung, others)])
+    own = W[np.ix_(sprung, sprung)]
+    if np.linalg.matrix_rank(own) < len(sprung):
+        return None  # an axis that cannot move; laws refuse that
+    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
     lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
     share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
     i, j = np.unravel_index(int(share.argmax()), share.shape)
