@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from explained import explained
 
 import coopqp
+from coopqp.comparison import summarize
 from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.disturbance import Disturbance, Push
 from coopqp.plants import RigidBody
+from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import explain_run
+from coopqp.study.trace_file import recording_from_trace
 
 
 def lifted(**settings: object) -> Scenario:
@@ -46,13 +51,16 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
     assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
 
 
-def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of() -> None:
+def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of(tmp_path: Path) -> None:
     push = Push(force=(8.0, 6.0, 0.0), start=0.0, duration=9.0)
     scenario = replace(
         coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=1.5,
         disturbance=Disturbance(push=push), phases=(),
     )  # fmt: skip
-    found = explained(scenario, next(iter(scenario.controllers)))
+    path = tmp_path / "trace.csv"
+    trace = coopqp.run(scenario, controller="torque_qp")
+    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    found = explain_run(scenario, recording_from_trace(path, scenario, "torque_qp"))
     assert found.kind == "springs"
     assert "gain" not in found.sentence
     assert "lasts until 9 s" in found.sentence

@@ -109,7 +109,7 @@ def _used_up(scenario: Scenario, trace: Trace, leg: Leg, k: int) -> list[tuple[s
         use = float(trace.signals["friction_use"][k][i])
         if w[2] > NO_CONTACT and _edge(w, hand.contact.half_lengths) >= TIPS:
             found.append((hand.arm, "the pressure reaches the pad's edge"))
-        elif use >= TIPS:
+        elif not use < TIPS:  # NaN: nothing presses there
             found.append((hand.arm, _short(hand.contact.friction, scenario.disturbance.friction)))
     return found
 
