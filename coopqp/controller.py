@@ -16,10 +16,11 @@ from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_nam
 from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.limit import Limit
-from coopqp.loop_observer import LoopObserver, Squeezer
+from coopqp.loop_observer import LoopObserver
 from coopqp.memory import Memory
 from coopqp.not_finite import not_finite
 from coopqp.solver import Budget, Solver, Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 from coopqp.task import Task, refuse_impedances
 from coopqp.ticks import Ticks
@@ -227,10 +228,7 @@ class Law(ABC):
         return state
 
     def tick(self, state: State) -> Command:
-        """The command for the next dt, from t, q, v and memory of a state.
-
-        Computes the kinematics of q first, so that they are never those of another q.
-        """
+        """The command for the next dt, from t, q, v and memory of a state; first its kinematics."""
         self.command.note = ""
         if not self._fits(state):
             return self.refuse(Status.WRONG_STATE)
@@ -251,7 +249,9 @@ class Law(ABC):
             tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
             command.note = not_finite(tasks, asked.limits, asked.chain, state, asked.dt)
         if wrong:
-            command.note = command.note or "; ".join(state.inputs.refused)
+            pressed = self.squeezer.note if self.squeezer else ""
+            said = (command.note, pressed, *state.inputs.refused)
+            command.note = "; ".join(note for note in said if note)
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command
@@ -299,8 +299,8 @@ class Law(ABC):
         """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
         wrong, pressed = list[Status](), self.squeezer
         try:
-            if pressed and not pressed.update(state):
-                wrong.append(Status.FORCE_NOT_MEASURED)
+            if pressed and (fault := pressed.update(state)):
+                wrong.append(fault)
             if not self._observer.update(state, pressed.along if pressed else None):
                 wrong.append(Status.NOT_MEASURED)
             return self.decide(state), wrong

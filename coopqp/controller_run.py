@@ -54,6 +54,22 @@ def run(
         return join(legs) if scenario.phases else legs[0][1]
 
 
+def built(scenario: Scenario, controller: str) -> BegunPhase:
+    """What a run builds for its first phase, without running it.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controller: its name in the scenario, or any controller's type name.
+
+    Raises:
+        CoopqpError: as :func:`run`.
+    """
+    chosen = controller_of(scenario, controller)
+    check_plant(scenario, chosen, controller)
+    with _own_words(controller):
+        return begin_phase(scenario.held_by(controller), chosen, 0, None)
+
+
 def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
     """Refuse a controller by torques where the plant takes none.
 

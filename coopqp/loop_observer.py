@@ -16,9 +16,7 @@ whole (small gain); ``time`` is long enough for the resonances of servos and gra
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -31,18 +29,6 @@ TIME, TICKS = 0.15, 10
 #: A gap beyond this is no model's error any more [m], [rad]. Encoders that are 5 mrad off put the
 #: hands of three UR arms 11 mm and 22 mrad apart; what is cut off here is pulled at.
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
-
-
-class Squeezer(Protocol):
-    """Who decides about the gap along one direction, because hands press there."""
-
-    along: Array
-    """That direction among all loops, a unit vector, shape (6 L,)."""
-    memory_sizes: Mapping[str, int]
-    """What a law must remember for it, see ``State.memory``."""
-
-    def update(self, state: State) -> bool:
-        """Move the gap along it; False where the force has not been measured."""
 
 
 class LoopObserver:

@@ -58,10 +58,8 @@ class Status(enum.Enum):
     PLANT_FAILED = "stands still: what is controlled broke down, or its simulation did"
     OBJECT_LOST = "the run ends: the hands have lost the object"
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
-    FORCE_NOT_MEASURED = (
-        "nobody says how hard the hands squeeze: they stay as close as they are",
-        True,
-    )
+    FORCE_NOT_MEASURED = "nobody says what the hands do to the object, in usable numbers", True
+    SQUEEZE_GIVEN_UP = "the hands may come no closer for a squeeze that is not there", True, True
     INPUT_STALE = "nothing new has arrived at an input in time", True
     INPUT_REFUSED = "what arrived at an input cannot be used", True
     ROBOT_SILENT = "comes to rest: the robot does not say where it is", True, True

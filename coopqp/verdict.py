@@ -24,6 +24,7 @@ GIVEN_UP = {
     "TASKS_GIVEN_UP": "gives up hard or scaled tasks",
     "CONTACT_GIVEN_UP": "asks for more than friction can bear",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
+    "SQUEEZE_GIVEN_UP": "stands at most_way without the squeeze",
 }
 #: A speed beyond its limit by less than this share is not worth a word.
 FASTER = 1e-3

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from coopqp.checked import Array, NonNegative, Positive, spec
 from coopqp.closed_chain import AXES, ClosedChain
@@ -34,8 +34,19 @@ from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
-Springs = Annotated[dict[Axis, Positive], Field(min_length=1)]
-Dampers = Annotated[dict[Axis, NonNegative], Field(min_length=1)]
+
+
+def _numbers(given: object) -> object:
+    """Refuse true and false, which are 1 and 0 elsewhere."""
+    if isinstance(given, dict):
+        for axis, value in given.items():
+            if isinstance(value, bool):
+                raise ValueError(f"{axis}: found {str(value).lower()}, needs a number")
+    return given
+
+
+Springs = Annotated[dict[Axis, Positive], Field(min_length=1), BeforeValidator(_numbers)]
+Dampers = Annotated[dict[Axis, NonNegative], Field(min_length=1), BeforeValidator(_numbers)]
 
 
 @spec
@@ -65,6 +76,11 @@ class Impedance(Task):
             given = getattr(self, key)
             if given is not None and set(given) != set(self.stiffness):
                 raise ValueError(f"{key}: needs the axes of stiffness, {', '.join(self._axes)}")
+        if self.gain != Task.gain:
+            raise ValueError(
+                f"gain: found {self.gain:g}, which has no effect on an impedance; leave it out; "
+                "stiffness, damping and mass have"
+            )
         if self.mode == "scaled":
             raise ValueError("mode: an impedance is soft or hard, not scaled")
 

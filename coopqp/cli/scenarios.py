@@ -94,12 +94,14 @@ def mobility(
         files.write_one(page, report.page(study))
     if as_json:
         click.echo(strict_json.text(report.as_json(study)))
-        return
-    for table in report.tables(study):
-        console().print(table)
-    console().print(study.verdict(), markup=False, highlight=False)
-    if page:
-        say(f"wrote {page}", aside=False)
+    else:
+        for table in report.tables(study):
+            console().print(table)
+        console().print(study.verdict(), markup=False, highlight=False)
+        if page:
+            say(f"wrote {page}", aside=False)
+    if study.refused:
+        raise study.refused
 
 
 @click.command(name="solve-start")
@@ -132,7 +134,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 @catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenario files, and study files; every fault is listed with its line."""
-    from coopqp.errors import Fault, ScenarioError
+    from coopqp.errors import CoopqpError, Fault, ScenarioError
 
     faults: list[Fault] = []
     for name in scenarios:
@@ -140,9 +142,13 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
             if _is_study(name):
                 _check_study(name, catalog)
             else:
-                print_notes(read_scenario(name, catalog))
+                loaded = read_scenario(name, catalog)
+                print_notes(loaded)
+                _build_all(loaded, name)
         except ScenarioError as error:
             faults.extend(error.faults)
+        except CoopqpError as error:
+            faults.append(Fault(name, str(error)))
         else:
             say(f"{name}: ok", aside=False)
     if faults:
@@ -163,6 +169,27 @@ def _check_study(name: str, catalog: Any) -> None:
 
     for note in read_study(Path(name), catalog).notes:
         say(f"note: {note}")
+
+
+def _build_all(scenario: Any, name: str) -> None:
+    """Build what a comparison builds before it runs; a controller that is refused is told.
+
+    Raises:
+        CoopqpError: all of them are refused; why the last one is.
+    """
+    from coopqp.controller_run import built
+    from coopqp.errors import CoopqpError
+
+    refused: dict[str, CoopqpError] = {}
+    for controller in scenario.controllers:
+        try:
+            built(scenario, controller)
+        except CoopqpError as error:
+            refused[controller] = error
+    if refused and len(refused) == len(scenario.controllers):
+        raise next(iter(refused.values()))
+    for controller, why in refused.items():
+        say(f"warning: {name}: {controller} is left out: {why}")
 
 
 @click.command(name="list")

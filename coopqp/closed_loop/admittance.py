@@ -33,10 +33,12 @@ import numpy as np
 from pydantic import Field
 
 from coopqp.checked import NonNegative, Positive, spec
+from coopqp.closed_loop.felt import Felt
 from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.errors import InvalidValueError
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task
 
@@ -44,6 +46,8 @@ from coopqp.task import Task
 CAUTION = 0.2
 #: Name in the memory of a law: where e was in the last tick, shape (3,).
 ALONG = "squeezes along"
+#: Hands that are this near to most_way, as a share of it, stand there.
+ROUNDING = 1e-6
 
 
 @spec
@@ -95,6 +99,7 @@ class Squeezer:
         along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
         gain: g [m/(s N)].
         memory_sizes: what a law must remember for it.
+        note: what else is to be said of the last tick.
 
     Raises:
         InvalidValueError: what is asked for cannot be done by admittance, or the gain is beyond
@@ -119,19 +124,20 @@ class Squeezer:
         self._hands = hands(chain)
         robot = [arm.name for arm in chain.robot.arms]
         self._told = np.array([robot.index(hand.arm) for hand in self._hands])
-        self._arms = len(robot)
+        self._felt, self.note = Felt(len(robot)), ""
         self._asked = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3}
 
-    def update(self, state: State) -> bool:
+    def update(self, state: State) -> Status | None:
         """Move the gap by what the hands are to approach each other in this tick.
 
         Args:
             state: with its kinematics up to date; ``gap`` and memory are written.
 
         Returns:
-            Whether the force was measured; the hands stay as they are where it was not.
+            What is wrong: the force was not measured, so that the hands stay as they are, or they
+            stand at ``most_way`` and more is missing than the task's tolerance.
         """
         p = points(self._hands, state.p_WO, state.R_WO)
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
@@ -139,26 +145,45 @@ class Squeezer:
         self.along[:3] = e
         missing = self._missing(state)
         if state.corrected < 1.0:
-            return math.isfinite(missing)
+            return self._judged(missing, -float(e.dot(gap)))
         if before.any():  # the squeeze turns with the object
             gap += before.dot(gap) * (e - before)
         before[:] = e
         if not math.isfinite(missing):
-            return False
+            return self._judged(missing, 0.0)
         most, way = self._settings.most_speed, -e.dot(gap)
         there = way + self._dt * min(max(self.gain * missing, -most), most)
         bound = max(self._settings.most_way, abs(way))
         gap -= (min(max(there, -bound), bound) - way) * e
         state.update_drift()
-        return True
+        return self._judged(missing, -float(e.dot(gap)))
+
+    def _judged(self, missing: float, way: float) -> Status | None:
+        """What is wrong with a tick, and the note for it.
+
+        Args:
+            missing: F_wanted - F [N]; NaN where it was not measured.
+            way: how much closer the hands are told to be than the model says [m].
+        """
+        self.note, most = self._felt.fault, self._settings.most_way
+        if not math.isfinite(missing):
+            return Status.FORCE_NOT_MEASURED
+        stands = abs(way) >= most * (1.0 - ROUNDING) and missing * way > 0.0
+        if not stands or abs(missing) <= self._asked.tasks[0].tolerance:
+            return None
+        self.note = (
+            f"stands at most_way, {1e3 * most:g} mm {'closer' if way > 0.0 else 'farther apart'} "
+            f"than the model says, and {abs(missing):.3g} N are still "
+            f"{'missing' if missing > 0.0 else 'too many'}; is the force sensor alive? Else raise "
+            "admittance.most_way"
+        )
+        return Status.SQUEEZE_GIVEN_UP
 
     def _missing(self, state: State) -> float:
         """F_wanted - F [N]; NaN where nobody says what the force is."""
         self._asked.update(state)
-        found = state.hand_wrench
-        if found is None or np.shape(found) != (6 * self._arms,):
-            return math.nan
-        return -float(self._asked.error(found.reshape(-1, 6)[self._told])[0])
+        found = self._felt.read(state.hand_wrench)
+        return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
 
 
 def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer | None:

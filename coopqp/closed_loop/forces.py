@@ -14,6 +14,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.carrying import cannot_carry
 from coopqp.closed_loop.hands import Hand, hands
 from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.closed_loop.section import section
@@ -71,6 +72,7 @@ class Forces:
         squeezes: by pair; along the edges between three hands; none for more.
         safety: friction is counted on over this.
         contacts: names of the arms that hold by pressing.
+        why_not: why less than the weight can be held; empty where it can.
     """
 
     transmission: Transmission
@@ -78,6 +80,7 @@ class Forces:
     squeezes: tuple[Squeeze, ...]
     safety: float
     contacts: tuple[str, ...]
+    why_not: str = ""
 
     def sentences(self) -> Iterator[str]:
         """What is worth saying before a run."""
@@ -96,10 +99,7 @@ class Forces:
     def _carried(self) -> str:
         share = self.load.value
         if share < 1.0:
-            return (
-                f"The hands cannot hold the object: at safety {self.safety:g} they carry "
-                f"{100.0 * share:.0f} % of its weight; {self.load.words} hold it back."
-            )
+            return f"The hands cannot hold the object at safety {self.safety:g}: {self.why_not}."
         return (
             f"At rest and safety {self.safety:g} they could carry {share:.3g} times its weight; "
             f"then {self.load.words} are at their limits."
@@ -121,7 +121,9 @@ def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
     ]
     pressing = tuple(hand.arm for hand in hold.hands if hand.contact)
     found = transmission(chain, chain.q_start)
-    return Forces(found, hold.load(), tuple(squeezes), safety, pressing)
+    load = hold.load()
+    why_not = cannot_carry(chain, hold, load) if load.value < 1.0 else ""
+    return Forces(found, load, tuple(squeezes), safety, pressing, why_not)
 
 
 def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
@@ -174,13 +176,12 @@ def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:
     if chain.holding == 1:
         yield pressing[0].arm, "one hand alone holds nothing by pressing; use another grasp"
         return
-    load = StaticHold(chain).load()
+    hold = StaticHold(chain)
+    load = hold.load()
     if load.value < 1.0:
         yield (
             "",
-            f"cannot hold the object at rest: the hands carry {100.0 * load.value:.0f} % of its "
-            f"weight, then {load.words} are at their limits; make the object lighter, friction or "
-            "pads larger, the motors stronger, or press from other sides",
+            f"cannot hold the object at rest: {cannot_carry(chain, hold, load)}",
         )
 
 

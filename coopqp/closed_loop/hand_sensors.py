@@ -13,6 +13,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.felt import Felt
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
 from coopqp.closed_loop.hands import hands, points
 from coopqp.memory import Memory
@@ -39,11 +40,17 @@ class HandSensors:
         self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
         self._hands = hands(chain)
         self._at = [robot.index(hand.arm) for hand in self._hands]
+        self._felt = Felt(len(robot))
         self.wrench = np.zeros(6)
         self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
 
+    @property
+    def fault(self) -> str:
+        """Why what was measured last cannot be used; empty if it can."""
+        return self._felt.fault
+
     def update(self, memory: Memory, state: State) -> Array:
-        """The wrench at the end of a period; zero at first, and where nothing is measured.
+        """The wrench at the end of a period; zero at first, the last where nothing is measured.
 
         Args:
             memory: written.
@@ -54,10 +61,11 @@ class HandSensors:
         """
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
         kept = memory["sensors.wrench"]
-        if memory["sensors.begun"][0] and state.hand_wrench is not None:
+        found = self._felt.read(state.hand_wrench)
+        if memory["sensors.begun"][0] and found is not None:
             M, b, _ = dynamics.object_inertia()
             G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
-            h = state.hand_wrench.reshape(-1, 6)[self._at].ravel()
+            h = found[self._at].ravel()
             a = (twist - memory["sensors.twist"]) / self._dt
             kept += self._share * (M.dot(a) + b - G.dot(h) - kept)
         memory["sensors.begun"][0], memory["sensors.twist"][:] = 1.0, twist

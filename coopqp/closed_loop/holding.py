@@ -13,7 +13,7 @@ how hard. The rows that a program's optimum rests on name what is missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -32,6 +32,16 @@ MOST_LOAD = 100.0
 WORDS = {
     "friction": "friction", "edge": "pad's edge", "least": "least force", "most": "most force",
 }  # fmt: skip
+
+
+#: What may be asked for in vain, the kinds of rows that ask for it, and what it is then.
+#: A pad's edge is kept by what is above the least force.
+IN_VAIN = (
+    ("least", ("least", "pad"), "more than the motors bear"),
+    ("most", ("most",), "less than holds it"),
+)
+#: What stands where nothing at all can be carried.
+OWN_WEIGHT = "the arms' own weight"
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,11 @@ class Bound:
         """What it rests on, such as "motor a and friction of b"."""
         *before, last = self.by or ("nothing",)
         return f"{', '.join(before)} and {last}" if before else last
+
+    @property
+    def holds(self) -> str:
+        """That with its verb, such as "motor a and friction of b hold it"."""
+        return f"{self.words} {'hold' if len(self.by) > 1 else 'holds'} it"
 
 
 class StaticHold:
@@ -119,16 +134,30 @@ class StaticHold:
 
     def load(self) -> Bound:
         """The largest share s of the object's weight that can be carried; below 1 it falls."""
+        found = self._load()
+        if found is None:
+            return Bound(0.0, (OWN_WEIGHT,), np.zeros((len(self.hands), 6)))
+        return replace(found, value=max(0.0, found.value))
+
+    def in_the_way(self) -> str:
+        """What is asked for in vain, even without the object's weight; empty where nothing is."""
+        for kind, rows, why in IN_VAIN:
+            names = dict.fromkeys(name for name in self._names if name.startswith(kind))
+            if names and self._load(without=rows):
+                return f"the {' and '.join(names)} is {why}"
+        return ""
+
+    def _load(self, without: tuple[str, ...] = ()) -> Bound | None:
         size = self._G.shape[1]
         G = np.hstack([self._G, -self.weight[:, None]])
         passive = np.hstack([self._passive[0], np.zeros((len(self._passive[1]), 1))])
-        found = self._solve(
+        return self._solve(
             np.append(np.zeros(size), -1.0),
             np.vstack([G, passive]),
             np.concatenate([np.zeros(6), self._passive[1]]),
             [(0.0, MOST_LOAD)],
+            without,
         )
-        return found or Bound(0.0, ("the arms' own weight",), np.zeros((len(self.hands), 6)))
 
     def extreme(
         self, row: Array, sign: float, equal: tuple[Array, Array] | None = None
@@ -153,16 +182,24 @@ class StaticHold:
         return Bound(sign * found.value, found.by, found.h) if found else None
 
     def _solve(
-        self, cost: Array, A: Array, b: Array, more: Sequence[tuple[float, float]]
+        self,
+        cost: Array,
+        A: Array,
+        b: Array,
+        more: Sequence[tuple[float, float]],
+        without: tuple[str, ...] = (),
     ) -> Bound | None:
         from scipy.optimize import linprog  # which takes a quarter of a second to come
 
         size = self._G.shape[1]
         extra = len(cost) - size
         scale = np.append(self._scale, np.ones(extra))
-        G = np.hstack([np.array(self._rows).reshape(-1, size), np.zeros((len(self._rows), extra))])
+        kept = [i for i, n in enumerate(self._names) if not n.startswith(without)]
+        names, most = [self._names[i] for i in kept], [self._most[i] for i in kept]
+        rows = np.array([self._rows[i] for i in kept]).reshape(-1, size)
+        G = np.hstack([rows, np.zeros((len(rows), extra))])
         found = linprog(
-            cost * scale, A_ub=G * scale, b_ub=self._most, A_eq=A * scale, b_eq=b,
+            cost * scale, A_ub=G * scale, b_ub=most, A_eq=A * scale, b_eq=b,
             bounds=[(None, None)] * size + list(more), method="highs",
         )  # fmt: skip
         if found.status == 3:  # unbounded: nothing holds it back
@@ -171,6 +208,6 @@ class StaticHold:
             return None
         pull = np.abs(found.ineqlin.marginals)
         felt = pull > IDLE * max(pull.max(initial=0.0), 1e-12)
-        by = tuple(dict.fromkeys(n for n, on in zip(self._names, felt, strict=True) if on))
+        by = tuple(dict.fromkeys(n for n, on in zip(names, felt, strict=True) if on))
         h = (found.x * scale)[:size].reshape(-1, 6)
         return Bound(-float(found.fun), by, h)

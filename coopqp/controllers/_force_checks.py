@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.closed_loop.carrying import cannot_carry
 from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
@@ -35,8 +38,8 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
     hold, asked = StaticHold(problem.chain, safety=safety), WrenchStack(problem.wrenches, start)
     if pressing and (load := hold.load()).value < 1.0:
         raise GraspError(
-            f"{name}: with safety {safety:g} the hands carry {100.0 * load.value:.0f} % of the "
-            f"object's weight; {load.words} hold it back"
+            f"{name}: cannot hold the object at rest with safety {safety:g}: "
+            f"{cannot_carry(problem.chain, hold, load)}"
         )
     asked.update(start)
     _require_each(hold, asked, name)
@@ -44,17 +47,27 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
 
 
 def _require_each(hold: StaticHold, asked: WrenchStack, name: str) -> None:
+    for said in out_of_reach(hold, asked):
+        raise InvalidValueError(f"{name}: {said}")
+
+
+def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
+    """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
+
+    Args:
+        hold: what the hands can do.
+        asked: what they shall, up to date at the same pose.
+    """
     for row, C, wanted in zip(asked.rows, asked.C, asked.wanted, strict=True):
-        ends = [hold.extreme(C, sign) for sign in (-1.0, 1.0)]
-        least, most = ends
+        least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
         if least is None or most is None:
             return  # the object cannot be carried; told elsewhere where hands press
         if least.value - ROUNDING <= wanted <= most.value + ROUNDING:
             continue
         near: Bound = least if wanted < least.value else most
-        raise InvalidValueError(
-            f"{name}: {row.name} wants {wanted:.3g} {row.unit}, but at rest at the start the hands "
-            f"can do {least.value:.3g} to {most.value:.3g} {row.unit}; {near.words} hold it back"
+        yield (
+            f"{row.name} wants {wanted:.3g} {row.unit}, but at rest at the start the hands "
+            f"can do {least.value:.3g} to {most.value:.3g} {row.unit}; {near.holds} back"
         )
 
 

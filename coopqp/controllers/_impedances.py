@@ -21,6 +21,8 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import AXES
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.controllers._margins import DELAY, LEAST_DAMPING, spring_damping
 from coopqp.controllers._torque_level import TaskDynamics
@@ -166,3 +168,38 @@ def require_impedances(
 def _at_least(ratio: float) -> str:
     """A damping ratio that is needed, which is next to none where next to none was asked for."""
     return f"{ratio:.2f}" if ratio >= 5e-3 else "more than 0"
+
+
+def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
+    """What is felt most along a sprung axis of a push along one that has no spring.
+
+    At rest, where nobody knows the push, object and arms must not accelerate along the springs:
+    with W the inverse inertia of the object's six axes, s those with a spring and o the others,
+
+        W_ss (w_s - K e) + W_so w_o = 0,       so that K e = w_s + W_ss^-1 W_so w_o
+
+    Args:
+        problem: what to control.
+
+    Returns:
+        The axis along which it is felt, that along which it pushes, and the force felt of a push by
+        1 N or 1 N m [N, N m]; None where all axes have a spring, none has, or one cannot move.
+    """
+    given = [task.impedance for task in problem.tasks if task.impedance is not None]
+    sprung = sorted({axis for impedance in given for axis in impedance.axes})
+    others = [axis for axis in range(6) if axis not in sprung]
+    massless = not any(body.mass for body in problem.chain.robot.model.inertias)
+    if not sprung or not others or massless:
+        return None
+    level, state = TaskDynamics(problem), State(problem.chain)
+    state.update()
+    level.update(state)
+    W = state.J_task @ level.inverse_inertia() @ state.J_task.T
+    own = W[np.ix_(sprung, sprung)]
+    if np.linalg.matrix_rank(own) < len(sprung):
+        return None  # an axis that cannot move; laws refuse that
+    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
+    lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
+    share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
+    i, j = np.unravel_index(int(share.argmax()), share.shape)
+    return AXES[sprung[i]], AXES[others[j]], float(felt[i, j])

@@ -80,6 +80,25 @@ class TaskDynamics:
         return np.asarray(N @ np.linalg.solve(N.T @ self.dynamics.A @ N, N.T), float)
 
 
+def _of_free_arms(problem: ControlProblem, tasks: TaskStack) -> str:
+    """Which tasks move arms that do not hold the object."""
+    chain = problem.chain
+    free = [
+        chain.joint_names.index(joint)
+        for arm in chain.arms[chain.holding :]
+        for joint in chain.robot.arm_joints(arm)
+    ]
+    moved = [
+        f"'{task.name}'"
+        for task, part in zip(tasks.tasks, tasks.slices, strict=True)
+        if tasks.J[part][:, free].any()
+    ]
+    return (
+        f"{' and '.join(moved) or 'a task'} moves an arm that does not hold the object, which laws "
+        "by torques cannot be asked for beside all of the object; leave it out, or use qp"
+    )
+
+
 def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
     """Refuse tasks that the motors cannot decide with this grasp.
 
@@ -94,8 +113,13 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
     rows = len(tasks.e)
     if rows > found.motor_freedom_start or found.tasks_rank < rows:
         why = f"missing: {'; '.join(missing)}"
-        if not missing:
-            why = f"only {found.tasks_rank} of the rows are independent, so drop a task"
+        if not missing and found.tasks_rank < rows:
+            why = (
+                f"only {found.tasks_rank} of the rows are independent, and those of all tasks have "
+                "to be, hard and soft ones at whatever priority; leave out rows that others decide"
+            )
+        elif not missing:
+            why = _of_free_arms(problem, tasks)
         raise GraspError(
             f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
             f"{found.motor_freedom_start} object motions; {why}"

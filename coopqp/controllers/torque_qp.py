@@ -110,7 +110,7 @@ class TorqueQpLaw(Law):
         command = self.command
         self.assemble(state)
         x, causes = self._solved(state)
-        command.say(*causes)
+        self._say(causes)
         assert command.tau is not None
         command.tau[:] = 0.0
         self._held.remember(state, self.qp, x)
@@ -125,6 +125,14 @@ class TorqueQpLaw(Law):
             command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)
         return command
+
+    def _say(self, causes: tuple[Status, ...]) -> None:
+        """What became of the tick, and that the hands' wrenches were not measured."""
+        if isinstance(self._pushes, HandSensors) and self._pushes.fault:
+            self.command.note = self._pushes.fault
+            others = (cause for cause in causes if cause is not Status.OPTIMAL)
+            causes = (*others, Status.FORCE_NOT_MEASURED)
+        self.command.say(*causes)
 
     def assemble(self, state: State) -> None:
         """Evaluate tasks, dynamics, hands and limits at a state, and fill the first level's QP."""
@@ -261,6 +269,13 @@ class TorqueQp(Controller):
     """A joint may move towards its stop at most at the distance over this time [s]."""
     acceleration: Positive = 500.0
     """Largest joint acceleration [rad/s2]."""
+
+    def __post_init__(self) -> None:
+        if self.external_wrench == "unknown" and self.observer_gain != TorqueQp.observer_gain:
+            raise ValueError(
+                f"observer_gain: found {self.observer_gain:g}, but nothing is observed; add "
+                "external_wrench: observed or measured, or leave it out"
+            )
 
     @property
     def commands_torques(self) -> bool:

@@ -20,7 +20,6 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
-from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -31,6 +30,7 @@ from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.signal import Followed
 from coopqp.solver import Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 from coopqp.ticks import Ticks
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import QPController
-from coopqp.loop_observer import Squeezer
 from coopqp.memory import Memory
 from coopqp.online.acceleration import acceleration_of
 from coopqp.solver import Status
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 
 
@@ -26,12 +26,13 @@ class _Kept:
     """Hands that squeeze stay as close as they are, while nobody looks at the force."""
 
     memory_sizes: Mapping[str, int] = {}
+    note = ""
 
     def __init__(self, squeezer: Squeezer) -> None:
         self.along = squeezer.along
 
-    def update(self, state: State) -> bool:
-        return True
+    def update(self, state: State) -> Status | None:
+        return None
 
 
 class Braking:

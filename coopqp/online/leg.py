@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from coopqp.checked import Array, real
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.errors import InvalidValueError
@@ -78,8 +77,7 @@ class Leg:
         self.state.hand_wrench = None
         if not isinstance(inputs, Mapping) or HAND_WRENCH not in inputs:
             return inputs
-        with suppress(Exception):  # anything can come from a driver
-            self.state.hand_wrench = real(inputs[HAND_WRENCH])
+        self.state.hand_wrench = inputs[HAND_WRENCH]  # anything; the law looks at it
         return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
 
     def rest_inputs(self) -> None:
@@ -137,6 +135,7 @@ def begin_leg(
     state = begin_state(law, q, observed=observed)
     tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
     inputs = Inputs(scenario.inputs, tasks, state, problem.dt)
+    names = {*scenario.inputs, *([HAND_WRENCH] if law.squeezer else [])}
     return Leg(
         index=index,
         phase=phase,
@@ -144,7 +143,7 @@ def begin_leg(
         problem=problem,
         law=law,
         inputs=inputs,
-        arrivals=Arrivals(inputs, scenario.inputs, first * problem.dt),
+        arrivals=Arrivals(inputs, names, first * problem.dt),
         braking=Braking(problem, law.squeezer),
         state=state,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections import deque
 
@@ -167,10 +168,16 @@ class DynamicModel(PlantModel):
         return values + self._rng.normal(0.0, deviation, len(values))
 
 
+def _fitting(dt: float, time_step: float) -> float:
+    """The largest whole part of dt that is not above a time [s]."""
+    return dt / math.ceil(dt / time_step)
+
+
 def _whole_steps(dt: float, time_step: float) -> int:
     steps = round(dt / time_step)
     if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
         raise InvalidValueError(
-            f"time_step: found {time_step} s, needs a whole part of dt = {dt} s"
+            f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt = "
+            f"{dt:g} s; state one, such as time_step: {_fitting(dt, time_step):g}"
         ).at("time_step")
     return steps

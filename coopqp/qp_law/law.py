@@ -29,7 +29,6 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.loop_observer import Squeezer
 from coopqp.program import Programs
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.fallback import Fallback
@@ -37,6 +36,7 @@ from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel, deciding
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status, norm
+from coopqp.squeezer import Squeezer
 from coopqp.state import State
 from coopqp.task import TaskStack
 

@@ -23,7 +23,7 @@ from coopqp.closed_loop.forces import Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
 from coopqp.controller_run import run
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.report.strict_json import finite
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
@@ -44,7 +44,9 @@ class Study:
         mobility: at generic poses and at the start.
         forces: between the hands at the start; None where one arm alone holds the object.
         t: shape (K,) [s].
-        manipulability: of the tasks along the run of the scenario's first controller, shape (K,).
+        manipulability: of the tasks along the run of the scenario's first controller, shape (K,);
+            at the start alone where that is refused.
+        refused: why it is; None where it is not.
     """
 
     scenario: Scenario
@@ -53,6 +55,7 @@ class Study:
     forces: Forces | None
     t: Array
     manipulability: Array
+    refused: CoopqpError | None = None
 
     @property
     def name(self) -> str:
@@ -76,8 +79,8 @@ def study(
         phase: name of the phase; the first if omitted.
 
     Raises:
-        CoopqpError: ``asked`` is no scheme, there is no such phase, or the scenario cannot be
-            built.
+        CoopqpError: ``asked`` is no scheme, there is no such phase, the scenario cannot be built,
+            or its first controller is refused before a later phase.
     """
     if phase is not None and not scenario.phases:
         raise InvalidValueError("phase: this scenario has no phases; leave it out")
@@ -85,9 +88,11 @@ def study(
     if phase is not None and phase not in phases:
         raise UnknownNameError("phase", phase, phases)
     number = phases.index(phase) if phase else 0
-    trace = run(scenario, controller=next(iter(scenario.controllers)))
+    times, path, refused = _way(scenario)
+    if refused and number:
+        raise refused
     # Where its first controller is when the phase begins.
-    problem = list(islice(scenario.problems(lambda first: trace.q[first]), number + 1))[-1]
+    problem = list(islice(scenario.problems(lambda first: path[first]), number + 1))[-1]
     chain = problem.chain
     state = State(chain)
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], state)
@@ -103,9 +108,18 @@ def study(
     last = first + scenario.schedule[number].ticks(scenario.dt)
     every = max(1, (last - first) // MOST_POINTS)
     kept = slice(first, last + 1, every)
-    measure = _along(trace.t[kept] - trace.t[first], trace.q[kept], tasks, state)
+    measure = _along(times[kept] - times[first], path[kept], tasks, state)
     between = forces(chain) if chain.holding > 1 else None
-    return Study(scenario, phases[number], found, between, trace.t[kept], measure)
+    return Study(scenario, phases[number], found, between, times[kept], measure, refused)
+
+
+def _way(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
+    """Times and joints of its first controller's run; of the start where that is refused."""
+    try:
+        trace = run(scenario, controller=next(iter(scenario.controllers)))
+    except CoopqpError as error:
+        return np.zeros(1), scenario.chain.q_start[None], error
+    return trace.t, trace.q, None
 
 
 def _along(times: Array, path: Array, tasks: TaskStack, state: State) -> Array:

@@ -7,14 +7,23 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from coopqp.closed_loop.forces import contact_notes
+from coopqp.closed_loop.holding import StaticHold
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Controller
+from coopqp.controllers._force_checks import out_of_reach
+from coopqp.controllers._impedances import leaks
 from coopqp.controllers.qp import QPController
+from coopqp.controllers.torque_qp import TorqueQp
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.unit_hints import far_goals, far_inputs
+from coopqp.state import State
 
+#: A push along an axis without a spring that is felt by less than this share is not worth a word.
+LEAKS = 0.05
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
 
@@ -51,6 +60,9 @@ def notes(
         *far_goals(scenario),
         *far_inputs(scenario),
         *_of_inputs(scenario, steered=steered),
+        *_of_forces(scenario, chosen),
+        *_of_springs(scenario, chosen),
+        *_of_friction(scenario),
     ]
 
 
@@ -71,6 +83,59 @@ def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
                 f"nobody sends to the input '{name}' here, so that its tasks stay where they are; "
                 "give it feed or feed_file"
             )
+
+
+def _of_forces(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
+    """Forces beyond what motors give, for who squeezes by velocities and does not know them."""
+    problem = scenario.problem()
+    pressing = [name for name, c in chosen.items() if isinstance(c, QPController) and c.admittance]
+    if not (pressing and problem.wrenches and problem.chain.holding > 1):
+        return
+    start = State(problem.chain)
+    asked = WrenchStack(problem.wrenches, start)
+    asked.update(start)
+    for said in out_of_reach(StaticHold(problem.chain, safety=1.0), asked):
+        yield f"{' and '.join(pressing)}: {said}"
+
+
+def _of_springs(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
+    """Axes without a spring along which a push is felt along those that have one."""
+    unaware = [
+        name
+        for name, c in chosen.items()
+        if isinstance(c, TorqueQp) and c.external_wrench == "unknown"
+    ]
+    found = leaks(scenario.problem()) if unaware else None
+    if found is None:
+        return
+    felt, pushed, force = found
+    share = abs(force) * _length(pushed) / _length(felt)
+    if share > LEAKS:
+        yield (
+            f"{' and '.join(unaware)}: nobody knows the push, so that a push {_along(pushed)} by 1 "
+            f"{_unit(pushed)} moves the springs {_along(felt)} as {force:.2g} {_unit(felt)} would, "
+            "by the inertia that they share: F/K is not all; give all six axes a stiffness, or say "
+            "torque_qp: {external_wrench: observed}"
+        )
+
+
+def _along(axis: str) -> str:
+    return f"about {axis.removeprefix('rot_')}" if axis.startswith("rot_") else f"along {axis}"
+
+
+def _unit(axis: str) -> str:
+    return "N m" if axis.startswith("rot_") else "N"
+
+
+def _length(axis: str) -> float:
+    return LENGTH if axis.startswith("rot_") else 1.0
+
+
+def _of_friction(scenario: Scenario) -> Iterator[str]:
+    """Friction that is none, because all hands are fastened."""
+    grasps = scenario.chain.grasps.values()
+    if scenario.disturbance.friction != 1.0 and not any(grasp.contact for grasp in grasps):
+        yield "disturbance.friction has no effect: no hand holds by pressing"
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:

@@ -255,7 +255,7 @@ class Scenario:
         """What the inputs are that tasks of any phase follow, by name."""
         found = dict[str, Kind]()
         for problem in self.problems(lambda _: self.chain.q_start):
-            tasks = (*problem.tasks, *problem.secondary)
+            tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
             start = State(problem.chain)
             found |= {name: kind for name, (kind, _) in wanted(tasks, start).items()}
         return found

@@ -111,18 +111,35 @@ def test_they_approach_no_faster_and_no_farther_than_they_may(chain: ClosedChain
     for way in (2e-5, 4e-5, 5e-5, 5e-5):
         state.advance(law.tick(state).v, DT)
         assert -line(state) @ state.gap[:3] == pytest.approx(way, rel=1e-3)
+    assert law.command.causes == (Status.SQUEEZE_GIVEN_UP,)
+    assert "stands at most_way, 0.05 mm closer" in law.command.note
+    assert "is the force sensor alive?" in law.command.note
+    state.hand_wrench = squeezed(chain, WANTED)  # what is wanted is there
+    assert law.tick(state).causes == (Status.OPTIMAL,)
+    assert law.command.note == ""
 
 
-@pytest.mark.parametrize("lost", [None, np.full(12, np.nan), np.zeros(6)])
-def test_a_lost_force_stops_the_hands_where_they_are(
-    chain: ClosedChain, lost: Array | None
-) -> None:
+LOST = {
+    "no hand_wrench has come; needs 12 numbers": None,
+    "no finite number at 0, 1": np.full(12, np.nan),
+    "found shape (6,), needs (12,)": np.zeros(6),
+    "found shape (13,), needs (12,)": np.zeros(13),
+    "found shape (2, 6), needs (12,)": np.zeros((2, 6)),
+    "found a text, needs numbers": "wrist",
+    "found 1e+09, which no hand does": np.full(12, 1e9),
+}
+
+
+@pytest.mark.parametrize("words", LOST)
+def test_a_lost_force_stops_the_hands_where_they_are(chain: ClosedChain, words: str) -> None:
     law = law_of(chain)
     state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
     state.advance(law.tick(state).v, DT)
     before = state.gap.copy()
+    lost: Any = LOST[words]
     state.q_measured, state.hand_wrench = state.q.copy(), lost
     assert law.tick(state).causes == (Status.FORCE_NOT_MEASURED,)
+    assert words in law.command.note
     assert closing(law, state) == pytest.approx(np.zeros(3), abs=1e-5)  # of 3 mm/s before
     assert state.gap == pytest.approx(before, abs=1e-9)
     state.hand_wrench = squeezed(chain, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.section import section
 from coopqp.contact import Contact
 from coopqp.errors import ScenarioError
+from coopqp.grasps import PointContact
+from coopqp.scenario.scenario import Scenario
 
 G = 9.81  # [m/s2]
 
@@ -267,3 +270,47 @@ def test_a_pad_cannot_hold_alone(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="one hand alone holds nothing by pressing"):
         coopqp.load(write(tmp_path, padded(0.2, PHASES)))
     assert coopqp.load(write(tmp_path, padded(0.2, TASKS))).chain.holding == 2
+
+
+def refusal(**contact: object) -> str:
+    """Of ``press_and_lift`` with other contacts."""
+    scenario = coopqp.load("press_and_lift")
+    grasps = {arm: replace(grasp, **contact) for arm, grasp in scenario.grasps.items()}  # type: ignore[attr-defined]
+    return " ".join(words for _, words in contact_faults(replace(scenario, grasps=grasps).chain))
+
+
+@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+def test_a_least_force_that_no_motor_bears_is_blamed_itself() -> None:
+    """219 N is the most that the motors do."""
+    assert "the least force of left/arm and least force of right/arm is more" in refusal(
+        least=300.0
+    )
+    assert refusal(least=30.0) == ""
+
+
+@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+def test_hands_that_carry_next_to_nothing_do_not_carry_less_than_that() -> None:
+    assert "the hands carry 0 % of its weight; friction of" in refusal(friction=1e-9)
+
+
+def fingertips(start: Scenario, turned: float) -> str:
+    """Two fingertips instead of the pads, each turned about y by so many degrees."""
+    tips = {
+        arm: PointContact(
+            friction=0.5,
+            normal=(float(np.sin(np.radians(turned))), 0.0, float(np.cos(np.radians(turned)))),
+            object_in_hand=grasp.object_in_hand,
+        )
+        for arm, grasp in start.grasps.items()  # type: ignore[attr-defined]
+    }
+    return " ".join(words for _, words in contact_faults(replace(start, grasps=tips).chain))
+
+
+@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
+    scenario = coopqp.load("press_and_lift")
+    aside = replace(scenario, held=replace(scenario.held, com=(0.0, 0.02, 0.0)))
+    said = "a turn about the line between the two fingertips, 20 mm beside its mass"
+    assert said in fingertips(aside, 0.0)
+    assert "points 40 degrees away from the other hand" in fingertips(scenario, 40.0)
+    assert "of 0.5 allows 27" in fingertips(scenario, 40.0)

@@ -178,7 +178,7 @@ def test_squeeze_alone_is_refused_with_naos_hinges() -> None:
 def test_a_safety_that_friction_does_not_give_is_refused(nao: RobotModel) -> None:
     firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.5))
     chain = pressing(firm, 0.5, 0.02)
-    with pytest.raises(GraspError, match=r"with safety 3 the hands carry \d+ % of the object"):
+    with pytest.raises(GraspError, match=r"with safety 3: the hands carry \d+ % of its weight"):
         decided(chain, safety=3.0)
 
 

@@ -17,18 +17,20 @@ from chains import ring
 from laws import problem
 
 from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.closed_chain import AXES, ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controllers import PassiveGraspPid, QPController, TorqueQp, WrenchSplit
+from coopqp.controllers._impedances import leaks
 from coopqp.disturbance import Disturbance, Push
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.plant import Plant
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.profile import Profile
 from coopqp.rollout import rollout
+from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task
-from coopqp.tasks import Impedance, Orientation, PointOnLine
+from coopqp.tasks import Impedance, Orientation, PointOnLine, PointOnPlane, RelativeMotion
 from coopqp.tasks import Pose as PoseTask
 from coopqp.trace import Trace
 
@@ -243,3 +245,61 @@ def test_numbers_that_are_none_are_refused(settings: dict[str, Any], words: str)
     given = {"goal": Pose(position=(0.2, 0.0, 0.05)), "stiffness": {"x": 100.0}}
     with pytest.raises(ValueError, match=words):
         Impedance(**(given | settings))
+
+
+def test_what_is_felt_of_a_push_along_an_axis_without_a_spring_is_as_foretold() -> None:
+    """A torque about z, which nobody knows of, on a box that is kept level by another task."""
+    springs = Impedance(goal=here(), stiffness={axis: K[axis] for axis in ("x", "y", "z")})
+    level = Orientation(rpy=here().rpy, gain=20.0)
+    found = leaks(problem(small_pair(), springs, level, dt=0.002, kappa=100.0))
+    assert found
+    felt, pushed, share = found
+    size = 0.2 / (1.0 if pushed.startswith("rot") else 0.1)
+    wrench = np.zeros(6)
+    wrench[AXES.index(pushed)] = size
+    push = Push(force=tuple(wrench[:3]), torque=tuple(wrench[3:]), start=0.0, duration=9.0)
+    trace = ran(springs, UNKNOWN, 1.5, level, dt=0.002, disturbance=Disturbance(push=push))
+    row = ("x", "y", "z").index(felt)
+    assert K[felt] * trace.e[-1, row] == pytest.approx(size * share, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (None, "no hand_wrench has come"),
+        (np.full(12, np.nan), "no finite number"),
+        (np.full(12, 1e9), "found 1e+09"),
+        (np.zeros((2, 6)), "found shape (2, 6)"),
+    ],
+)
+def test_who_goes_by_sensors_says_that_they_are_silent(found: Any, words: str) -> None:
+    asked = problem(small_pair(), Impedance(goal=here(), stiffness={"x": 300.0}))
+    law = TorqueQp(external_wrench="measured").build(asked)
+    state = law.start()
+    state.hand_wrench = found
+    for _ in range(2):
+        assert law.tick(state).causes == (Status.FORCE_NOT_MEASURED,)
+        assert words in law.command.note
+    state.hand_wrench = np.zeros(12)
+    assert law.tick(state).causes == (Status.OPTIMAL,)
+
+
+def test_rows_of_all_priorities_together_have_to_be_independent() -> None:
+    plane = PointOnPlane(normal=(0, 0, 1), through=here().position, mode="hard")
+    level = Orientation(rpy=here().rpy, gain=20.0)
+    across = Impedance(goal=here(), stiffness={"x": 300.0, "y": 300.0}, priority=1)
+    asked = problem(small_pair(), plane, across, level, dt=0.002, kappa=100.0)
+    assert TorqueQp().build(asked)
+    whole = Impedance(goal=here(), stiffness=K, priority=1)
+    with pytest.raises(CoopqpError, match=r"only 6 of the rows are.*whatever priority"):
+        TorqueQp().build(problem(small_pair(), plane, whole, dt=0.002, kappa=100.0))
+
+
+def test_an_arm_that_has_let_go_is_named_with_the_task_that_moves_it() -> None:
+    pair = small_pair()
+    last = pair.arms[-1].name
+    chain = pair.handed_over(pair.q_start, (last,))
+    reach = RelativeMotion(arm=last, goal={"position": (0.0, 0.0, 0.01)})
+    asked = problem(chain, PoseTask(goal=here(), gain=10.0), reach, dt=0.002, kappa=100.0)
+    with pytest.raises(CoopqpError, match="'relative_motion' moves an arm that does not hold"):
+        TorqueQp().build(asked)

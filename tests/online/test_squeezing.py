@@ -55,6 +55,13 @@ def test_it_comes_to_the_squeeze_and_stays_there_when_the_sensor_is_lost() -> No
     assert felt(robot) == pytest.approx(WANTED, rel=0.05)
 
 
+def test_a_misspelt_name_is_told_the_one_that_is_needed() -> None:
+    loop, robot = simulated(squeezing(), reference="commanded")
+    loop.tick(robot.read())
+    loop.tick(robot.read(), {"hand_wrenc": robot.plant.hand_wrench})
+    assert "unknown input 'hand_wrenc'; did you mean 'hand_wrench'?" in loop.note
+
+
 def test_coming_to_rest_does_not_let_go() -> None:
     loop, robot = simulated(squeezing(), reference="commanded")
     for k in range(130):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from chains import PAPER_SCHEME
 from command_line import typed
+
+from coopqp.scenario.loader import shipped
 
 
 def test_command_prints_json_alone() -> None:
@@ -55,3 +58,15 @@ def test_wrong_schemes_end_with_one_message_and_exit_code_2(actuated: str, messa
     assert line.startswith("error: ")
     assert message in line
     assert result.stdout == ""
+
+
+def test_a_scenario_that_no_run_is_made_of_is_told_of_all_the_same(tmp_path: Path) -> None:
+    """Torques on a plant that takes none: the table, and then the refusal."""
+    lines = shipped()["planar_pair"].read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith("controllers:")]
+    path = tmp_path / "refused.yaml"
+    path.write_text("\n".join([*kept, "controllers: [torque_qp]"]), encoding="utf-8")
+    result = typed("mobility", str(path))
+    assert result.exit_code == 2
+    assert "degrees of freedom" in result.output
+    assert "commands torques, which this plant does not take" in result.output

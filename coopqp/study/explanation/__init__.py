@@ -2,6 +2,8 @@
 
 whole          a run: from its end to a sentence
 leg            a phase of a run as it was
+lost           an object that hands which press have lost
+springs        tasks that give way to a push, by F/K
 goal, room     where tasks want the arms to be; where limits let them
 search         inverse kinematics inside or without the limits
 diagnosis      limits, reach, contradiction, too few freedoms

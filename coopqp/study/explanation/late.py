@@ -20,6 +20,7 @@ from coopqp.study.explanation.rerun import Change, arrival, longer, rerun
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.springs import pushed
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -36,7 +37,7 @@ class Late:
     """Why a run was late.
 
     Attributes:
-        kind: speed, budget, short, rest, model, motors or failed.
+        kind: speed, budget, short, rest, model, motors, springs or failed.
         sentence: in words.
         shares: of the limits that held it up.
         tried: whether a rerun reached the goal; None without one.
@@ -82,6 +83,8 @@ def explain(
         return _budget(scenario, controller, leg)
     if torques and (late := _motors(leg)):
         return late
+    if given_way := pushed(scenario, leg, goal):
+        return Late("springs", given_way)
     held = () if torques else tuple(_told(share, room, leg.q[-1]) for share in held_up(leg))
     slow = sum(share.share for share in held if is_speed(share.row)) > MOSTLY
     if not slow and (late := _leash(scenario, controller, leg)):
@@ -94,7 +97,8 @@ def explain(
             return late
         return Late("rest", _rests(leg, place, held), held, tried=False)
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
-    gain = "" if slow else f" (gain {leg.missed[0][0].task.gain:g} 1/s)"
+    task = leg.missed[0][0].task
+    gain = "" if slow or task.impedance else f" (gain {task.gain:g} 1/s)"
     then = (
         f"{time:.3g} s instead of {leg.t_end:.3g} s would do (tried: reached)"
         if time is not None

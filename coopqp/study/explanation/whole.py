@@ -26,6 +26,7 @@ from coopqp.study.explanation.diagnosis import (
 )
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.leg import Leg, Recording, legs
+from coopqp.study.explanation.lost import lost
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
 
@@ -68,8 +69,8 @@ class RunExplanation:
         controller: whose run.
         phase: that missed, empty where there is one only.
         tick: its last.
-        kind: reached, open, limits, elsewhere, reach, contradiction, freedom, speed, budget, short,
-            rest, model, motors, failed or unplaced.
+        kind: reached, open, lost, limits, elsewhere, reach, contradiction, freedom, speed, budget,
+            short, rest, model, motors, springs, way, failed or unplaced.
         missed: what ended outside its tolerance, the worst first.
         held_back: limits by their share of the force.
         needed: what limits would have to give.
@@ -79,7 +80,7 @@ class RunExplanation:
         any_robot: whether they would on any other robot.
         distance: out of reach by so much, in the unit of what is missed most.
         way: unit vector to the goal from the nearest point, where that is one of the world's.
-        time: that would do [s].
+        time: that would do, or at which the object was lost [s].
         sentence: all of it in words.
     """
 
@@ -123,8 +124,11 @@ def explain_run(
             break
     assert leg
     base = _base(run, leg)
+    opened = "" if leg.missed else _opened(leg)
+    ended = any(Status.OBJECT_LOST in causes for causes in leg.causes)
+    if (leg.missed or opened or ended) and (gone := lost(held, run.controller, leg)):
+        return replace(base, kind="lost", sentence=gone.sentence, tried=gone.tried, time=gone.time)
     if not leg.missed:
-        opened = _opened(leg)
         kind = "open" if opened else "reached"
         return replace(base, kind=kind, sentence=opened or _reached(held, run))
     failed = _failed(leg)
@@ -202,6 +206,11 @@ class _Whole:
         velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
         if velocities and (not places or velocity.contradicting(leg)):
             return self._velocity()
+        if not places and Status.SQUEEZE_GIVEN_UP in leg.causes[-1]:
+            said = (
+                "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
+            )
+            return replace(base, kind="way", sentence=f"{words.stops(leg)}; {said}")
         if not places:
             said = f"{words.stops(leg)}; it asks for no place"
             return replace(base, kind="unplaced", sentence=said)

@@ -1,0 +1,73 @@
+"""Runs that end by forces: an object that was lost, and springs that give way to a push."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from explained import explained
+
+import coopqp
+from coopqp.comparison import summarize
+from coopqp.controllers import TorqueQp, WrenchSplit
+from coopqp.disturbance import Disturbance, Push
+from coopqp.plants import RigidBody
+from coopqp.report import files
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import explain_run
+from coopqp.study.trace_file import recording_from_trace
+
+
+def lifted(**settings: object) -> Scenario:
+    """The lift of ``press_and_lift`` on rigid bodies, short and coarse."""
+    scenario = coopqp.load("press_and_lift")
+    given = {"plant": RigidBody(time_step=0.002), "dt": 0.002, "duration": 0.3, **settings}
+    return replace(scenario, **{"disturbance": Disturbance(), **given})  # type: ignore[arg-type]
+
+
+def test_a_lost_object_is_said_first_and_what_is_advised_holds_it() -> None:
+    """Half of the friction, which the safety of 1.5 and the inner square do not make up for."""
+    scenario = lifted(disturbance=Disturbance(friction=0.4))
+    found = explained(scenario, "torque_qp")
+    assert found.kind == "lost"
+    assert found.sentence.startswith("the object is lost at ")
+    assert "friction of 0.2, where the controller is told 0.5" in found.sentence
+    assert "left/arm" in found.sentence
+    assert "hold it back" not in found.sentence  # no limit of a joint is spoken of
+    assert found.tried
+    assert "torque_qp: {safety: 2.25}" in found.sentence
+    firmer = replace(scenario, controllers={"torque_qp": TorqueQp(safety=2.25)})
+    assert coopqp.run(firmer, controller="torque_qp").signals["held"].all()
+
+
+def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds() -> None:
+    """Walker's split asks the pads for torques of m g a / (2 X) = 32.7 N: with 25 N they tip."""
+    law = WrenchSplit(name="equal", split="walker", squeeze=25.0)
+    scenario = lifted(controllers={"equal": law})
+    found = explained(scenario, "equal")
+    assert found.kind == "lost"
+    assert "the pressure reaches the pad's edge" in found.sentence
+    assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
+
+
+def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of(tmp_path: Path) -> None:
+    push = Push(force=(8.0, 6.0, 0.0), start=0.0, duration=9.0)
+    scenario = replace(
+        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=1.5,
+        disturbance=Disturbance(push=push), phases=(),
+    )  # fmt: skip
+    path = tmp_path / "trace.csv"
+    trace = coopqp.run(scenario, controller="torque_qp")
+    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    found = explain_run(scenario, recording_from_trace(path, scenario, "torque_qp"))
+    assert found.kind == "springs"
+    assert "gain" not in found.sentence
+    assert "lasts until 9 s" in found.sentence
+    words = found.sentence.split()
+    told = [float(words[i - 2]) for i, word in enumerate(words) if word == "along"]
+    assert np.allclose(told, (8.0, 6.0), rtol=0.02)
+
+
+def test_an_object_that_is_held_is_explained_as_ever() -> None:
+    assert explained(lifted(), "torque_qp").kind != "lost"
