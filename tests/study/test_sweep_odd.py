@@ -83,7 +83,7 @@ def test_null_has_a_bin_of_its_own(
 
 
 def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
-    from coopqp.report.sweep.bins import _axis
+    from coopqp.report.sweep.bins import BINS, _axis
 
     class Found:
         def __init__(self) -> None:
@@ -92,13 +92,13 @@ def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
         def numbers(self, name: str) -> np.ndarray:
             return values
 
-    values, bins = np.append(np.linspace(0.0, 32.0, 33), np.nan), 16
-    axis = _axis(Found(), "kappa", bins, None)  # type: ignore[arg-type]
+    values = np.append(np.linspace(0.0, 32.0, 33), np.nan)
+    axis = _axis(Found(), "kappa", log=False)  # type: ignore[arg-type]
     assert axis is not None
-    assert axis.count == bins + 1
+    assert axis.count == BINS + 1
     assert axis.labels[0] == "0 to 2"
     assert axis.labels[-1] == "left out"
-    assert np.bincount(axis.code).tolist() == [2] * (bins - 1) + [3, 1]
+    assert np.bincount(axis.code).tolist() == [2] * (BINS - 1) + [3, 1]
 
 
 def test_a_loop_that_opens_is_why_a_run_does_not_succeed(plate: Path) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,10 @@ from numpy.typing import NDArray
 from coopqp.checked import Array
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.space import Box
-from coopqp.study.sweep.study import Study, Varied
+from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.variant import DONE
 
-FEWEST, MOST = 4, 16  # bins of an axis with numbers ...
-ROWS_A_CELL = 8  # ... so that a cell of two axes has about so many variants
+BINS = 16  # of an axis with numbers
 LEVELS = 24  # values that are shown each by itself; of texts the most frequent
 MOST_AXES = 8  # on the page; the first ones
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -57,31 +55,14 @@ class Axis:
         return {"name": self.name, "labels": self.labels, "edges": edges, "log": self.log}
 
 
-class Side(NamedTuple):
-    """Ends of an axis; where log, their logarithms."""
-
-    low: float
-    high: float
-    log: bool
-
-
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
-    bins = round(math.sqrt(study.points.count / ROWS_A_CELL))
-    bins = min(max(bins, FEWEST), MOST)
-    boxes = {name: side for one in study.varied for name, side in _sides(one)}
-    found = (_axis(columns, name, bins, boxes.get(name)) for name in study.columns)
+    logs = {one.path for one in study.varied if isinstance(one.over, Box) and one.over.grows}
+    found = (_axis(columns, name, log=name in logs) for name in study.columns)
     return [axis for axis in found if axis is not None and axis.count > 1][:MOST_AXES]
 
 
-def _sides(varied: Varied) -> Iterator[tuple[str, Side]]:
-    """What was asked of each column that is even between two numbers."""
-    if isinstance(varied.over, Box):
-        for name, side in zip(varied.columns, varied.over.sides, strict=True):
-            yield name, Side(side.low, side.high, varied.over.grows)
-
-
-def _axis(columns: Columns, name: str, bins: int, side: Side | None) -> Axis | None:
+def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
     kind = columns.kinds[name]
     if kind == "string":
         return _texts(columns, name)
@@ -90,19 +71,17 @@ def _axis(columns: Columns, name: str, bins: int, side: Side | None) -> Axis | N
     if not there.any():
         return None
     known = np.unique(values[there])
-    log = side is not None and side.log
     if kind == "bool" or len(known) <= LEVELS:
         labels = tuple(("false", "true")[int(v)] if kind == "bool" else f"{v:.4g}" for v in known)
         return _with_null(Axis(name, labels, (), log, np.searchsorted(known, values)), there)
+    return _with_null(_even(name, values, there, log=log), there)
+
+
+def _even(name: str, values: Array, there: NDArray[np.bool_], *, log: bool) -> Axis:
+    """Bins of one width; only rows with a number have one."""
     shown = np.log10(values, where=there, out=np.zeros_like(values)) if log else values
-    ends = side or Side(float(shown[there].min()), float(shown[there].max()), log)
-    return _with_null(_even(name, shown, bins, ends), there)
-
-
-def _even(name: str, shown: Array, bins: int, side: Side) -> Axis:
-    """Bins of one width from end to end of what was asked for."""
-    log, edges = side.log, np.linspace(side.low, side.high, bins + 1)
-    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, bins - 1)
+    edges = np.linspace(shown[there].min(), shown[there].max(), BINS + 1)
+    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, BINS - 1)
     return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
 
 

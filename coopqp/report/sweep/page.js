@@ -1,10 +1,4 @@
 "use strict";
-addEventListener("error", (event) => {
-  const said = document.createElement("p");
-  said.className = "hint";
-  said.textContent = `A figure could not be drawn (${event.message}); the tables are complete.`;
-  document.querySelector("main").prepend(said);
-});
 // Draws what bins.py has counted; nothing here grows with the number of rows.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
@@ -20,26 +14,21 @@ addEventListener("error", (event) => {
     make(parent, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
   const short = (x) => (x === 0 ? "0" : Math.abs(x) < 1e-3 || Math.abs(x) >= 1e5 ? x.toExponential(1) : String(+x.toPrecision(3)));
   const bins = (axis) => axis.labels.length || axis.edges.length - 1;
-  // In the middle, because long names of laws begin alike.
-  const clipped = (text, most) => {
-    const head = Math.floor((most - 1) / 2);
-    return text.length > most ? text.slice(0, head) + "…" + text.slice(text.length - (most - 1 - head)) : text;
-  };
-  // From dark, none succeeds, to bright, all do: no colour of a controller, and told apart by all eyes.
-  const SCALE = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  const clipped = (text, most) => (text.length > most ? text.slice(0, most - 1) + "…" : text);
+  // From vermilion, none succeeds, over grey to blue, all do.
+  const mix = (a, b, t) => a.map((x, i) => Math.round(x + t * (b[i] - x)));
   const color = (share) => {
-    const at = share * (SCALE.length - 1), k = Math.min(Math.floor(at), SCALE.length - 2);
-    return `rgb(${SCALE[k].map((x, i) => Math.round(x + (at - k) * (SCALE[k + 1][i] - x)))})`;
+    const low = [213, 94, 0], middle = [232, 230, 224], high = [0, 114, 178];
+    const c = share < 0.5 ? mix(low, middle, 2 * share) : mix(middle, high, 2 * share - 1);
+    return `rgb(${c})`;
   };
-  const DASHES = ["", "7 4", "2 3", "9 3 2 3"];
-  const dash = (k) => DASHES[k % DASHES.length];
-  const ticks = (axis, length, step, most = 12) => {
+  const ticks = (axis, length, step) => {
     // Places along an axis, as shares of it, with their words.
     const n = bins(axis);
     const every = Math.max(1, Math.ceil(n * step / length));
     const found = [];
     if (axis.labels.length) {
-      for (let k = 0; k < n; k += every) found.push([(k + 0.5) / n, clipped(axis.labels[k], most)]);
+      for (let k = 0; k < n; k += every) found.push([(k + 0.5) / n, clipped(axis.labels[k], 12)]);
     } else {
       const apart = Math.max(every, n / 4);
       for (let k = 0; k <= n; k += apart) found.push([k / n, short(axis.edges[Math.round(k)])]);
@@ -79,7 +68,6 @@ addEventListener("error", (event) => {
     const host = byId("curves"), measure = byId("measure").value;
     host.replaceChildren();
     const logarithm = measure !== study.margin;
-    byId("unit").textContent = logarithm ? "m, angles in rad; the scale is logarithmic" : "rad, or m where a joint slides; below 0 a limit was broken";
     const f = (v) => (logarithm ? Math.log10(Math.max(v, 1e-12)) : v);
     const all = study.bands[measure].flat(2).filter(Boolean).flat().map(f).filter(Number.isFinite);
     if (!all.length) return;
@@ -105,7 +93,7 @@ addEventListener("error", (event) => {
         };
         area(0, 4, 0.12);
         area(1, 3, 0.2);
-        make(svg, "polyline", { points: known.map(([q, b]) => `${px(b)},${py(q[2])}`).join(" "), fill: "none", stroke: study.colors[k], "stroke-width": 2, "stroke-dasharray": dash(k) });
+        make(svg, "polyline", { points: known.map(([q, b]) => `${px(b)},${py(q[2])}`).join(" "), fill: "none", stroke: study.colors[k], "stroke-width": 2 });
         if (axis.labels.length) known.forEach(([q, b]) => make(svg, "circle", { cx: px(b), cy: py(q[2]), r: 3, fill: study.colors[k] }));
       });
       for (const [at, word] of ticks(axis, W - left - right, 60)) make(svg, "text", { x: left + at * (W - left - right), y: H - bottom + 16, "text-anchor": "middle" }, word);
@@ -130,8 +118,8 @@ addEventListener("error", (event) => {
     });
     sides.forEach((side, s) => {
       make(svg, "line", { x1: px(s), x2: px(s), y1: top, y2: H - bottom, stroke: "#5a646d" });
-      make(svg, "text", { x: px(s), y: 18, "text-anchor": "middle", class: "title" }, clipped(side.name, 18));
-      for (const [at, word] of ticks(side, H - top - bottom, 16, 22)) {
+      make(svg, "text", { x: px(s), y: 18, "text-anchor": "middle", class: "title" }, clipped(side.name, 22));
+      for (const [at, word] of ticks(side, H - top - bottom, 16)) {
         const label = make(svg, "text", { x: px(s) + 6, y: top + (1 - at) * (H - top - bottom) + 4, stroke: "#fff", "stroke-width": 3, "paint-order": "stroke" }, word);
         if (s === sides.length - 1) { label.setAttribute("x", px(s) - 6); label.setAttribute("text-anchor", "end"); }
       }
@@ -164,12 +152,6 @@ addEventListener("error", (event) => {
   }
   if (study.axes.length) {
     byId("bands").hidden = false;
-    study.controllers.forEach((name, k) => {
-      const item = document.createElement("span"), line = drawing(item, 34, 10, name);
-      make(line, "line", { x1: 0, x2: 34, y1: 5, y2: 5, stroke: study.colors[k], "stroke-width": 2.5, "stroke-dasharray": dash(k) });
-      item.append(name);
-      byId("laws").append(item);
-    });
     const names = Object.keys(study.bands);
     names.forEach((name) => byId("measure").add(new Option(name, name)));
     byId("measure").addEventListener("change", drawBands);

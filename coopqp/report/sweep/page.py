@@ -7,9 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from string import Template
 
-import numpy as np
-from numpy.typing import NDArray
-
 import coopqp
 from coopqp.report.files import write_one
 from coopqp.report.page import breakable, script_json, text
@@ -28,7 +25,6 @@ ROWS = "rows"  # folder with the scenarios of the worst rows
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 MOST_LIMITS = 12  # that are shown for each controller
 MARGIN = "limit_margin_min"
-SAID = ("blocked_by", "broken")  # columns of words
 
 
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
@@ -98,7 +94,7 @@ def render(
         facts=_facts(study, summary, missing),
         summary=_summary(summary),
         reasons=_reasons(summary),
-        paired=_paired(list(pairs(binned, worst_error(columns), _broke(columns)))),
+        paired=_paired(list(pairs(binned, worst_error(columns)))),
         blocked="".join(_limits(line) for line in summary.lines),
         worst="".join(
             _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
@@ -180,26 +176,16 @@ def _paired(found: Sequence[Pair]) -> str:
     if not found:
         return ""
     heads = ["On the same variants", "both succeed", "only the first", "only the second",
-             "neither", "of these the first nearer", "the second nearer"]  # fmt: skip
+             "neither", "first ends nearer<small>% of variants</small>"]  # fmt: skip
     rows = [
         [
             f"{breakable(p.one)}<br>against {breakable(p.other)}",
             *(f"{n:,}" for n in (p.both, p.only_one, p.only_other, p.neither)),
-            *(f"{n:,}" for n in (p.nearer, p.farther)),
+            f"{100.0 * p.nearer:.1f}" if p.nearer == p.nearer else "-",
         ]
         for p in found
     ]
-    hint = (
-        '<p class="hint">Variants. <b>Nearer</b>: the worst of its errors is less than nine tenths '
-        "of the other's, and it breaks no limit.</p>"
-    )
-    return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
-
-
-def _broke(columns: Columns) -> NDArray[np.bool_]:
-    """Whether each row broke a limit."""
-    codes, texts = columns.codes("broken")
-    return np.array([bool(name) for name in texts] + [False])[codes]
+    return f"<section><h2>Controllers against each other</h2>{_table(heads, rows)}</section>"
 
 
 def _limits(line: Line) -> str:
@@ -230,20 +216,19 @@ def _worst(
     if not rows:
         return f"<h3>{breakable(name)}</h3><p class='hint'>Every row that is done succeeds.</p>"
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
-    shown = [*errors, MARGIN, *SAID, *varied]
+    shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     table = [
         [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
         for k, row in enumerate(rows)
     ]
     heads = ["row", *(html.escape(column) for column in shown)]
-    return f'<h3>{breakable(name)}</h3><div class="worst">{_table(heads, table)}</div>'
+    return f"<h3>{breakable(name)}</h3>{_table(heads, table)}"
 
 
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
     if columns.kinds[name] in ("string",):
         codes, texts = columns.codes(name)
-        said = (text(texts[codes[row]]) if codes[row] >= 0 else "" for row in rows)
-        return [f'<span class="said">{words}</span>' if name in SAID else words for words in said]
+        return [text(texts[codes[row]]) if codes[row] >= 0 else "" for row in rows]
     numbers = columns.numbers(name)
     return [f"{numbers[row]:.4g}" for row in rows]

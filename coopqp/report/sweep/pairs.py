@@ -7,14 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.report.sweep.bins import Binned
 from coopqp.study.sweep.columns import Columns
 
 WORST = 10
-NEARER = 0.9  # share of the other's error below which a row ends nearer
 
 
 @dataclass(frozen=True)
@@ -24,8 +22,7 @@ class Pair:
     Attributes:
         one, other: their names.
         both, only_one, only_other, neither: variants on which they succeed.
-        nearer, farther: of those on which neither succeeds, on how many the first ends nearer, or
-            the second, by more than a tenth and without breaking a limit.
+        nearer: share of the variants on which the first ends nearer to its goals.
     """
 
     one: str
@@ -34,8 +31,7 @@ class Pair:
     only_one: int
     only_other: int
     neither: int
-    nearer: int
-    farther: int
+    nearer: float
 
 
 def worst_error(columns: Columns) -> Array:
@@ -50,29 +46,20 @@ def worst_error(columns: Columns) -> Array:
     return worst
 
 
-def pairs(binned: Binned, error: Array, broke: NDArray[np.bool_]) -> Iterator[Pair]:
-    """Every two controllers; rows of a variant follow each other, a controller each.
-
-    Args:
-        binned: the rows.
-        error: of each row, :func:`worst_error`.
-        broke: whether a row broke a limit.
-    """
+def pairs(binned: Binned, error: Array) -> Iterator[Pair]:
+    """Every two controllers; rows of a variant follow each other, a controller each."""
     n = len(binned.controllers)
     if n < 2 or len(error) % n:
         return
     done, good = (truth.reshape(-1, n) for truth in (binned.done, binned.success > 0.0))
-    far, kept = error.reshape(-1, n), ~broke.reshape(-1, n)
+    far = error.reshape(-1, n)
     for i, j in itertools.combinations(range(n), 2):
         both = done[:, i] & done[:, j]
         a, b = good[both, i], good[both, j]
         counts = [int(x.sum()) for x in (a & b, a & ~b, ~a & b, ~a & ~b)]
-        open_, one_far, other_far = both & ~good[:, i] & ~good[:, j], far[:, i], far[:, j]
-        nearer = open_ & kept[:, i] & (one_far < NEARER * other_far)
-        farther = open_ & kept[:, j] & (other_far < NEARER * one_far)
+        nearer = float((far[both, i] < far[both, j]).mean()) if both.any() else float("nan")
         one, other = binned.controllers[i], binned.controllers[j]
-        ends = int(nearer.sum()), int(farther.sum())
-        yield Pair(one, other, counts[0], counts[1], counts[2], counts[3], *ends)
+        yield Pair(one, other, counts[0], counts[1], counts[2], counts[3], nearer)
 
 
 def worst_rows(binned: Binned, error: Array, controller: int) -> list[int]:
