@@ -101,7 +101,7 @@ def test_ribbons_have_all_rows_that_are_done(study: Study, columns: Columns) -> 
 
 def test_controllers_are_compared_on_the_same_variants(study: Study, columns: Columns) -> None:
     binned, error = Binned.of(study, columns), worst_error(columns)
-    (pair,) = pairs(binned, error)
+    (pair,) = pairs(binned, error, columns)
     gain, mass = (columns.numbers(name)[::2] for name in study.columns[:2])
     mass = mass[gain >= 2.0]
     assert (pair.one, pair.other) == ("qp", "pseudoinverse")
