@@ -16,7 +16,8 @@ from coopqp.study.sweep.space import Box
 from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.variant import DONE
 
-BINS = 16  # of an axis with numbers
+BINS, FEWEST_BINS = 16, 4  # of an axis with numbers
+ROWS_A_CELL = 8  # of a map and a controller, where there are enough variants
 LEVELS = 24  # values that are shown each by itself; of texts the most frequent
 MOST_AXES = 8  # on the page; the first ones
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -57,11 +58,38 @@ class Axis:
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
     logs = {one.path for one in study.varied if isinstance(one.over, Box) and one.over.grows}
-    found = (_axis(columns, name, log=name in logs) for name in study.columns)
+    count, ends = bins_for(study.points.count), _ends(study)
+    found = (
+        _axis(columns, name, log=name in logs, count=count, ends=ends.get(name))
+        for name in study.columns
+    )
     return [axis for axis in found if axis is not None and axis.count > 1][:MOST_AXES]
 
 
-def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
+def bins_for(variants: int) -> int:
+    """So many that a cell of a map has rows enough for a share; a multiple of four, for ticks."""
+    fitting = int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4
+    return min(BINS, max(FEWEST_BINS, fitting))
+
+
+def _ends(study: Study) -> dict[str, tuple[float, float]]:
+    """What the study says of the ends of a column; of logarithms, those."""
+    return {
+        name: (side.low, side.high)
+        for one in study.varied
+        if isinstance(one.over, Box)
+        for name, side in zip(one.columns, one.over.sides, strict=True)
+    }
+
+
+def _axis(
+    columns: Columns,
+    name: str,
+    *,
+    log: bool,
+    count: int = BINS,
+    ends: tuple[float, float] | None = None,
+) -> Axis | None:
     if columns.kinds[name] in ("string", "bool"):
         return _texts(columns, name)
     values = columns.numbers(name)
@@ -72,8 +100,8 @@ def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
         labels = tuple(f"{value:.4g}" for value in known)
         return Axis(name, labels, (), log, np.searchsorted(known, values))
     shown = np.log10(values) if log else values
-    edges = np.linspace(shown.min(), shown.max(), BINS + 1)
-    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, BINS - 1)
+    edges = np.linspace(*(ends or (shown.min(), shown.max())), count + 1)
+    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, count - 1)
     return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
 
 
