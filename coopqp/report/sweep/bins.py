@@ -100,7 +100,8 @@ def _axis(
         labels = tuple(f"{value:.4g}" for value in known)
         return Axis(name, labels, (), log, np.searchsorted(known, values))
     shown = np.log10(values) if log else values
-    edges = np.linspace(*(ends or (shown.min(), shown.max())), count + 1)
+    low, high = ends or (float(shown.min()), float(shown.max()))
+    edges = np.linspace(low, high, count + 1)
     code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, count - 1)
     return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
 
