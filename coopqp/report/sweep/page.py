@@ -32,6 +32,7 @@ from coopqp.study.statistics.summary import AS_NEAR
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.variant import DONE
 
 HERE = Path(__file__).parent
 NAME = "report.html"
@@ -201,8 +202,10 @@ def _reasons(summary: Summary) -> str:
     )
     more = len(summary.reasons) - MOST_LIMITS
     rest = f"<li>and {more} other reasons</li>" if more > 0 else ""
+    done = any(line.states.get(DONE) for line in summary.lines)
+    said = "" if done else '<p class="hint"><b>No row is done</b>, so there are no figures.</p>'
     return (
-        "<details><summary>Why rows are not done</summary>"
+        f"{said}<details{'' if done else ' open'}><summary>Why rows are not done</summary>"
         f'<ul class="notes">{items}{rest}</ul></details>'
     )
 
@@ -253,7 +256,9 @@ def _worst(
     name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
 ) -> str:
     if not rows:
-        return f"<h3>{breakable(name)}</h3><p class='hint'>Every row that is done succeeds.</p>"
+        return (
+            f"<h3>{breakable(name)}</h3><p class='hint'>No row is done that does not succeed.</p>"
+        )
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
