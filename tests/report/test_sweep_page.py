@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from coopqp.report.sweep import table
-from coopqp.report.sweep.bins import BINS, Binned
+from coopqp.report.sweep.bins import BINS, Binned, bins_for
 from coopqp.report.sweep.page import write
 from coopqp.report.sweep.pairs import pairs, worst_error, worst_rows
 from coopqp.study.sweep import Study, read_study
@@ -69,11 +69,19 @@ def test_maps_count_every_row_once_and_where_it_is(study: Study, columns: Column
     gain, mass = (columns.numbers(name) for name in study.columns[:2])
     own = (np.array(columns.codes("controller")[0]) == 0) & (gain >= 2.0)
     (found,) = (m for m in binned.maps() if (m["x"], m["y"]) == (0, 1))
-    edges = np.linspace(gain.min(), gain.max(), BINS + 1)
-    powers = np.linspace(np.log10(mass.min()), np.log10(mass.max()), BINS + 1)
+    edges = np.linspace(1.0, 9.0, BINS + 1)
+    powers = np.linspace(-1.0, 1.0, BINS + 1)
     for key, chosen in (("all", own), ("good", own & (mass < 5.0))):
         counted, *_ = np.histogram2d(gain[chosen], np.log10(mass[chosen]), [edges, powers])
         np.testing.assert_array_equal(np.reshape(found[key][0], (BINS, BINS)), counted)
+
+
+@pytest.mark.parametrize("variants", [1, 128, 256, 600, 1000, 3000, 100_000])
+def test_a_cell_has_rows_enough_for_a_share(variants: int) -> None:
+    count = bins_for(variants)
+    assert count % 4 == 0  # where ticks are
+    assert 4 <= count <= BINS
+    assert count == 4 or variants / count**2 >= 8
 
 
 def test_bands_are_quantiles_of_what_is_in_the_bin(study: Study, columns: Columns) -> None:
@@ -101,7 +109,7 @@ def test_ribbons_have_all_rows_that_are_done(study: Study, columns: Columns) -> 
 
 def test_controllers_are_compared_on_the_same_variants(study: Study, columns: Columns) -> None:
     binned, error = Binned.of(study, columns), worst_error(columns)
-    (pair,) = pairs(binned, error)
+    (pair,) = pairs(binned, error, columns)
     gain, mass = (columns.numbers(name)[::2] for name in study.columns[:2])
     mass = mass[gain >= 2.0]
     assert (pair.one, pair.other) == ("qp", "pseudoinverse")
@@ -109,6 +117,31 @@ def test_controllers_are_compared_on_the_same_variants(study: Study, columns: Co
     assert pair.only_one == ((mass >= 1.0) & (mass < 5.0)).sum()
     assert pair.neither == (mass >= 5.0).sum()
     assert pair.nearer == 0.0  # the second ends at half the distance
+
+
+def test_noise_and_broken_limits_make_nobody_nearer(study: Study, columns: Columns) -> None:
+    """The second ends at half the distance: nearer where it broke nothing and not both arrive."""
+
+    class Made:
+        def __init__(self, broken: int) -> None:
+            self.broken = broken
+
+        def numbers(self, name: str) -> np.ndarray:
+            return columns.numbers(name)
+
+        def codes(self, name: str) -> tuple[np.ndarray, list[str]]:
+            return np.full(len(columns), self.broken), ["", "left_1"]
+
+    binned, error = Binned.of(study, columns), worst_error(columns)
+    turned = error.reshape(-1, 2)[:, ::-1].ravel()
+    (pair,) = pairs(binned, turned, Made(0))  # type: ignore[arg-type]
+    gain, mass = (columns.numbers(name)[::2] for name in study.columns[:2])
+    assert pair.nearer == pytest.approx((mass[gain >= 2.0] >= 1.0).mean())
+    (pair,) = pairs(binned, turned, Made(1))  # type: ignore[arg-type]
+    assert pair.nearer == 0.0
+    close = np.where(np.arange(len(error)) % 2, 1.04, 1.0)
+    (pair,) = pairs(binned, close, Made(0))  # type: ignore[arg-type]
+    assert pair.nearer == 0.0
 
 
 def test_the_worst_rows_end_farthest(study: Study, columns: Columns) -> None:

@@ -16,7 +16,8 @@ from coopqp.study.sweep.space import Box
 from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.variant import DONE
 
-BINS = 16  # of an axis with numbers
+BINS, FEWEST_BINS = 16, 4  # of an axis with numbers
+ROWS_A_CELL = 8  # of a map and a controller, where there are enough variants
 LEVELS = 24  # values that are shown each by itself; of texts the most frequent
 MOST_AXES = 8  # on the page; the first ones
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -58,11 +59,38 @@ class Axis:
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
     logs = {one.path for one in study.varied if isinstance(one.over, Box) and one.over.grows}
-    found = (_axis(columns, name, log=name in logs) for name in study.columns)
+    count, ends = bins_for(study.points.count), _ends(study)
+    found = (
+        _axis(columns, name, log=name in logs, count=count, ends=ends.get(name))
+        for name in study.columns
+    )
     return [axis for axis in found if axis is not None and axis.count > 1][:MOST_AXES]
 
 
-def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
+def bins_for(variants: int) -> int:
+    """So many that a cell of a map has rows enough for a share; a multiple of four, for ticks."""
+    fitting = int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4
+    return min(BINS, max(FEWEST_BINS, fitting))
+
+
+def _ends(study: Study) -> dict[str, tuple[float, float]]:
+    """What the study says of the ends of a column; of logarithms, those."""
+    return {
+        name: (side.low, side.high)
+        for one in study.varied
+        if isinstance(one.over, Box)
+        for name, side in zip(one.columns, one.over.sides, strict=True)
+    }
+
+
+def _axis(
+    columns: Columns,
+    name: str,
+    *,
+    log: bool,
+    count: int = BINS,
+    ends: tuple[float, float] | None = None,
+) -> Axis | None:
     kind = columns.kinds[name]
     if kind == "string":
         return _texts(columns, name)
@@ -74,15 +102,12 @@ def _axis(columns: Columns, name: str, *, log: bool) -> Axis | None:
     if kind == "bool" or len(known) <= LEVELS:
         labels = tuple(("false", "true")[int(v)] if kind == "bool" else f"{v:.4g}" for v in known)
         return _with_null(Axis(name, labels, (), log, np.searchsorted(known, values)), there)
-    return _with_null(_even(name, values, there, log=log), there)
-
-
-def _even(name: str, values: Array, there: NDArray[np.bool_], *, log: bool) -> Axis:
-    """Bins of one width; only rows with a number have one."""
     shown = np.log10(values, where=there, out=np.zeros_like(values)) if log else values
-    edges = np.linspace(shown[there].min(), shown[there].max(), BINS + 1)
-    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, BINS - 1)
-    return Axis(name, (), tuple((10.0**edges if log else edges).tolist()), log, code)
+    low, high = ends or (float(shown[there].min()), float(shown[there].max()))
+    edges = np.linspace(low, high, count + 1)
+    code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, count - 1)
+    even = tuple((10.0**edges if log else edges).tolist())
+    return _with_null(Axis(name, (), even, log, code), there)
 
 
 def _with_null(axis: Axis, there: NDArray[np.bool_]) -> Axis:

@@ -12,23 +12,27 @@
   };
   const drawing = (parent, width, height, label) =>
     make(parent, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
-  const short = (x) => (x === 0 ? "0" : Math.abs(x) < 1e-3 || Math.abs(x) >= 1e5 ? x.toExponential(1) : String(+x.toPrecision(3)));
+  const short = (x) => (x === null ? "left out" : x === 0 ? "0" : Math.abs(x) < 1e-3 || Math.abs(x) >= 1e5 ? x.toExponential(1) : String(+x.toPrecision(3)));
   const bins = (axis) => axis.labels.length || axis.edges.length - 1;
-  const clipped = (text, most) => (text.length > most ? text.slice(0, most - 1) + "…" : text);
-  // From vermilion, none succeeds, over grey to blue, all do.
+  // Without its middle: names often differ at their ends.
+  const clipped = (text, most) => {
+    const head = Math.ceil((most - 1) / 2);
+    return text.length > most ? text.slice(0, head) + "…" + text.slice(text.length - (most - 1 - head)) : text;
+  };
+  // From sand, none succeeds, to dark brown, all do: ever darker, and no controller's colour.
   const mix = (a, b, t) => a.map((x, i) => Math.round(x + t * (b[i] - x)));
   const color = (share) => {
-    const low = [213, 94, 0], middle = [232, 230, 224], high = [0, 114, 178];
+    const low = [240, 228, 194], middle = [165, 132, 86], high = [52, 36, 14];
     const c = share < 0.5 ? mix(low, middle, 2 * share) : mix(middle, high, 2 * share - 1);
     return `rgb(${c})`;
   };
-  const ticks = (axis, length, step) => {
+  const ticks = (axis, length, step, most = 12) => {
     // Places along an axis, as shares of it, with their words.
     const n = bins(axis);
     const every = Math.max(1, Math.ceil(n * step / length));
     const found = [];
     if (axis.labels.length) {
-      for (let k = 0; k < n; k += every) found.push([(k + 0.5) / n, clipped(axis.labels[k], 12)]);
+      for (let k = 0; k < n; k += every) found.push([(k + 0.5) / n, clipped(axis.labels[k], most)]);
     } else {
       const apart = Math.max(every, n / 4);
       for (let k = 0; k <= n; k += apart) found.push([k / n, short(axis.edges[Math.round(k)])]);
@@ -74,7 +78,7 @@
     // One scale for all; what is far out of it runs to its edge.
     let low = Math.min(...all), high = Math.max(...all);
     if (high - low < 1e-9) { low -= 0.5; high += 0.5; }
-    const W = 560, H = 230, left = 62, top = 10, right = 26, bottom = 42;
+    const W = 560, H = 230, left = 74, top = 10, right = 26, bottom = 42;
     study.axes.forEach((axis, i) => {
       const n = bins(axis), svg = drawing(host, W, H, `${measure} by ${axis.name}`);
       const px = (k) => left + (k + 0.5) / n * (W - left - right);
@@ -93,11 +97,12 @@
         };
         area(0, 4, 0.12);
         area(1, 3, 0.2);
-        make(svg, "polyline", { points: known.map(([q, b]) => `${px(b)},${py(q[2])}`).join(" "), fill: "none", stroke: study.colors[k], "stroke-width": 2 });
+        make(svg, "polyline", { points: known.map(([q, b]) => `${px(b)},${py(q[2])}`).join(" "), fill: "none", stroke: study.colors[k], "stroke-width": study.widths[k], "stroke-dasharray": study.dashes[k] || "none" });
         if (axis.labels.length) known.forEach(([q, b]) => make(svg, "circle", { cx: px(b), cy: py(q[2]), r: 3, fill: study.colors[k] }));
       });
       for (const [at, word] of ticks(axis, W - left - right, 60)) make(svg, "text", { x: left + at * (W - left - right), y: H - bottom + 16, "text-anchor": "middle" }, word);
       make(svg, "text", { x: left + (W - left - right) / 2, y: H - 7, "text-anchor": "middle", class: "title" }, axis.name);
+      make(svg, "text", { x: 12, y: top + (H - top - bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 12 ${top + (H - top - bottom) / 2})` }, "m or rad");
     });
   };
 
@@ -119,12 +124,18 @@
     sides.forEach((side, s) => {
       make(svg, "line", { x1: px(s), x2: px(s), y1: top, y2: H - bottom, stroke: "#5a646d" });
       make(svg, "text", { x: px(s), y: 18, "text-anchor": "middle", class: "title" }, clipped(side.name, 22));
-      for (const [at, word] of ticks(side, H - top - bottom, 16)) {
+      for (const [at, word] of ticks(side, H - top - bottom, 16, 17)) {
         const label = make(svg, "text", { x: px(s) + 6, y: top + (1 - at) * (H - top - bottom) + 4, stroke: "#fff", "stroke-width": 3, "paint-order": "stroke" }, word);
         if (s === sides.length - 1) { label.setAttribute("x", px(s) - 6); label.setAttribute("text-anchor", "end"); }
       }
     });
   };
+
+  // A figure that cannot be drawn is replaced by words.
+  const drawn = (host, draw) => () => {
+    try { draw(); } catch (error) { byId(host).replaceChildren(`This figure could not be drawn (${error.message}).); }
+  };
+  const showMaps = drawn("maps", drawMaps), showBands = drawn("curves", drawBands), showFlows = drawn("ribbons", drawFlows);
 
   if (study.maps.length) {
     byId("map").hidden = false;
@@ -136,7 +147,7 @@
     // Each pair once; who chooses the same twice gets the other one turned.
     const chosen = (one, other) => () => {
       if (names.length > 1 && one.value === other.value) other.value = String((+one.value + 1) % names.length);
-      drawMaps();
+      showMaps();
     };
     across.addEventListener("change", chosen(across, up));
     up.addEventListener("change", chosen(up, across));
@@ -148,17 +159,17 @@
       scale.append(patch);
     }
     scale.append(" all do; white: no rows");
-    drawMaps();
+    showMaps();
   }
   if (study.axes.length) {
     byId("bands").hidden = false;
     const names = Object.keys(study.bands);
     names.forEach((name) => byId("measure").add(new Option(name, name)));
-    byId("measure").addEventListener("change", drawBands);
-    drawBands();
+    byId("measure").addEventListener("change", showBands);
+    showBands();
     if (study.flows.every((flow) => flow.length)) {
       byId("flows").hidden = false;
-      drawFlows();
+      showFlows();
     }
   }
 })();

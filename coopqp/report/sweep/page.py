@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from string import Template
@@ -11,13 +12,27 @@ import coopqp
 from coopqp.report.files import write_one
 from coopqp.report.page import breakable, script_json, text
 from coopqp.report.strict_json import finite
-from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from coopqp.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    OTHER_DASHES,
+    OTHER_WIDTHS,
+    PURPLE,
+    QP_WIDTH,
+    SKY,
+    VERMILION,
+    Style,
+)
 from coopqp.report.sweep.bins import Binned
 from coopqp.report.sweep.pairs import Pair, pairs, worst_error, worst_rows
 from coopqp.report.sweep.table import percent
+from coopqp.study.statistics.summary import AS_NEAR
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.variant import DONE
 
 HERE = Path(__file__).parent
 NAME = "report.html"
@@ -25,6 +40,7 @@ ROWS = "rows"  # folder with the scenarios of the worst rows
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 MOST_LIMITS = 12  # that are shown for each controller
 MARGIN = "limit_margin_min"
+WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 
 
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
@@ -81,6 +97,8 @@ def render(
     data = {
         "controllers": list(binned.controllers),
         "colors": [COLORS[k % len(COLORS)] for k in range(len(binned.controllers))],
+        "dashes": [_style(k).dash for k in range(len(binned.controllers))],
+        "widths": [_style(k).width for k in range(len(binned.controllers))],
         "axes": [axis.as_json() for axis in binned.axes],
         "maps": list(binned.maps()),
         "bands": {name: binned.bands(columns.numbers(name)) for name in (*measures, MARGIN)},
@@ -94,8 +112,12 @@ def render(
         facts=_facts(study, summary, missing),
         summary=_summary(summary),
         reasons=_reasons(summary),
-        paired=_paired(list(pairs(binned, worst_error(columns)))),
+        paired=_paired(list(pairs(binned, worst_error(columns), columns))),
         blocked="".join(_limits(line) for line in summary.lines),
+        legend="".join(
+            f"<span>{_style(k).swatch()} {breakable(name)}</span>"
+            for k, name in enumerate(binned.controllers)
+        ),
         worst="".join(
             _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
             for name, rows in zip(binned.controllers, worst, strict=True)
@@ -108,6 +130,13 @@ def render(
 
 def _read(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
+
+
+def _style(k: int) -> Style:
+    """The first lies under the others and each of these under the next."""
+    dashes, widths = ("", *OTHER_DASHES), (QP_WIDTH, *OTHER_WIDTHS)
+    color = COLORS[k % len(COLORS)]
+    return Style(color, dashes[k % len(dashes)], widths[min(k, len(widths) - 1)])
 
 
 def _facts(study: Study, summary: Summary, missing: int) -> str:
@@ -127,12 +156,19 @@ def _table(heads: Sequence[str], rows: Iterator[Sequence[str]] | Sequence[Sequen
     head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
     body = "".join(
         f'<tr><th scope="row" class="name">{row[0]}</th>'
-        + "".join(f"<td>{cell}</td>" for cell in row[1:])
+        + "".join(_cell(*pair) for pair in zip(others, row[1:], strict=True))
         + "</tr>"
         for row in rows
     )
     table = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return f'<div class="wide"><table class="summary">{table}</table></div>'
+    return f'<div class="wide"><table class="summary result">{table}</table></div>'
+
+
+def _cell(head: str, cell: str) -> str:
+    """With its heading, for pages that are too narrow for columns."""
+    words = re.sub(r"<[^>]*>", " ", head.replace("<wbr>", ""))
+    kind = ' class="words"' if head in WORDS else ""
+    return f'<td{kind} data-heading="{words.strip()}">{cell}</td>'
 
 
 def _summary(summary: Summary) -> str:
@@ -166,8 +202,10 @@ def _reasons(summary: Summary) -> str:
     )
     more = len(summary.reasons) - MOST_LIMITS
     rest = f"<li>and {more} other reasons</li>" if more > 0 else ""
+    done = any(line.states.get(DONE) for line in summary.lines)
+    said = "" if done else '<p class="hint"><b>No row is done</b>, so there are no figures.</p>'
     return (
-        "<details><summary>Why rows are not done</summary>"
+        f"{said}<details{'' if done else ' open'}><summary>Why rows are not done</summary>"
         f'<ul class="notes">{items}{rest}</ul></details>'
     )
 
@@ -185,7 +223,11 @@ def _paired(found: Sequence[Pair]) -> str:
         ]
         for p in found
     ]
-    return f"<section><h2>Controllers against each other</h2>{_table(heads, rows)}</section>"
+    hint = (
+        '<p class="hint">The first ends nearer where it broke no limit, one of the two misses a '
+        f"goal, and the other's error is more than {100.0 * (AS_NEAR - 1.0):.0f} % larger.</p>"
+    )
+    return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
 
 
 def _limits(line: Line) -> str:
@@ -214,7 +256,9 @@ def _worst(
     name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
 ) -> str:
     if not rows:
-        return f"<h3>{breakable(name)}</h3><p class='hint'>Every row that is done succeeds.</p>"
+        return (
+            f"<h3>{breakable(name)}</h3><p class='hint'>No row is done that does not succeed.</p>"
+        )
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
@@ -222,8 +266,13 @@ def _worst(
         [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
         for k, row in enumerate(rows)
     ]
-    heads = ["row", *(html.escape(column) for column in shown)]
-    return f"<h3>{breakable(name)}</h3>{_table(heads, table)}"
+    heads = ["row", *(_head(column) for column in shown)]
+    return f'<h3>{breakable(name)}</h3><div class="worst">{_table(heads, table)}</div>'
+
+
+def _head(name: str) -> str:
+    """A column's name, which may be broken after dots and underscores."""
+    return html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
 
 
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.report.sweep.bins import Binned
+from coopqp.study.statistics.summary import AS_NEAR
 from coopqp.study.sweep.columns import Columns
 
 WORST = 10
@@ -22,7 +23,8 @@ class Pair:
     Attributes:
         one, other: their names.
         both, only_one, only_other, neither: variants on which they succeed.
-        nearer: share of the variants on which the first ends nearer to its goals.
+        nearer: share of the variants on which the first ends nearer to its goals: it broke nothing,
+            one of the two misses a goal, and the errors differ by more than a margin.
     """
 
     one: str
@@ -46,18 +48,22 @@ def worst_error(columns: Columns) -> Array:
     return worst
 
 
-def pairs(binned: Binned, error: Array) -> Iterator[Pair]:
+def pairs(binned: Binned, error: Array, columns: Columns) -> Iterator[Pair]:
     """Every two controllers; rows of a variant follow each other, a controller each."""
     n = len(binned.controllers)
     if n < 2 or len(error) % n:
         return
     done, good = (truth.reshape(-1, n) for truth in (binned.done, binned.success > 0.0))
     far = error.reshape(-1, n)
+    reached = (columns.numbers("reached") > 0.0).reshape(-1, n)
+    codes, texts = columns.codes("broken")
+    whole = np.array([not text for text in texts] + [True])[codes].reshape(-1, n)
     for i, j in itertools.combinations(range(n), 2):
         both = done[:, i] & done[:, j]
         a, b = good[both, i], good[both, j]
         counts = [int(x.sum()) for x in (a & b, a & ~b, ~a & b, ~a & ~b)]
-        nearer = float((far[both, i] < far[both, j]).mean()) if both.any() else float("nan")
+        close = whole[:, i] & ~(reached[:, i] & reached[:, j]) & (AS_NEAR * far[:, i] < far[:, j])
+        nearer = float(close[both].mean()) if both.any() else float("nan")
         one, other = binned.controllers[i], binned.controllers[j]
         yield Pair(one, other, counts[0], counts[1], counts[2], counts[3], nearer)
 
