@@ -133,7 +133,7 @@
 
   // A figure that cannot be drawn is replaced by words.
   const drawn = (host, draw) => () => {
-    try { draw(); } catch (error) { byId(host).replaceChildren(`This figure could not be drawn (${error.message}).); }
+    try { draw(); } catch (error) { byId(host).replaceChildren(`This figure could not be drawn (${error.message}).`); }
   };
   const showMaps = drawn("maps", drawMaps), showBands = drawn("curves", drawBands), showFlows = drawn("ribbons", drawFlows);
 
