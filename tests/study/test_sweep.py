@@ -284,7 +284,7 @@ def test_the_command_runs_shows_and_tells(plate: Path) -> None:
     assert result.exit_code == 0
     assert "pseudoinverse" in result.output
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "<svg" not in page  # nothing a row
+    assert page.count("<svg") == 2  # the legend's, one a law; nothing a row
     told = json.loads(typed("sweep", out, "--table", "--json").stdout)
     assert {line["controller"] for line in told["lines"]} == {"qp", "pseudoinverse"}
     assert told["rows"] == 16
