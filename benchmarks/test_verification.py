@@ -24,7 +24,7 @@ from coopqp.study.tick_record import record_tick
 
 TICKS = 300
 TURNS = 61
-TARGET = 0.15  # of a tick
+TARGET = 0.25  # of a tick of the plain law
 
 
 def motion(law: QPLaw) -> Callable[[], None]:
