@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import os
 import signal
+import sys
 import threading
 import traceback
 import warnings
@@ -43,7 +45,9 @@ class Group(click.Group):
             with warnings.catch_warnings(), _terminable():
                 if not debug:  # numpy's on what overflows; what comes of it is checked and said
                     warnings.simplefilter("ignore", RuntimeWarning)
-                return super().invoke(ctx)
+                found = super().invoke(ctx)
+                sys.stdout.flush()  # what cannot be written is known now, and not when Python ends
+                return found
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
         except BaseException as error:  # noqa: BLE001 - the last resort; code of users may exit
@@ -64,10 +68,18 @@ def _ending(error: BaseException) -> tuple[int, str]:
     if isinstance(error, CoopqpError) and not isinstance(error, InternalError):
         return BAD_INPUT, "\n".join(f"error: {line}" for line in str(error).splitlines())
     if isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+        _drop_output()
         return BAD_INPUT, f"error: cannot write what the command prints: {error.strerror}"
     told = str(error) if isinstance(error, InternalError) else _said(error)
     line = f"error: {' '.join(told.split())}"
     return (BAD_INPUT, line) if _by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")
+
+
+def _drop_output() -> None:
+    """Send what is still in the buffer nowhere, or Python says so in its own words at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 @contextmanager
