@@ -59,17 +59,18 @@ class TaskInfo:
         asked = np.array([push[axis] / stiffness for _, axis, stiffness in self.springs])
         return np.array([np.linalg.norm(e - asked)])
 
-    def settled(self, error: Array, dt: float) -> Array:
-        """The errors that count as the end: the last; of a force the last ``SETTLED`` seconds.
 
-        And of that no more than the last fifth of its time.
+def settled(error: Array, unit: str, dt: float) -> Array:
+    """The errors that count as the end: the last; of a force the last ``SETTLED`` seconds.
 
-        Args:
-            error: up to the task's last instant.
-            dt: control period [s].
-        """
-        if self.unit not in FORCES:
-            return error[-1:]
-        first = self.rows.start or 0
-        ticks = min(round(SETTLED / dt), (len(error) - 1 - first) // 5)
-        return error[-max(ticks, 1) :]
+    And of that no more than the last fifth of its time.
+
+    Args:
+        error: at the instants for which the task counts.
+        unit: of the error.
+        dt: control period [s].
+    """
+    if unit not in FORCES:
+        return error[-1:]
+    ticks = min(round(SETTLED / dt), (len(error) - 1) // 5)
+    return error[-max(ticks, 1) :]

@@ -17,7 +17,7 @@ from coopqp.checked import Array
 from coopqp.row import Row
 from coopqp.signal import Course, Followed, Kind, Moment
 from coopqp.solver import Budget, Status
-from coopqp.task_end import TaskInfo
+from coopqp.task_end import TaskInfo, settled
 
 
 @dataclass(frozen=True)
@@ -354,7 +354,7 @@ class Trace:
         if self.pushed(k):
             rows = task.columns(self.task_rows)
             return task.beyond_springs(self.e[last, rows], self.signals["push"][last - 1])
-        return task.settled(self.task_error[: last + 1, k], self.dt)
+        return settled(self.task_error[task.rows.start : last + 1, k], task.unit, self.dt)
 
     def pushed(self, k: int) -> bool:
         """Whether task k is an impedance, and the plant pushes the object to its end."""

@@ -48,10 +48,10 @@ def strange_tick(
     return k, f"q[{name}]: found {q[k, joint]:g}, but it was moved to {told[k, joint]:g}"
 
 
-def parts_of_phases(scenario: Scenario) -> set[str]:
-    """Names of all parts of all tasks, as a trace has them."""
+def units_of_parts(scenario: Scenario) -> dict[str, str]:
+    """The unit of each part of each task, by its name in a trace."""
     return {
-        f"{phase.name}.{part.name}" if scenario.phases else part.name
+        f"{phase.name}.{part.name}" if scenario.phases else part.name: part.part.unit
         for phase in scenario.schedule
         for part in parts_of(phase.tasks, scenario.chain)
     }

@@ -24,7 +24,8 @@ from coopqp.signal import Course, Followed
 from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
-from coopqp.study.trace_checks import parts_of_phases, strange_tick
+from coopqp.study.trace_checks import strange_tick, units_of_parts
+from coopqp.task_end import settled
 from coopqp.trace import InputTrace, no_input
 
 #: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
@@ -147,14 +148,18 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
     if wrong:
         k, words = wrong
         raise CoopqpError(f"{rows[k].place}: {words}; {OTHER}")
-    if missing := sorted(parts_of_phases(held) - {name for row in rows for name in row.errors}):
+    units, errors = units_of_parts(held), _errors(rows)
+    if missing := sorted(units.keys() - errors.keys()):
         raise CoopqpError(f"{rows[0].header}: has no error of '{missing[0]}'; {OTHER}")
     return Recording(
         controller=controller,
         q=q,
         v=v,
         status=tuple(row.causes for row in rows[:-1]),
-        errors=_last_errors(rows),
+        errors={
+            name: float(settled(np.array(found), units.get(name, ""), held.dt).max())
+            for name, found in errors.items()
+        },
         tau=np.array(tau),
         inputs=_inputs(rows[:-1], held),
         place=rows[0].header,
@@ -196,11 +201,12 @@ def _torques(row: _Row, joints: Sequence[str]) -> list[float]:
     return [row.number(f"tau[{j}]") if row.cells.get(f"tau[{j}]") else 0.0 for j in joints]
 
 
-def _last_errors(rows: Sequence[_Row]) -> dict[str, float]:
-    """Each task's error at the end of the time for which it counts."""
-    found: dict[str, float] = {}
+def _errors(rows: Sequence[_Row]) -> dict[str, list[float]]:
+    """Each task's errors at the instants for which it counts."""
+    found: dict[str, list[float]] = {}
     for row in rows:
-        found |= row.errors
+        for name, error in row.errors.items():
+            found.setdefault(name, []).append(error)
     return found
 
 

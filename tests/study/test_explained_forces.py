@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from explained import explained
 
 import coopqp
@@ -17,6 +18,7 @@ from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import recording_from_trace
+from coopqp.tasks import InternalWrench
 
 
 def lifted(**settings: object) -> Scenario:
@@ -71,3 +73,20 @@ def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of(tmp_path: Pa
 
 def test_an_object_that_is_held_is_explained_as_ever() -> None:
     assert explained(lifted(), "torque_qp").kind != "lost"
+
+
+def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
+    """A force that swings by 3.9 N, and passes what was asked for in the last sample."""
+    pressing = InternalWrench(name="press", squeeze=120.0)
+    scenario = lifted(tasks=(*lifted().tasks, pressing))
+    trace = coopqp.run(scenario, controller="torque_qp")
+    (k,) = (k for k, task in enumerate(trace.tasks) if task.name == "press")
+    error = trace.task_error.copy()
+    error[:, k] = np.abs(3.9 * np.sin(2.0 * np.pi * (trace.t - trace.t[-1]) / 0.05))
+    trace = replace(trace, task_error=error)
+    path = tmp_path / "trace.csv"
+    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    read = recording_from_trace(path, scenario, "torque_qp").errors
+    own = dict(zip((task.name for task in trace.tasks), trace.final_error.tolist(), strict=True))
+    assert read == pytest.approx(own, rel=1e-5)
+    assert read["press"] == pytest.approx(3.9, rel=0.02)

@@ -2,9 +2,7 @@
 
 A recorded run does not tell forces, so it is made again. The hands are named whose contacts were
 the first at the end of what they bear, without a break until something had slipped by SLIPPED:
-
-    edge        |t_x| = Y f_z or |t_y| = X f_z, the pressure is at the pad's edge
-    friction    else, all the friction that there is has been needed
+at the pad's edge, or else with all the friction that there is needed.
 
 What would hold it is tried: more friction, or more of what the controller presses with.
 """
@@ -17,9 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_loop.hands import hands, into_contacts
-from coopqp.contact import NO_CONTACT
+from coopqp.closed_loop.hands import hands
 from coopqp.controller import Controller
 from coopqp.controller_run import controller_of, run
 from coopqp.errors import CoopqpError
@@ -98,26 +94,17 @@ def _culprits(scenario: Scenario, trace: Trace, leg: Leg, tick: int) -> str:
 
 def _used_up(scenario: Scenario, trace: Trace, leg: Leg, k: int) -> list[tuple[str, str]]:
     """The hands in which a contact is at the end of what it bears in a tick, and what ends it."""
-    robot, held = [arm.name for arm in scenario.robot_model.arms], hands(leg.problem.chain)
-    found = []
-    for hand, R in zip(held, into_contacts(held, trace.rotation[k + 1]), strict=True):
+    robot, found = [arm.name for arm in scenario.robot_model.arms], []
+    friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
+    for hand in hands(leg.problem.chain):
         if hand.contact is None:
             continue
         i = robot.index(hand.arm)
-        h = trace.signals["hand_wrench"][k].reshape(-1, 6)[i]
-        w = np.concatenate([R @ h[:3], R @ h[3:]])
-        use = float(trace.signals["friction_use"][k][i])
-        if w[2] > NO_CONTACT and _edge(w, hand.contact.half_lengths) >= TIPS:
+        if edge[i] >= TIPS:
             found.append((hand.arm, "the pressure reaches the pad's edge"))
-        elif not use < TIPS:  # NaN: nothing presses there
+        elif not friction[i] < TIPS:  # NaN: nothing presses there
             found.append((hand.arm, _short(hand.contact.friction, scenario.disturbance.friction)))
     return found
-
-
-def _edge(w: Array, half: tuple[float, float]) -> float:
-    """How near the pressure is to the pad's edge; 0 for a fingertip."""
-    X, Y = half
-    return max(abs(w[3]) / (Y * w[2]), abs(w[4]) / (X * w[2])) if X and Y else 0.0
 
 
 def _short(friction: float, factor: float) -> str:
