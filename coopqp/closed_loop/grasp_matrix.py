@@ -32,8 +32,6 @@ from numpy.typing import ArrayLike
 from coopqp.checked import Array
 from coopqp.errors import InvalidValueError
 
-#: Inertia of a virtual hand over its mass: what moves with it is about a hand's size [m2].
-HAND_INERTIA = 0.01
 #: Shares sum to one within this.
 SHARE_SUM = 1e-9
 
