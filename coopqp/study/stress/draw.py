@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,14 +137,15 @@ def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Tas
 
 
 def _secondary(rng: np.random.Generator, chain: ClosedChain, *, planar: bool) -> tuple[Task, ...]:
-    posture = chain.sample(rng, 1)[0].tolist()
-    choices: list[Task] = [
-        JointCentering(gain=0.5),
-        Posture(goal=posture, gain=1.0, profile=goals.profile(rng)),
-        MinimumVelocity(priority=int(rng.integers(0, 2))),
-        Manipulability(axes=("x", "y") if planar else ("x", "y", "z"), gain=0.5),
+    posture, profile = chain.sample(rng, 1)[0].tolist(), goals.profile(rng)
+    level = int(rng.integers(0, 2))
+    builders: list[Callable[[], Task]] = [
+        lambda: JointCentering(gain=0.5),
+        lambda: Posture(goal=posture, gain=1.0, profile=profile),
+        lambda: MinimumVelocity(priority=level),
+        lambda: Manipulability(axes=("x", "y") if planar else ("x", "y", "z"), gain=0.5),
     ]
-    return tuple(task for task in choices if rng.random() < 0.25)
+    return tuple(build() for build in builders if rng.random() < 0.25)
 
 
 def _limits(
