@@ -160,6 +160,8 @@ class _Rows:
         """Tasks that cannot hold together, limits or not; none where they can."""
         possible = [i for i in range(len(wanted)) if i not in self.impossible]
         owners = tuple(dict.fromkeys(self._owners[i] for i in possible))
+        if len(owners) < 2:
+            return ()
         A, b = self._loops
 
         def fails(some: tuple[str, ...]) -> bool:
