@@ -5,6 +5,8 @@ They leave Ctrl-C and SIGTERM to the process that started them, and end when tha
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import re
 import signal
@@ -116,6 +118,7 @@ def _leave_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    atexit.register(gc.freeze)  # who ends need not look for cycles in all that is imported
 
 
 def _said(error: BaseException) -> str:
