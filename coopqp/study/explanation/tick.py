@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.rank import null_space
@@ -187,6 +186,8 @@ def _spanned(basis: Array, row: Array) -> Array | None:
 
 def _relax(tick: Asked, J: Array, wanted: Array) -> Array | None:
     """R of [lb; ub; h], or None when no relaxation helps."""
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
     n, p = len(tick.v), len(tick.h)
     equal = np.vstack([tick.A, J])
     zeros = np.zeros((len(equal), 2 * n + p))
