@@ -279,10 +279,10 @@ class ClosedChain:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        return self.once(_units)
+        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
@@ -355,10 +355,6 @@ class ClosedChain:
                 [[*(X.translation - X_0.translation), *pin.log3(X.rotation @ X_0.rotation.T)]
                  for X in others]
             )  # fmt: skip
-
-
-def _units(chain: ClosedChain) -> tuple[str, ...]:
-    return joint_units(chain.model)
 
 
 def _spare(chain: ClosedChain) -> list[pin.Data]:
