@@ -201,9 +201,9 @@ def memory_sizes(
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     return {
-        "stopped": 1, "soft": 1, "pull": 1, "recovery": 1, "swing": 1,
+        "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
         "missing": scaled, "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}),
+        **(squeezer.memory_sizes if squeezer else {}), "swing": 1,
     }  # fmt: skip
 
 
