@@ -341,14 +341,18 @@ class ClosedChain:
     def _closed_near(self, q: Array) -> Array | None:
         """The configuration with the loops closed that Newton's method finds; None if none."""
         for _ in range(WALK_NEWTON):
-            gap = self._loop_error(q)
+            gap = self.loop_error(q)
             if np.linalg.norm(gap) < WALK_CLOSED:
                 return q
             q = q - np.linalg.lstsq(self.loop_jacobian(q), gap, rcond=WALK_TOLERANCE)[0]
         return None
 
-    def _loop_error(self, q: Array) -> Array:
-        """Positions and rotation vectors from how arm 0 to how the others carry it, (6 L,)."""
+    def loop_error(self, q: Array) -> Array:
+        """How far each closed loop is open: position, rotation vector, as in ``State.loop_error``.
+
+        Args:
+            q: configuration, shape (n,).
+        """
         with self._data() as data:
             X_0, *others = self._carried(q, data)[: self.holding]
             return np.concatenate(

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array, Vector3, unit
-from coopqp.geometry import PointInReference, Reference, polar
+from coopqp.geometry import Reference, polar
 from coopqp.profile import KINDS, Profile
 from coopqp.state import State
 
@@ -98,7 +98,7 @@ class Primitive:
             "profile": profile_numbers(self.profile),
             "point": np.array(self.point, float),
             "axis": np.array(self.axis, float),
-            "e_start": np.resize(np.append(self.e_start, np.zeros(3)), 3),
+            "e_start": np.array([*self.e_start, 0.0, 0.0, 0.0][:3]),
             "phi": np.array(self.phi, float),
             "Q_start": np.ascontiguousarray(self.Q_start, float),
             "length": float(self.length),
@@ -209,7 +209,5 @@ def rotation(
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     """Where a point is at the start, in the reference's axes."""
-    seen = PointInReference(p_O, reference, start.chain.n)
     reference.update(start)
-    seen.update(start)
-    return seen.x
+    return reference.RT.dot(start.point(np.array(p_O)) - reference.c)

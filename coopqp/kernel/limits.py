@@ -49,7 +49,7 @@ class Limits:
                     self.q_measured = np.full(chain.n, np.nan)
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
-                self.rows += len(limit.rows(chain))
+                self.rows += program.rows
         if filled := [limit for limit, program in known if program is None]:
             self.filled = Bounds(chain, filled, start, dt)
             self.rows += len(self.filled.rows)
