@@ -18,7 +18,7 @@ zero, but it still has an object frame, where the object would be if it held it.
 from __future__ import annotations
 
 import copy
-import itertools
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -110,6 +110,7 @@ class ClosedChain:
             matters to the dynamics alone, which add it).
         q_start: configuration with the passive joints in it, shape (n,).
         start_position: of the object at the start, shape (3,) [m].
+        joint_units: of each joint's coordinate: "m" where it slides, else "rad".
         frames: the object frame as carried by each arm, ids into model.frames.
         loops: the independent loop rows.
         lower, upper: position limits, shape (n,) [rad, m]; infinite where there are none.
@@ -126,6 +127,7 @@ class ClosedChain:
         self.mixing = _mixing_matrix(self.alpha)
         self.model, self.frames = hold.model()
         self.n: int = self.model.nv
+        self.joint_units = joint_units(self.model)
         robots_own = self.robot.joint_names
         self.passive = np.array(
             [i for i, name in enumerate(self.joint_names) if name not in robots_own], int
@@ -265,7 +267,7 @@ class ClosedChain:
             carried = self._carried(self.q_start, data)
             for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
                 places = [*(data.oMi[j].translation for j in joints), X.translation]
-                way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
+                way = sum(math.sqrt(d.dot(d)) for d in np.diff(places, axis=0))
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -278,11 +280,6 @@ class ClosedChain:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
-
-    @cached_property
-    def joint_units(self) -> tuple[str, ...]:
-        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
