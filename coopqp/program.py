@@ -22,6 +22,7 @@ from coopqp.profile import KINDS, Profile
 from coopqp.state import State
 
 AT_ONCE = Profile(kind="step")
+WORLD = Reference()  # at rest, so that nobody ever writes to it
 
 
 class Kind(IntEnum):
@@ -67,7 +68,7 @@ class Primitive:
 
     kind: Kind
     rows: tuple[int, ...]
-    reference: Reference = field(default_factory=Reference)
+    reference: Reference = WORLD
     profile: Profile = AT_ONCE
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
@@ -198,11 +199,11 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 
 def rotation(
-    goal: Array, profile: Profile, Q_start: Array, reference: Reference | None = None
+    goal: Array, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
     """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
     return Primitive(
-        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference or Reference(), profile=profile,
+        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile,
         phi=np.asarray(pin.log3(goal @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
     )  # fmt: skip
 
