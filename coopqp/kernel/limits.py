@@ -42,7 +42,7 @@ class Limits:
         self.filled: Bounds | None = None
         self.q_measured: Array | None = None
         self.rows = 0
-        for limit, program in known:
+        for _, program in known:
             if isinstance(program, JointBounds):
                 self.joints.append(flat_joint_limit(program))
                 if program.of is Bounded.LEAD:
