@@ -249,7 +249,10 @@ class ClosedChain:
     def _data(self) -> Iterator[pin.Data]:
         """Pinocchio's memory for one computation; used again, for its pages cost more than that."""
         spare = self.once(_spare)
-        data = spare.pop() if spare else self.model.createData()
+        try:
+            data = spare.pop()
+        except IndexError:  # asked for, not looked for: another thread may take it in between
+            data = self.model.createData()
         try:
             yield data
         finally:
@@ -345,11 +348,7 @@ class ClosedChain:
         return None
 
     def loop_error(self, q: Array) -> Array:
-        """How far each closed loop is open: position, rotation vector, as in ``State.loop_error``.
-
-        Args:
-            q: configuration, shape (n,).
-        """
+        """What ``State.loop_error`` is at q, of the closed loops alone, shape (6 L,)."""
         with self._data() as data:
             X_0, *others = self._carried(q, data)[: self.holding]
             return np.concatenate(

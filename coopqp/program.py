@@ -211,4 +211,4 @@ def rotation(
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     """Where a point is at the start, in the reference's axes."""
     reference.update(start)
-    return reference.RT.dot(start.point(np.array(p_O)) - reference.c)
+    return reference.RT @ (start.point(np.array(p_O)) - reference.c)

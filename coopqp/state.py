@@ -245,7 +245,7 @@ class State:
         Args:
             p_O: the point in the object frame, shape (3,) [m].
         """
-        return self.p_WO + self.R_WO.dot(p_O)
+        return self.p_WO + self.R_WO @ p_O
 
     def joint_pose(self, joint: int) -> pin.SE3:
         """Pose of the frame of a joint in the world, up to date.

@@ -140,7 +140,8 @@ def _carrying(chain: ClosedChain) -> tuple[Array, Array, Array]:
         columns = [model.idx_vs[joint] for joint in joints]
         carries[np.ix_([i], columns, columns)] = np.triu(np.ones((len(columns),) * 2))
     down = np.ascontiguousarray(carries.transpose(0, 2, 1))
-    return np.linalg.inv(chain.mixing), down, carries - carries * np.eye(chain.n)
+    unmix = np.asarray(np.linalg.inv(chain.mixing), float)
+    return unmix, down, carries - carries * np.eye(chain.n)
 
 
 def _regular(matrix: Array) -> Array:
