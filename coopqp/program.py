@@ -211,4 +211,5 @@ def rotation(
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     """Where a point is at the start, in the reference's axes."""
     reference.update(start)
-    return reference.RT @ (start.point(np.array(p_O)) - reference.c)
+    seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
+    return seen
