@@ -81,7 +81,7 @@ class WayBack:
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]
-        extra = self._damping.of(state.chain.reach * pull[0])
+        extra = self._damping.of(state.chain.reach * pull[0], state)
         level.assemble(state, bounds, extra + self._damping.of_drift(state, kappa))
         level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
         level.qp.q[: len(wish)] = -wish * outside

@@ -39,27 +39,30 @@ Placement somewhere(Random& random, double size) {
 
 // Everything that Python would own.
 struct Owner {
-    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing;
+    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing, swing;
     void bind(Kernel& k, int n, int arms, int levels) {
         for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
         for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
         p.assign(3, 0.0);
         R.assign(9, 0.0);
         pulls.assign(std::size_t(levels), 0.0);
-        hard.assign(1, 0.0);
+        for (auto* a : {&hard, &swing}) a->assign(1, 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
-                   error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data()};
+                   error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data(),
+                   swing.data()};
     }
 
-    void remember(const std::vector<double>& old_pulls, const std::vector<double>& old_hard,
-                  const std::vector<double>& old_missing, Kernel& k) {
-        pulls = old_pulls;
-        hard = old_hard;
-        missing = old_missing;
+    // What a tick remembers of the one before, as another owner has it.
+    void remember(const Owner& of, Kernel& k) {
+        pulls = of.pulls;
+        hard = of.hard;
+        missing = of.missing;
+        swing = of.swing;
         k.bound.later_pulls = pulls.data();
         k.bound.hard_pull = hard.data();
         k.bound.missing = missing.data();
+        k.bound.swing = swing.data();
     }
 };
 
@@ -340,8 +343,7 @@ int main(int count, char** given) {
                 c.owner.v_last[j] = c.owner.v[j];
             }
 #ifdef COOPQP_FAULTS
-            const std::vector<double> pulls = c.owner.pulls, missing = c.owner.missing;
-            const std::vector<double> hard = c.owner.hard;
+            const Owner before = c.owner;
             const Status well = c.tick(0.01 * k + 0.01);
             proofs += well == Status::Infeasible;
             if (well != Status::Optimal) break;
@@ -352,7 +354,7 @@ int main(int count, char** given) {
                 if (Fault(kind) == Fault::StaleFactor) (void)c.tick(0.0);
                 if (Fault(kind) == Fault::StaleFactor)
                     for (double& x : c.owner.q) x -= 0.02;
-                c.owner.remember(pulls, hard, missing, *c.kernel);
+                c.owner.remember(before, *c.kernel);
                 injected = Fault(kind);
                 const Status seen = c.tick(0.01 * k + 0.01);
                 injected = Fault::None;
@@ -372,7 +374,7 @@ int main(int count, char** given) {
                                 k, kind, off);
                 }
             }
-            c.owner.remember(pulls, hard, missing, *c.kernel);
+            c.owner.remember(before, *c.kernel);
 #endif
         }
         wrong += garbage(random, c) + wrong_survey(random);

@@ -87,7 +87,7 @@ class Kernel {
     Status solve(double kappa) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
-        damping_.begin(last_);
+        damping_.begin(last_, bound.swing[0]);
         aim_loops(kappa);
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
@@ -105,6 +105,7 @@ class Kernel {
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
         for (std::size_t l = 1; l < levels.size(); l++) bound.later_pulls[l - 1] = pulls_[l];
         if (levels[0].exact) bound.hard_pull[0] = pulls_[0];
+        bound.swing[0] = damping_.swing_after(v_, bound.swing[0], m_->blocks);
         for (int k = 0; k < shares_.count(); k++) bound.missing[k] = 1.0 - shares_.share(k);
         return share < 1.0 ? Status::Shortened : Status::Optimal;
     }
@@ -176,14 +177,21 @@ class Kernel {
         if (fault(Fault::ActiveForgotten)) constraints.nearest.active = 0;
         copy(V_, check_.V, 2);
         Outcome outcome = check_.judge(l, first, d, v_, before_, constraints);
-        if (outcome.status == Status::Optimal && outcome.off > SHORT_OF_DIGITS)
-            outcome = refined(l, first, d, outcome);
+        if (is_short(outcome)) outcome = refined(l, first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
+        shorten_level(damping_.step_of(l, bound));
         return outcome.status;
     }
 
+    // Whether nothing is wrong with an answer but its last digits. Where rows do not hold to the last
+    // digit, something else is.
+    static bool is_short(const Outcome& found) {
+        if (found.status == Status::Optimal) return found.off > SHORT_OF_DIGITS;
+        return found.status == Status::Inaccurate && found.gap <= SHORT_OF_DIGITS;
+    }
+
     // The outcome after the rest of the way to the optimum, which the gradient that the check has
-    // left tells. What is worse than before is taken back. What the check refuses is not mended.
+    // left tells, judged anew. What is worse than before is taken back.
     Outcome refined(int l, int first, double d, const Outcome& found) {
         copy(kept_v_, v_, m_->blocks);
         copy(kept_V_, check_.V, 2);
@@ -196,6 +204,15 @@ class Kernel {
         copy(check_.V, kept_V_, 2);
         shares_.take_back();
         return found;
+    }
+
+    // Make a share of a level's step.
+    void shorten_level(double share) {
+        if (share == 1.0) return;
+        for (int b = 0; b < m_->blocks; b++)
+            lanes(v_)[b] = lanes(before_)[b] + share * (lanes(v_)[b] - lanes(before_)[b]);
+        for (int b = 0; b < 2; b++)
+            lanes(check_.V)[b] = lanes(V_)[b] + share * (lanes(check_.V)[b] - lanes(V_)[b]);
     }
 
     // A Newton step of a level, with the limits active that are.

@@ -57,6 +57,7 @@ struct Bound {
     double* later_pulls = nullptr;
     double* hard_pull = nullptr;
     double* missing = nullptr;  // what each share lacks to 1
+    double* swing = nullptr;    // how much more damping there is because joints swung back
 };
 
 }  // namespace coopqp
