@@ -7,9 +7,13 @@ Python API, with one set of checks and one JSON Schema.
 
 from __future__ import annotations
 
+import ast
 import functools
+import inspect
+import itertools
 import math
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Annotated, Any, TypeVar, cast
@@ -32,7 +36,36 @@ FARTHEST = 1e4
 """No robot is farther from anything than this [m], and no joint has turned more [rad]; rounding
 would be all that is left of a motion."""
 
-CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+def _explain(schema: dict[str, Any], cls: type) -> None:
+    """Say in a JSON Schema what the class says of its keys.
+
+    Pydantic's own ``use_attribute_docstrings`` reads the source of every class at its import.
+    """
+    words = told(cls)
+    for key, value in schema.get("properties", {}).items():
+        if key in words:
+            value["description"] = words[key]
+
+
+def told(cls: type) -> dict[str, str]:
+    """What the docstring under each field says, of the class that has it or a base; from source.
+
+    Args:
+        cls: a class; one whose source is not to be had says nothing.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        with suppress(OSError, TypeError):
+            (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+            for field, words in itertools.pairwise(getattr(node, "body", [])):
+                match field, words:
+                    case ast.AnnAssign(ast.Name(key)), ast.Expr(ast.Constant(str(text))):
+                        found[key] = inspect.cleandoc(text)
+    return found
+
+
+CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra=_explain)
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Field,))

@@ -115,6 +115,19 @@ def survey(
     return Survey(chain, levels, points)
 
 
+def loop_survey(chain: ClosedChain) -> Survey | None:
+    """What looks at the object and the loops alone, wherever the chain starts; None as above.
+
+    Args:
+        chain: the closed chain.
+    """
+    return chain.once(_loop_survey)
+
+
+def _loop_survey(chain: ClosedChain) -> Survey | None:
+    return survey(chain, (), State(chain), ())
+
+
 def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:
     """Joint origins and hand of each arm, base first, as :func:`survey` takes them."""
     found: dict[str, list[tuple[int, Any]]] = {}

@@ -9,7 +9,7 @@ import pytest
 from coopqp.closed_loop.many_poses import angles, carried, loop_errors
 from coopqp.scenario.loader import load
 from coopqp.state import State
-from coopqp.study.stress import arrangements
+from coopqp.study.stress import arrangements, driving
 
 COUNT = 20
 
@@ -25,6 +25,9 @@ def test_poses_and_loop_errors_are_pinocchios(name: str, grasp: str) -> None:
     q = np.vstack([chain.q_start, chain.sample(rng, COUNT)])
     data = chain.model.createData()
     found, (apart, turned) = carried(chain, q), loop_errors(chain, q)
+    compiled_apart, compiled_turned = driving.loop_errors(chain, q)
+    np.testing.assert_allclose(compiled_apart, apart, atol=1e-13)
+    np.testing.assert_allclose(compiled_turned, turned, atol=1e-9)
     for k, row in enumerate(q):
         pin.framesForwardKinematics(chain.model, data, row)
         for frame, (R, p) in zip(chain.frames, found, strict=True):

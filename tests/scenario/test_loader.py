@@ -135,6 +135,21 @@ def test_the_schema_covers_every_plug_in() -> None:
             assert f'"{name}"' in text
 
 
+def test_the_schema_says_what_every_key_means() -> None:
+    """In the words of the docstring under the field, which may be a base's."""
+    kinds = file_model(Catalog()).model_json_schema()["$defs"]
+    silent = [
+        f"{kind}.{key}"
+        for kind, schema in kinds.items()
+        for key, shown in schema.get("properties", {}).items()
+        if not shown.get("description")
+    ]
+    assert silent == []
+    said = {key: shown["description"] for key, shown in kinds["PointOnPlane"]["properties"].items()}
+    assert said["through"] == "A point of the plane at the start, in the world [m]."
+    assert said["gain"] == "How fast the error decays [1/s]; at most 1/dt."
+
+
 def test_a_solver_can_be_changed_by_name() -> None:
     scenario = load("point_on_point")
     assert with_solver(scenario, "osqp").solver_name == "osqp"
@@ -172,6 +187,8 @@ class HoldHeight(Task):
 def test_a_users_task_is_one_file(tmp_path: Path) -> None:
     (tmp_path / "hold_height.py").write_text(USERS_TASK, encoding="utf-8")
     catalog = Catalog((tmp_path,))
+    keys = file_model(catalog).model_json_schema()["$defs"]["HoldHeight"]["properties"]
+    assert keys["height"]["description"] == "Above the torso [m]."
     text = GOOD.split("tasks:", 1)[0] + "tasks:\n  - hold_height: {height: 0.06}\nduration: 2\n"
     from coopqp.controller_run import run
 

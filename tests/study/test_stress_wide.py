@@ -23,9 +23,17 @@ from coopqp.report import table
 from coopqp.solver import Budget, Status
 from coopqp.state import State
 from coopqp.study.engine import Engine
-from coopqp.study.stress import Rollout, arrangements, one_rollout, signs, stress, summarize
+from coopqp.study.stress import (
+    Rollout,
+    arrangements,
+    driving,
+    one_rollout,
+    signs,
+    stress,
+    summarize,
+)
 from coopqp.study.stress.draw import LAW, draw
-from coopqp.study.stress.driving import MOST, drive_on, record_of
+from coopqp.study.stress.driving import MOST, ROUND, drive_on, record_of
 from coopqp.study.stress.ending import PartErrors, ending, way_back
 from coopqp.study.stress.goals import pick
 from coopqp.study.stress.signs import Record
@@ -276,3 +284,16 @@ def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code: int, word: st
     assert process.returncode == code
     assert out == ""
     assert err.strip() == word
+
+
+def test_pinocchio_sees_loops_that_the_kernels_kinematics_do_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After each round of a run, whatever is said of all its ticks."""
+    monkeypatch.setattr(driving, "loop_errors", lambda chain, q: np.zeros((2, len(q))))
+    law = LAW.build(drawn(next(s for s in range(100) if drawn(s).robot == "baxter")).problem)
+    state, record = law.start(), record_of(law.problem)
+    drive_on(law, state, record, PartErrors(law.problem))
+    seen = [State(law.problem.chain, q) for q in record.q[ROUND::ROUND]]
+    assert record.loop_position == max(s.loop_position_error for s in seen) > 0.0
+    assert record.loop_orientation == max(s.loop_orientation_error for s in seen) > 0.0

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -122,6 +121,8 @@ def speed_needed(leg: Leg, k: int, rows: slice) -> float:
     Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
     under J_c v = 0 and J v = wanted.
     """
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
     look = Ticks(leg)
     look.look(k)
     J, most = look.stack.J[rows], leg.problem.chain.velocity

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from coopqp.checked import Array
 from coopqp.row import Row
@@ -45,6 +44,8 @@ def forces(pull: Array, ways: Sequence[Array]) -> Array:
     """
     if not ways:
         return np.zeros(0)
+    from scipy.optimize import nnls  # which takes a sixth of a second to come
+
     columns = np.column_stack(ways)
     mu, _ = nnls(columns, pull)
     return np.asarray(mu * np.linalg.norm(columns, axis=0), float)

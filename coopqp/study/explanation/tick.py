@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.rank import null_space
@@ -160,6 +159,8 @@ class _Rows:
         """Tasks that cannot hold together, limits or not; none where they can."""
         possible = [i for i in range(len(wanted)) if i not in self.impossible]
         owners = tuple(dict.fromkeys(self._owners[i] for i in possible))
+        if len(owners) < 2:
+            return ()
         A, b = self._loops
 
         def fails(some: tuple[str, ...]) -> bool:
@@ -185,6 +186,8 @@ def _spanned(basis: Array, row: Array) -> Array | None:
 
 def _relax(tick: Asked, J: Array, wanted: Array) -> Array | None:
     """R of [lb; ub; h], or None when no relaxation helps."""
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
     n, p = len(tick.v), len(tick.h)
     equal = np.vstack([tick.A, J])
     zeros = np.zeros((len(equal), 2 * n + p))

@@ -58,7 +58,8 @@ def grasps_of(name: str) -> tuple[str, ...]:
 @cache
 def chain(name: str, grasp: str) -> ClosedChain:
     """The closed chain of an arrangement, at its scenario's start."""
-    held = _scenario(name) if grasp == "its own" else _held(_scenario(name), grasp)
+    own = _scenario({**OWN, **INSTALLED}[name])
+    held = own if grasp == "its own" else _held(own, grasp)
     if name not in RELEASED:
         return held.chain
     return held.chain.handed_over(held.chain.q_start, RELEASED[name])
@@ -66,7 +67,7 @@ def chain(name: str, grasp: str) -> ClosedChain:
 
 @cache
 def _scenario(name: str) -> Scenario:
-    return load({**OWN, **INSTALLED}[name], _catalog())
+    return load(name, _catalog())
 
 
 @cache

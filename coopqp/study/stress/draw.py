@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,12 +87,22 @@ def draw(seed: int, solver: Solver = DAQP) -> Draw:
     )
 
 
-def walk(rng: np.random.Generator, chain: ClosedChain, *, outside: bool) -> Array:
-    """Where a random walk along the loops ends: inside the limits, or as soon as it is outside."""
+def walk(
+    rng: np.random.Generator, chain: ClosedChain, *, outside: bool = False, stay: bool = False
+) -> Array:
+    """Where a random walk along the loops ends: inside the limits, or as soon as it is outside.
+
+    Args:
+        rng: of which as many numbers are drawn for a walk that stays where it begins.
+        chain: the closed chain.
+        outside: whether to look for the outside.
+        stay: whether to stay; for those who have no use for a walk inside.
+    """
     q, go = chain.q_start.copy(), slide(chain) or _slide(chain)
     direction = rng.normal(size=chain.n)
+    steps = FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))
     inside = q.copy()
-    for _ in range(FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))):
+    for _ in range(0 if stay else steps):
         if not 0.0 <= go(q, direction, WALK, NEWTON) <= OPEN:
             return inside
         beyond = np.maximum(chain.lower - q, q - chain.upper).max()
@@ -126,24 +137,25 @@ def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Tas
     """One to four; in half of the draws all belong to one pose that the arms reach."""
     kinds = [k for k in goals.BUILDERS if k != "relative_motion" or chain.holding < len(chain.arms)]
     reach = rng.random() < 0.5
-    X = chain.object_pose(walk(rng, chain, outside=False))
+    X = chain.object_pose(walk(rng, chain, stay=not reach))
     tasks = []
     for i in range(int(rng.integers(1, 5))):
-        aim = goals.random_aim(rng, X if reach else goals.anywhere(rng, chain))
+        aim = goals.random_aim(rng, X if reach else goals.anywhere(rng, X, chain.reach))
         build = goals.BUILDERS[pick(rng, kinds)]
         tasks.append(build(aim, goals.common(rng, dt, f"t{i}")))
     return tuple(tasks)
 
 
 def _secondary(rng: np.random.Generator, chain: ClosedChain, *, planar: bool) -> tuple[Task, ...]:
-    posture = chain.sample(rng, 1)[0].tolist()
-    choices: list[Task] = [
-        JointCentering(gain=0.5),
-        Posture(goal=posture, gain=1.0, profile=goals.profile(rng)),
-        MinimumVelocity(priority=int(rng.integers(0, 2))),
-        Manipulability(axes=("x", "y") if planar else ("x", "y", "z"), gain=0.5),
+    posture, profile = chain.sample(rng, 1)[0].tolist(), goals.profile(rng)
+    level = int(rng.integers(0, 2))
+    builders: list[Callable[[], Task]] = [
+        lambda: JointCentering(gain=0.5),
+        lambda: Posture(goal=posture, gain=1.0, profile=profile),
+        lambda: MinimumVelocity(priority=level),
+        lambda: Manipulability(axes=("x", "y") if planar else ("x", "y", "z"), gain=0.5),
     ]
-    return tuple(task for task in choices if rng.random() < 0.25)
+    return tuple(build() for build in builders if rng.random() < 0.25)
 
 
 def _limits(

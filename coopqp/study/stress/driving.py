@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.closed_loop.many_poses import loop_errors
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop import many_poses
 from coopqp.controller import ControlProblem, Law
+from coopqp.kernel.survey import loop_survey
 from coopqp.limits import JointVelocity
 from coopqp.plant import PlantModel
 from coopqp.rollout import drive
@@ -41,13 +44,24 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
         record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
         record.causes.extend(made.causes)
         record.plain += int(np.count_nonzero(~made.compiled))
+        _note_loops(record, state)
         if not np.isfinite(made.v).all():
             return
         if len(record.v) >= FEWEST and state.t >= arrived and _ended(state, record, errors):
             break
     position, orientation = loop_errors(problem.chain, record.q)
-    record.loop_position = float(position.max())
-    record.loop_orientation = float(orientation.max())
+    record.loop_position = max(record.loop_position, float(position.max()))
+    record.loop_orientation = max(record.loop_orientation, float(orientation.max()))
+
+
+def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
+    """As :func:`coopqp.closed_loop.many_poses.loop_errors`, compiled where the kernel can."""
+    look = loop_survey(chain)
+    if look is None or chain.holding < 2:
+        return many_poses.loop_errors(chain, q)
+    gaps = look.look(np.zeros(len(q)), q).loop_error.reshape(len(q), -1, 2, 3)
+    sizes = np.sqrt(np.square(gaps[:, : chain.holding - 1]).sum(axis=3)).max(axis=1)
+    return sizes[:, 0], sizes[:, 1]
 
 
 def drive_for(ticks: int, law: Law, plant: PlantModel, state: State, record: Record) -> None:
@@ -67,12 +81,17 @@ def drive_for(ticks: int, law: Law, plant: PlantModel, state: State, record: Rec
 
 def _note(record: Record, plant: PlantModel, state: State) -> None:
     """Keep how far the loops are open, and what a plant with masses tells of the last step."""
-    record.loop_position = max(record.loop_position, state.loop_position_error)
-    record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
+    _note_loops(record, state)
     if "internal_wrench" in plant.signals:
         forces = plant.signals["internal_wrench"].reshape(-1, 6)[:, :3]
         record.forces.append(float(np.linalg.norm(forces, axis=1).max()))
         record.saturated.append(plant.signals["saturated"] > 0.0)
+
+
+def _note_loops(record: Record, state: State) -> None:
+    """Keep how far the loops are open by pinocchio, of which the kernel knows nothing."""
+    record.loop_position = max(record.loop_position, state.loop_position_error)
+    record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

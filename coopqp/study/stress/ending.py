@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
@@ -160,6 +159,8 @@ def way_back(problem: ControlProblem, state: State) -> float:
 
     A linear program of its own, that knows nothing of the QP law: most sum of inward speeds.
     """
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
     chain = problem.chain
     kept = [limit for limit in problem.limits if not limit.sacrificed_first]
     bounds = Bounds(chain, kept, State(chain), problem.dt)

@@ -15,7 +15,6 @@ import pinocchio as pin
 
 from coopqp.checked import Array, cross
 from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
 from coopqp.profile import KINDS, Profile
 from coopqp.task import Task
 from coopqp.tasks import (
@@ -163,11 +162,10 @@ def random_aim(rng: np.random.Generator, X: pin.SE3) -> Aim:
     return Aim(rng, X, point, axis, normal / np.linalg.norm(normal))
 
 
-def anywhere(rng: np.random.Generator, chain: ClosedChain) -> pin.SE3:
-    """A pose near the start, in reach or not."""
-    start = chain.object_pose(chain.q_start)
+def anywhere(rng: np.random.Generator, start: pin.SE3, arms: float) -> pin.SE3:
+    """A pose near the start, where arms of a length [m] reach or not."""
     way, axis = rng.normal(size=(2, 3))
-    way *= rng.uniform(0.01, FARTHEST) * chain.reach / np.linalg.norm(way)
+    way *= rng.uniform(0.01, FARTHEST) * arms / np.linalg.norm(way)
     turn = pin.exp3(rng.uniform(0.0, TURN) * axis / np.linalg.norm(axis))
     return pin.SE3(turn @ start.rotation, start.translation + way)
 

@@ -62,11 +62,13 @@ def draw_with_masses(seed: int, solver: Solver = DAQP) -> DrawWithMasses:
     robot = goals.pick(rng, [name for name in ROBOTS if name in arrangements.names()])
     grasp = goals.pick(rng, GRASPS)
     first = arrangements.chain(robot, grasp)
-    chain = first.moved(walk(rng, first, outside=False))
+    chain = first.moved(walk(rng, first))
     dt, kappa, reach = goals.pick(rng, PERIODS), goals.pick(rng, CORRECTED), rng.random() < 0.5
-    X = chain.object_pose(walk(rng, chain, outside=False))
+    X = chain.object_pose(walk(rng, chain, stay=not reach))
     tasks = tuple(
-        _task(rng, goals.random_aim(rng, X if reach else goals.anywhere(rng, chain)), f"t{i}")
+        _task(
+            rng, goals.random_aim(rng, X if reach else goals.anywhere(rng, X, chain.reach)), f"t{i}"
+        )
         for i in range(int(rng.integers(1, 4)))
     )
     problem = ControlProblem(

@@ -65,7 +65,7 @@ def draw_pressing(seed: int, solver: Solver = DAQP) -> PressingDraw:
     robot = goals.pick(rng, [name for name in HEAVIEST if name in arrangements.names()])
     grasp, errors = goals.pick(rng, ["pads", "pads", "fingertip"]), goals.pick(rng, ERRORS)
     firm = arrangements.chain(robot, "rigid")
-    chain = _pressing(rng, firm, walk(rng, firm, outside=False), grasp, HEAVIEST[robot])
+    chain = _pressing(rng, firm, walk(rng, firm), grasp, HEAVIEST[robot])
     tasks, wrenches = _tasks(rng, chain), _wrenches(rng, chain)
     problem = ControlProblem(
         chain=chain,
@@ -108,7 +108,7 @@ def _pressing(
 
 def _tasks(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:
     """One that the arms can do, soft or hard, gentle or not."""
-    aim = goals.random_aim(rng, chain.object_pose(walk(rng, chain, outside=False)))
+    aim = goals.random_aim(rng, chain.object_pose(walk(rng, chain)))
     common: goals.Common = {
         "name": "move",
         "mode": goals.pick(rng, ["soft", "soft", "soft", "hard"]),

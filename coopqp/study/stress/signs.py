@@ -62,7 +62,7 @@ class Record:
     def scale(self) -> Array:
         """Speeds to compare with, shape (n,); without a limit it is the least of its own unit."""
         scale, units = self.speed.copy(), np.array(self.units)
-        for unit in self.units:
+        for unit in set(self.units):
             same = units == unit
             limits = self.speed[same & np.isfinite(self.speed)]
             scale[same & np.isinf(self.speed)] = limits.min(initial=np.inf)
@@ -83,7 +83,7 @@ class Record:
     def spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
         """What was said, and for how many ticks on end."""
         for causes, ticks in itertools.groupby(self.causes):
-            yield causes, sum(1 for _ in ticks)
+            yield causes, len(list(ticks))
 
 
 def beyond(record: Record) -> Array:

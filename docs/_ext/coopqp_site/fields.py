@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from coopqp.checked import told
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp_site.writing import table
 
@@ -55,15 +56,6 @@ def _bound(metadata: Any) -> Iterator[tuple[str, Any]]:
     for short, name in names.items():
         if hasattr(metadata, short):
             yield name, getattr(metadata, short)
-
-
-def told(cls: type) -> dict[str, str]:
-    """What is said of each key by the class that has it first, or by the one that changes it."""
-    found: dict[str, str] = {}
-    for base in reversed(cls.__mro__):
-        for key, field in vars(base).get("__pydantic_fields__", {}).items():
-            found[key] = field.description or found.get(key, "")
-    return found
 
 
 def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
+from coopqp.checked import told
 from coopqp.report.names import help_lines
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model
@@ -18,7 +19,7 @@ from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import points, reader, space
-from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of, told
+from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of
 from coopqp_site.writing import ROOT, plain, table
 
 
