@@ -3,7 +3,9 @@
 It has a QP of its own, with nothing else to want than to be inside again:
 
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
-    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h,  0 <= s <= 1, s largest
+    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
+
+with s = 1, all of the drift correction, or where that leaves nothing the largest s from 0 to 1.
 
 What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
 back at least almost as fast.
@@ -54,7 +56,10 @@ class WayBack:
         self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
-        self._level = Level(problem, nothing, loops, self.bounds, self._damping, slows=True)
+        self._levels = [
+            Level(problem, nothing, loops, self.bounds, self._damping, slows=slows)
+            for slows in (False, True)
+        ]
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
@@ -74,22 +79,25 @@ class WayBack:
 
     def _find(self, state: State, kappa: float) -> None:
         """The fastest way back for what is outside."""
-        level, bounds, lower, upper = self._level, self.bounds, self._chain.lower, self._chain.upper
+        bounds, lower, upper = self.bounds, self._chain.lower, self._chain.upper
         back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
         wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]
-        extra = self._damping.of(state.chain.reach * pull[0])
-        level.assemble(state, bounds, extra + self._damping.of_drift(state, kappa))
-        level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
-        level.qp.q[: len(wish)] = -wish * outside
-        level.close_loops(state, kappa)
+        extra, slower = self._damping.of(state.chain.reach * pull[0]), 0.0
         pull[0] = 0.0
-        if level.solve().usable:
-            self.v, self.share = level.v.copy(), level.scale
-            pull[0] = np.abs(level.solution.y).sum()
+        for level in self._levels:
+            level.assemble(state, bounds, extra + slower)
+            level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
+            level.qp.q[: len(wish)] = -wish * outside
+            level.close_loops(state, kappa)
+            if level.solve().usable:
+                self.v, self.share = level.v.copy(), level.scale
+                pull[0] = np.abs(level.solution.y).sum()
+                return
+            slower = self._damping.of_drift(state, kappa)
 
     def tighten(self, bounds: Bounds) -> None:
         """Let nobody take the way back away."""

@@ -75,7 +75,7 @@ struct Case {
         if (status != Status::Optimal) return status;
         for (Level& level : kernel->levels) clear(level.wish, kernel->model().blocks);
         program.run(t, kernel->kinematics, kernel->model(), owner.q.data(), kernel->levels);
-        Constraints& limits = kernel->constraints;
+        Limits& limits = kernel->limits;
         bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), limits.lb, limits.ub);
         twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), limits.G, limits.h);
         return kernel->solve();
