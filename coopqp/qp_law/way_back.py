@@ -5,7 +5,9 @@ It has a QP of its own, with nothing else to want than to be inside again:
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
     subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
 
-with s = 1, all of the drift correction, or where that leaves nothing the largest s from 0 to 1.
+with s = 1, all of the drift correction. Where that leaves nothing, or hardly a way, s from 0 to 1 is
+wanted as well, W (1 - s)^2 / 2: at s = 1 less of it would save y'kappa e, with the loops'
+multipliers y.
 
 What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
 back at least almost as fast.
@@ -19,7 +21,7 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import Damping
+from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.safety import LoopProbe, drift_gain
 from coopqp.solver import Status
@@ -56,10 +58,10 @@ class WayBack:
         self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
-        self._levels = [
+        self._whole, self._slowed = (
             Level(problem, nothing, loops, self.bounds, self._damping, slows=slows)
             for slows in (False, True)
-        ]
+        )
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
@@ -86,18 +88,21 @@ class WayBack:
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]
-        extra, slower = self._damping.of(state.chain.reach * pull[0]), 0.0
+        extra = self._damping.of(state.chain.reach * pull[0])
         pull[0] = 0.0
-        for level in self._levels:
-            level.assemble(state, bounds, extra + slower)
+        for level in (self._whole, self._slowed):
+            if level is self._slowed:
+                extra += self._damping.of_drift(state, kappa)
+            level.assemble(state, bounds, extra)
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
             level.qp.q[: len(wish)] = -wish * outside
             level.close_loops(state, kappa)
-            if level.solve().usable:
+            usable, y = level.solve().usable, level.solution.y
+            saving = kappa * y.dot(state.e_loop)
+            if usable and (level is self._slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT):
                 self.v, self.share = level.v.copy(), level.scale
-                pull[0] = np.abs(level.solution.y).sum()
+                pull[0] = np.abs(y).sum()
                 return
-            slower = self._damping.of_drift(state, kappa)
 
     def tighten(self, bounds: Bounds) -> None:
         """Let nobody take the way back away."""

@@ -103,6 +103,15 @@ class Check {
         return all;
     }
 
+    // What the level judged last would save by less of the loops' motion b, a share of it.
+    double loop_saving() const {
+        double all = 0.0;
+        for (std::size_t i = 0, at = 0; i < kept_.size(); i++)
+            for (std::size_t r = 0; r < kept_[i].size(); r++, at++)
+                all -= y_.of_loops[at] * b_[at];
+        return all;
+    }
+
     // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
     // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
     //   first: how many rows are exact, all of level 0.
