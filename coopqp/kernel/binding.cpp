@@ -114,17 +114,17 @@ class Engine {
         references_[nb::int_(primitive)] = nb::make_tuple(c, RT, c_dot, omega);
     }
 
-    // A whole tick of a problem of which Python fills nothing.
-    int tick(double t) {
+    // A whole tick of a problem of which Python fills nothing; all_corrected: as in Kernel::solve.
+    int tick(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
-        return status ? status : told(kernel_->solve());
+        return status ? status : told(kernel_->solve(all_corrected));
     }
 
     // The same where Python has filled limits, rows of some tasks, or what some of them follow.
-    int tick_with_rows(double t) {
+    int tick_with_rows(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
@@ -132,7 +132,7 @@ class Engine {
         if (status) return status;
         for (const Filled& rows : filled_) take_rows(rows);
         if (filled_limits_.lb) take_limits();
-        return told(kernel_->solve());
+        return told(kernel_->solve(all_corrected));
     }
 
     // After a tick that was infeasible, where nothing may be given up: joints that are outside their
@@ -144,13 +144,13 @@ class Engine {
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
     // where the law stands still or has given up hard tasks a moment ago.
-    int step(double t) {
+    int step(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone || waits()) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
-        const coopqp::Status decided = kernel_->solve();
+        const coopqp::Status decided = kernel_->solve(all_corrected);
         if (is_answer(decided)) advance();
         return told(decided);
     }
@@ -217,7 +217,7 @@ class Engine {
         if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
         if (stands) return stand_still();
         if (whole) {
-            const coopqp::Status status = kernel_->solve();
+            const coopqp::Status status = kernel_->solve(given.all_corrected);
             if (is_answer(status)) return told(status);
             if (status != coopqp::Status::Infeasible) return BUSY;
         }
@@ -227,7 +227,7 @@ class Engine {
             return come_back();
         }
         if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
-        const coopqp::Status status = given.softened->kernel_->solve();
+        const coopqp::Status status = given.softened->kernel_->solve(true);
         if (!is_answer(status)) return BUSY;
         *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
         forget_exact();

@@ -15,6 +15,7 @@ from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
 from coopqp.program import Programs
+from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.signal import Course
 from coopqp.state import State
 
@@ -133,13 +134,14 @@ class Compiled:
         Args:
             state: of the tick, bound before.
         """
+        all_corrected = state.corrected >= ALL_OF_IT
         if self.alone:
             if self.follows:
                 self._levels.follow(state)
-            self.outcome = self.engine.tick(state.t)
+            self.outcome = self.engine.tick(state.t, all_corrected)
         else:
             self._levels.update(state)
-            self.outcome = self.engine.tick_with_rows(state.t)
+            self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
         return self.outcome
 
 

@@ -220,7 +220,7 @@ class KernelLaw(Law):
         ):
             if heard and _others(inputs, heard):
                 return super().step(state)
-            said = self._engine_step(state.t)
+            said = self._engine_step(state.t, state.corrected >= ALL_OF_IT)
             if said in ALL_WELL:
                 state.t += self._dt
                 state.jacobians_due = True

@@ -5,9 +5,9 @@ It has a QP of its own, with nothing else to want than to be inside again:
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
     subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
 
-with s = 1, all of the drift correction. Where that leaves nothing, or hardly a way, s from 0 to 1 is
-wanted as well, W (1 - s)^2 / 2: at s = 1 less of it would save y'kappa e, with the loops'
-multipliers y.
+with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2 / 2
+(at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0 to 1 and the
+largest that is worth it.
 
 What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
 back at least almost as fast.
@@ -89,10 +89,11 @@ class WayBack:
         # the shorter its steps.
         pull = state.memory["recovery"]
         extra = self._damping.of(state.chain.reach * pull[0])
+        extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
         for level in (self._whole, self._slowed):
-            if level is self._slowed:
-                extra += self._damping.of_drift(state, kappa)
+            if level is self._whole and state.corrected < ALL_OF_IT:
+                continue  # or it would go to and fro between all and a part
             level.assemble(state, bounds, extra)
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
             level.qp.q[: len(wish)] = -wish * outside

@@ -78,7 +78,7 @@ struct Case {
         Limits& limits = kernel->limits;
         bounds.update(kernel->model(), owner.q.data(), owner.v_last.data(), limits.lb, limits.ub);
         twist_limits.update(kernel->kinematics, kernel->model(), kernel->rows(), limits.G, limits.h);
-        return kernel->solve();
+        return kernel->solve(true);
     }
 };
 

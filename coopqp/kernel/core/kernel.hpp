@@ -61,7 +61,8 @@ class Kernel {
 
     // Decide v from the kinematics, tasks and limits as they stand. Joints that are outside their
     // limits come back first: the limits are tightened by their way.
-    Status solve() {
+    //   all_corrected: whether the tick before has done all of the drift correction.
+    Status solve(bool all_corrected) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
         damping_.begin(last_);
@@ -71,7 +72,10 @@ class Kernel {
         loops_->particular(b_.data(), set_out_);
         if (fault(Fault::WrongSide)) set_out_[0] += 1e-4;
         comes_back_ = s_.outside(bound.q);
-        if (comes_back_ && !find_way_back()) return Status::Outside;
+        if (comes_back_) {
+            const Status status = all_corrected ? find_way_back() : Status::Outside;
+            if (status != Status::Optimal) return status;
+        }
         tasks_.begin(b_.data(), set_out_);
         for (std::size_t l = 0; l < levels.size(); l++) {
             levels[l].want();
@@ -128,11 +132,10 @@ class Kernel {
             for (int r : kept_[i]) b_[at++] = -kappa * bound.drift[6 * i + std::size_t(r)];
     }
 
-    // Whether there is one that the check says is the fastest.
-    bool find_way_back() {
+    Status find_way_back() {
         const Status status = way_back_.find(bound.q, bound.recovery[0], b_.data(), set_out_);
         if (status == Status::Optimal) way_back_.keep(bound.q, limits);
-        return status == Status::Optimal;
+        return status;
     }
 
     // v in lanes, or as much of it as leaves the loops within their budget, is what joints do.

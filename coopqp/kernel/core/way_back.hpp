@@ -19,7 +19,8 @@ class WayBack {
         : m_(model), s_(settings), limits_(limits), levels_{of_all_joints(model, arena)},
           cascade_(model, settings, rows, loops, limits, kept, levels_, arena) {}
 
-    // The fastest one; Opens where it would be better to do less of the drift correction.
+    // The fastest one; Outside where the loops leave none, or one that is not worth all of the drift
+    // correction.
     //   pull: what the last one has pulled at the loops; where they leave hardly a way they turn
     //   quickly along it, so that its steps are the shorter.
     //   b, v: as in Cascade::begin.
@@ -31,8 +32,10 @@ class WayBack {
         cascade_.begin(b, v);
         const double damping = LEAST_MOTION + s_.error_damping * s_.dt * (s_.reach * pull);
         const Status status = cascade_.decide(0, damping);
-        const bool eases = cascade_.check().loop_saving() > IN_PART * SCALE_WEIGHT;
-        return status == Status::Optimal && eases ? Status::Opens : status;
+        if (status != Status::Optimal)
+            return status == Status::Infeasible ? Status::Outside : status;
+        const bool in_part = cascade_.check().loop_saving() > IN_PART * SCALE_WEIGHT;
+        return in_part ? Status::Outside : status;
     }
 
     // Let nobody take away what was found, but for a little room, so that tasks stay feasible.
