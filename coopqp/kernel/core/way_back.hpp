@@ -25,6 +25,7 @@ class WayBack {
     //   quickly along it, so that its steps are the shorter.
     //   b, v: as in Cascade::begin.
     Status find(const double* q, double pull, const double* b, const double* v) {
+        [[maybe_unused]] const WithinWayBack here{};
         Level& level = levels_[0];
         level.rows = 0;
         for (int j = 0; j < m_.n(); j++)
