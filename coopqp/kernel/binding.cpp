@@ -143,14 +143,15 @@ class Engine {
     }
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still or has given up hard tasks a moment ago.
-    int step(double t, bool all_corrected) {
+    // where the law stands still or has given up hard tasks a moment ago. The tick before has done
+    // all of the drift correction.
+    int step(double t) {
         const Use use(*this);
         if (!use.alone || waits()) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
-        const coopqp::Status decided = kernel_->solve(all_corrected);
+        const coopqp::Status decided = kernel_->solve(true);
         if (is_answer(decided)) advance();
         return told(decided);
     }

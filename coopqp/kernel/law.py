@@ -215,12 +215,13 @@ class KernelLaw(Law):
             and state.gap is gap
             and state.memory is memory
             and state.q_measured is None
+            and state.corrected >= ALL_OF_IT
             and self._runs
             and not (inputs.stale or inputs.refused)
         ):
             if heard and _others(inputs, heard):
                 return super().step(state)
-            said = self._engine_step(state.t, state.corrected >= ALL_OF_IT)
+            said = self._engine_step(state.t)
             if said in ALL_WELL:
                 state.t += self._dt
                 state.jacobians_due = True

@@ -5,7 +5,7 @@ It has a QP of its own, with nothing else to want than to be inside again:
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
     subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
 
-with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2 / 2
+with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2/2
 (at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0 to 1 and the
 largest that is worth it.
 

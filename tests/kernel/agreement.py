@@ -12,7 +12,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from itertools import count, islice
+from itertools import count as counted
+from itertools import islice
 from pathlib import Path
 
 import click
@@ -44,7 +45,7 @@ def main() -> int:
             tell(name, seen)
             everything.add(seen)
     random = Seen()
-    seeds: Iterator[int] = count(asked.seed)
+    seeds: Iterator[int] = counted(asked.seed)
     if asked.outside:
         seeds = (seed for seed in seeds if draw(seed).start == "outside")
     for seed in islice(seeds, 0 if asked.scenarios else asked.problems):
