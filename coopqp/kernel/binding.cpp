@@ -62,8 +62,8 @@ class Engine {
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
                     const Written& commanded, const Written& later_pulls, const Written& hard_pull,
-                    const Written& missing, const Written& recovery, const Written& stopped,
-                    const Written& soft) {
+                    const Written& missing, const Written& recovery, const Written& swing,
+                    const Written& stopped, const Written& soft) {
         auto& b = kernel_->bound;
         b.q = q_now_ = q.data();
         b.v_last = v_now_ = v_last.data();
@@ -78,10 +78,11 @@ class Engine {
         b.hard_pull = hard_pull.data();
         b.missing = missing.data();
         b.recovery = recovery.data();
+        b.swing = swing.data();
         stopped_ = stopped.data();
         soft_ = soft.data();
         state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, hard_pull, missing, recovery, stopped, soft);
+                                later_pulls, hard_pull, missing, recovery, swing, stopped, soft);
     }
 
     void bind_command(const Written& v) {

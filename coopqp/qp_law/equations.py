@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from coopqp.checked import Array
 from coopqp.solver import norm
 from coopqp.state import State
 
@@ -15,6 +18,13 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
+#: After a tick in which a joint swings back damping is this many times what it was, up to the most,
+GROWS, MOST_GROWN = 1.5, 4.0
+#: and fades in the others.
+FADES = 0.99
+#: A joint swings back that changes its sign at this speed [rad/s, m/s] or faster, and is among the
+#: fast ones: speeds before and after, times each other, over the same of the fastest.
+SWINGS_AT, AMONG_THE_FAST = 0.02, 0.25
 
 
 @dataclass(frozen=True)
@@ -27,6 +37,10 @@ class Damping:
     (:meth:`coopqp.task.TaskStack.bend`). Above a = 2 it swings farther each time until a bound
     stops it; d = dt bend keeps a below 1, and half of that below 2.
 
+    That is so of each level alone. Two that pull at one nearly singular direction may go too far
+    together, which shows: joints swing back from tick to tick, and then all damping grows
+    (:func:`note_swing`).
+
     Attributes:
         least: what d is where nothing bends.
         share: of the damping that rules out any overshoot.
@@ -37,9 +51,9 @@ class Damping:
     share: float
     dt: float
 
-    def of(self, bend: float) -> float:
-        """What a bend adds to d, share dt bend."""
-        return self.share * self.dt * bend
+    def of(self, bend: float, state: State) -> float:
+        """What a bend adds to d, share dt bend; more of it where joints have swung back."""
+        return self.share * (1.0 + float(state.memory["swing"][0])) * self.dt * bend
 
     def of_drift(self, state: State, kappa: float) -> float:
         """What a drift correction adds that is done in part; nothing where the last tick did all.
@@ -56,3 +70,19 @@ class Damping:
             return 0.0
         wanted = kappa * norm(state.e_loop)
         return 2.0 * self.dt * SCALE_WEIGHT * state.chain.reach / max(wanted, LEAST_SPEED)
+
+
+def note_swing(state: State, v: Array) -> None:
+    """Remember whether joints swing back, for the damping of the next ticks.
+
+    Args:
+        state: of the tick, with the last velocity; "swing" of its memory is how much more than its
+            own the damping is.
+        v: what is commanded now, shape (n,).
+    """
+    swing, before = state.memory["swing"], np.abs(state.v).max(initial=0.0)
+    fastest = before * np.abs(v).max(initial=0.0)
+    back = -(v * state.v).min(initial=0.0)
+    swings = back > max(AMONG_THE_FAST * fastest, SWINGS_AT * SWINGS_AT)
+    grown = 1.0 + swing[0]
+    swing[0] = (min(GROWS * grown, MOST_GROWN) if swings else max(FADES * grown, 1.0)) - 1.0

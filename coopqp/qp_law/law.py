@@ -30,7 +30,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.program import Programs
-from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.fallback import Fallback
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel, deciding
@@ -62,7 +62,9 @@ class QPLaw(Law):
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
         fallback: for ticks in which not everything can hold.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
-            soft; "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
+            soft; "swing" how much more damping there is because joints swung back,
+            :func:`coopqp.qp_law.equations.note_swing`;
+            "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
             "later pulls" what each later level pulled at the rows decided before it,
             :meth:`LaterLevel.improve`; and what the squeezer needs.
@@ -116,6 +118,7 @@ class QPLaw(Law):
         command.v[:] = v
         command.say(*causes)
         self.probe.shorten(state, command)
+        note_swing(state, command.v)
         return command
 
     def assemble(self, state: State) -> None:
@@ -141,12 +144,12 @@ class QPLaw(Law):
         """
         if not self._scaled:
             pull = state.memory["pull"][0]
-            return min(self._damping.of(state.chain.reach * pull), MOST_HARD_DAMPING)
+            return min(self._damping.of(state.chain.reach * pull, state), MOST_HARD_DAMPING)
         bends, pull = self.exact.bends(state.v), 0.0
         for part, missing in zip(self._scaled, state.memory["missing"], strict=True):
             wanted = self.exact.wanted[part]
             pull += missing * norm(bends[part]) / (wanted @ wanted + LEAST_SPEED**2)
-        return min(self._damping.of(SCALE_WEIGHT * pull), MOST_DAMPING)
+        return min(self._damping.of(SCALE_WEIGHT * pull, state), MOST_DAMPING)
 
     def _solve_first(self, state: State) -> Status:
         """The first level's answer, unless its hard tasks were given up a moment ago."""
@@ -200,7 +203,7 @@ def memory_sizes(
     return {
         "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
         "missing": scaled, "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}),
+        **(squeezer.memory_sizes if squeezer else {}), "swing": 1,
     }  # fmt: skip
 
 

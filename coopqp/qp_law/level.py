@@ -72,7 +72,7 @@ class Level:
             extra_damping: beside what the tasks need.
         """
         qp, n, J, wanted = self.qp, self._n, self.tasks.J, self.tasks.wanted
-        needed = self._damping.of(self.tasks.bend(state.v)) + extra_damping
+        needed = self._damping.of(self.tasks.bend(state.v), state) + extra_damping
         self.curvature = self._damping.least + needed
         JW = J.T * self.tasks.weights
         qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye

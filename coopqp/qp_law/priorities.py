@@ -10,7 +10,8 @@ decomposition, which minds no redundant rows.
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
 therefore not step far: y L / sigma is part of what its damping is made of, like the second
-derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`).
+derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where that is more than
+solvers can tell from a wall, the level's step is shortened by what is missing.
 """
 
 from __future__ import annotations
@@ -152,7 +153,8 @@ class LaterLevel:
                 (1,); of the last tick, then of this one.
         """
         level, A, b = self.level, self.level.qp.A, self.level.qp.b
-        level.assemble(state, bounds, min(self._damping.of(pull[0]), MOST_DAMPING))
+        needed = self._damping.of(pull[0], state)
+        level.assemble(state, bounds, min(needed, MOST_DAMPING))
         turns = self._decide(state, A)
         b[:] = A.dot(v)
         own = level.solve()
@@ -161,7 +163,8 @@ class LaterLevel:
             return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
         pull[0] = np.abs(level.solution.y + level.curvature * b).dot(turns)
-        return level.v, status if own is Status.OPTIMAL else own
+        v = v + MOST_DAMPING / needed * (level.v - v) if needed > MOST_DAMPING else level.v
+        return v, status if own is Status.OPTIMAL else own
 
     def _decide(self, state: State, Q: Array) -> Array:
         """Write the basis of what is decided, shape (rank, n); how fast its rows turn, L / sigma.

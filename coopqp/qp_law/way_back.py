@@ -88,7 +88,7 @@ class WayBack:
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         pull = state.memory["recovery"]
-        extra = self._damping.of(state.chain.reach * pull[0])
+        extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
         for level in (self._whole, self._slowed):

@@ -39,18 +39,19 @@ Placement somewhere(Random& random, double size) {
 
 // Everything that Python would own.
 struct Owner {
-    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing, recovery;
+    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, hard, missing, recovery,
+        swing;
     void bind(Kernel& k, int n, int arms, int levels) {
         for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
         for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
         p.assign(3, 0.0);
         R.assign(9, 0.0);
         pulls.assign(std::size_t(levels), 0.0);
-        for (auto* a : {&hard, &recovery}) a->assign(1, 0.0);
+        for (auto* a : {&hard, &recovery, &swing}) a->assign(1, 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
                    error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data(),
-                   recovery.data()};
+                   recovery.data(), swing.data()};
     }
 
     // Have again what was remembered when it was another; where the arrays are stays.
@@ -59,6 +60,7 @@ struct Owner {
         std::copy(other.hard.begin(), other.hard.end(), hard.begin());
         std::copy(other.missing.begin(), other.missing.end(), missing.begin());
         recovery[0] = other.recovery[0];
+        swing[0] = other.swing[0];
     }
 };
 

@@ -92,6 +92,15 @@ class Cascade {
         return outcome.status;
     }
 
+    // Make a share of the step of the level that was decided last.
+    void shorten(double share) {
+        if (share == 1.0) return;
+        for (int b = 0; b < m_.blocks; b++)
+            lanes(v_)[b] = lanes(before_)[b] + share * (lanes(v_)[b] - lanes(before_)[b]);
+        for (int b = 0; b < 2; b++)
+            lanes(check_.V)[b] = lanes(V_)[b] + share * (lanes(check_.V)[b] - lanes(V_)[b]);
+    }
+
     // What the levels have decided, in lanes.
     const double* v() const { return v_; }
     const Shares& shares() const { return shares_; }

@@ -10,24 +10,30 @@ namespace coopqp {
 
 constexpr double MOST_HARD_DAMPING = 1.0;  // as coopqp.qp_law.law
 constexpr double MOST_DAMPING = 1e4;
-constexpr double LEAST_SPEED = 1e-4;       // as coopqp.qp_law.equations
+constexpr double LEAST_SPEED = 1e-4;       // as coopqp.qp_law.equations, these and the next
+constexpr double GROWS = 1.5, MOST_GROWN = 4.0, FADES = 0.99;
+constexpr double SWINGS_AT = 0.02, AMONG_THE_FAST = 0.25;
 
 class StepDamping {
   public:
     StepDamping(const Rows& rows, const Settings& settings, const std::vector<Level>& levels,
                 Arena& arena)
-        : rows_(rows), share_(settings.error_damping * settings.dt), reach_(settings.reach),
+        : rows_(rows), error_damping_(settings.error_damping), dt_(settings.dt), reach_(settings.reach),
           V_(arena.take(TWIST)), asked2_(std::size_t(levels[0].shares)),
           wanted2_(std::size_t(levels[0].shares)) {
         for (const Level& level : levels)
             for (char asks : level.asks_velocity) asks_ |= asks != 0;
     }
 
-    // At the last velocity, in lanes, which must stay where it is.
-    void begin(const double* v_last) {
+    // At the last velocity, in lanes, which must stay where it is, with how joints swing.
+    void begin(const double* v_last, double swing) {
         v_last_ = v_last;
+        share_ = error_damping_ * (1.0 + swing) * dt_;
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
+
+    // For a bend.
+    double of(double bend) const { return share_ * bend; }
 
     // Of level l.
     double of(int l, const Level& level, const Bound& bound) {
@@ -43,6 +49,26 @@ class StepDamping {
             extra = std::min(share_ * reach_ * bound.hard_pull[0], MOST_HARD_DAMPING);
         if (l > 0) extra = std::min(share_ * bound.later_pulls[l - 1], MOST_DAMPING);
         return share_ * bend + extra;
+    }
+
+    // What of a later level's step is made where it needs more damping than it may have.
+    double step_of(int l, const Bound& bound) const {
+        const double needed = l > 0 ? share_ * bound.later_pulls[l - 1] : 0.0;
+        return needed > MOST_DAMPING ? MOST_DAMPING / needed : 1.0;
+    }
+
+    // How joints swing after a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
+    double swing_after(const double* v, double swing, int blocks) const {
+        double fastest = 0.0, before = 0.0, back = 0.0;
+        for (int i = 0; i < blocks * LANES; i++) {
+            fastest = std::max(fastest, std::fabs(v[i]));
+            before = std::max(before, std::fabs(v_last_[i]));
+            back = std::max(back, -(v[i] * v_last_[i]));
+        }
+        const double grown = 1.0 + swing;
+        const bool swings = back > std::max(AMONG_THE_FAST * (before * fastest),
+                                            SWINGS_AT * SWINGS_AT);
+        return (swings ? std::min(GROWS * grown, MOST_GROWN) : std::max(FADES * grown, 1.0)) - 1.0;
     }
 
   private:
@@ -73,7 +99,7 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double share_, reach_, *V_;
+    double error_damping_, dt_, share_ = 0.0, reach_, *V_;
     const double* v_last_ = nullptr;
     bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;

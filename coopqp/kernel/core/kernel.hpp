@@ -65,7 +65,7 @@ class Kernel {
     Status solve(bool all_corrected) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
-        damping_.begin(last_);
+        damping_.begin(last_, bound.swing[0]);
         aim_loops(ahead_.kappa(bound.drift));
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
@@ -82,6 +82,7 @@ class Kernel {
             const double damping = s_.damping + damping_.of(int(l), levels[l], bound);
             const Status status = tasks_.decide(int(l), damping);
             if (status != Status::Optimal) return status;
+            tasks_.shorten(damping_.step_of(int(l), bound));
         }
         const Status status = command(tasks_.v());
         if (status == Status::Opens) return status;
@@ -99,7 +100,10 @@ class Kernel {
     // is to stand still.
     Status come_back() {
         const Status status = command(way_back_.v());
-        if (status == Status::Opens) std::fill_n(bound.v, m_->n(), 0.0);
+        if (status == Status::Opens) {
+            clear(v_, m_->blocks);
+            write();
+        }
         bound.recovery[0] = way_back_.pull();
         return status;
     }
@@ -133,7 +137,7 @@ class Kernel {
     }
 
     Status find_way_back() {
-        const Status status = way_back_.find(bound.q, bound.recovery[0], b_.data(), set_out_);
+        const Status status = way_back_.find(bound.q, damping_.of(s_.reach * bound.recovery[0]), b_.data(), set_out_);
         if (status == Status::Optimal) way_back_.keep(bound.q, limits);
         return status;
     }
@@ -143,8 +147,13 @@ class Kernel {
         copy(v_, v, m_->blocks);
         const double share = ahead_.shorten(bound.q, bound.gap, bound.drift, v_);
         if (share == 0.0) return Status::Opens;
-        for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
+        write();
         return share < 1.0 ? Status::Shortened : Status::Optimal;
+    }
+
+    void write() {
+        for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
+        bound.swing[0] = damping_.swing_after(v_, bound.swing[0], m_->blocks);
     }
 
     Ahead ahead_;

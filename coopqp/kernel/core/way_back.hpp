@@ -21,18 +21,17 @@ class WayBack {
 
     // The fastest one; Outside where the loops leave none, or one that is not worth all of the drift
     // correction.
-    //   pull: what the last one has pulled at the loops; where they leave hardly a way they turn
-    //   quickly along it, so that its steps are the shorter.
+    //   damping: for what the last one has pulled at the loops; where they leave hardly a way they
+    //   turn quickly along it, so that its steps are the shorter.
     //   b, v: as in Cascade::begin.
-    Status find(const double* q, double pull, const double* b, const double* v) {
+    Status find(const double* q, double damping, const double* b, const double* v) {
         [[maybe_unused]] const WithinWayBack here{};
         Level& level = levels_[0];
         level.rows = 0;
         for (int j = 0; j < m_.n(); j++)
             if (const int side = s_.outside(q, j)) take_row(level, q[j], j, side);
         cascade_.begin(b, v);
-        const double damping = LEAST_MOTION + s_.error_damping * s_.dt * (s_.reach * pull);
-        const Status status = cascade_.decide(0, damping);
+        const Status status = cascade_.decide(0, LEAST_MOTION + damping);
         if (status != Status::Optimal)
             return status == Status::Infeasible ? Status::Outside : status;
         const bool in_part = cascade_.check().loop_saving() > IN_PART * SCALE_WEIGHT;

@@ -1,0 +1,99 @@
+"""Joints that swing back are damped more; a step that needs more than there is becomes shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Literal
+
+import laws
+import numpy as np
+import pytest
+from laws import DT, LIMITS, NEAR, STEP
+
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
+from coopqp.controllers import QPController
+from coopqp.memory import Memory
+from coopqp.qp_law.equations import MOST_DAMPING, note_swing
+from coopqp.state import State
+from coopqp.tasks import JointCentering, PointOnPlane
+
+problem = partial(laws.problem, limits=LIMITS)
+both_engines = pytest.mark.parametrize("engine", ["python", "auto"])
+
+
+def centred(chain: ClosedChain) -> ControlProblem:
+    """A plane to reach, and joints to centre in what that leaves."""
+    goal = PointOnPlane(name="near", normal=(0, 0, 1), through=NEAR, profile=STEP)
+    return problem(chain, goal, secondary=[JointCentering(name="centre", gain=5.0)])
+
+
+def after(swing: float, velocities: Sequence[tuple[float, float]], chain: ClosedChain) -> float:
+    """What is remembered when the first two joints go at these velocities, tick by tick."""
+    state = State(chain, memory=Memory({"swing": 1}))
+    state.memory["swing"][0] = swing
+    for pair in velocities:
+        v = np.zeros(chain.n)
+        v[:2] = pair
+        note_swing(state, v)
+        state.v[:] = v
+    return float(state.memory["swing"][0])
+
+
+def test_damping_grows_by_half_a_swing_up_to_four_times(chain: ClosedChain) -> None:
+    back_and_forth = [(0.1, 0.0), (-0.1, 0.0)] * 4
+    assert [after(0.0, back_and_forth[: k + 2], chain) for k in range(5)] == [
+        0.5,
+        1.25,
+        2.375,
+        3,
+        3,
+    ]
+
+
+@pytest.mark.parametrize(
+    "velocities",
+    [
+        [(0.1, 0.0), (0.1, 0.0)],  # goes on
+        [(0.1, 0.0), (0.0, 0.0), (-0.1, 0.0)],  # stands in between
+        [(0.019, 0.0), (-0.019, 0.0)],  # slowly
+        [(0.1, 1.0), (-0.1, 1.0)],  # beside a joint that goes on ten times as fast
+    ],
+)
+def test_what_is_no_swing_lets_it_fade(
+    velocities: list[tuple[float, float]], chain: ClosedChain
+) -> None:
+    assert after(0.0, velocities, chain) == 0.0
+    assert after(1.0, velocities, chain) == pytest.approx(2.0 * 0.99 ** len(velocities) - 1.0)
+
+
+def commanded(law: QPController, chain: ClosedChain, memory: str, value: float) -> Array:
+    """The command of a first tick that remembers something."""
+    built = law.build(centred(chain))
+    state = built.start()
+    state.memory[memory][:] = value
+    return built.tick(state).v.copy()
+
+
+@both_engines
+def test_swing_is_damped_as_by_a_larger_error_damping(
+    engine: Literal["python", "auto"], chain: ClosedChain
+) -> None:
+    swung = commanded(QPController(engine=engine), chain, "swing", 2.0)
+    calmer = QPController(engine=engine, error_damping=1.5)
+    np.testing.assert_allclose(swung, commanded(calmer, chain, "swing", 0.0), rtol=0.0, atol=1e-12)
+    assert np.linalg.norm(swung - commanded(QPController(), chain, "swing", 0.0)) > 1e-6
+
+
+@both_engines
+def test_step_that_needs_more_damping_than_there_is_is_shortened(
+    engine: Literal["python", "auto"], chain: ClosedChain
+) -> None:
+    """Along the way to where the most damping leads, by what of the damping there is."""
+    most = MOST_DAMPING / (0.5 * DT)  # pull at which damping is as large as it gets
+    law = QPController(engine=engine)
+    whole, half, none = (commanded(law, chain, "later pulls", k * most) for k in (1.0, 2.0, 1e9))
+    np.testing.assert_allclose(half - none, 0.5 * (whole - none), rtol=1e-6, atol=1e-12)
+    assert np.linalg.norm(whole - none) > 1e-7
