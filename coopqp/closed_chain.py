@@ -18,7 +18,7 @@ zero, but it still has an object frame, where the object would be if it held it.
 from __future__ import annotations
 
 import copy
-import itertools
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -110,6 +110,7 @@ class ClosedChain:
             matters to the dynamics alone, which add it).
         q_start: configuration with the passive joints in it, shape (n,).
         start_position: of the object at the start, shape (3,) [m].
+        joint_units: of each joint's coordinate: "m" where it slides, else "rad".
         frames: the object frame as carried by each arm, ids into model.frames.
         loops: the independent loop rows.
         lower, upper: position limits, shape (n,) [rad, m]; infinite where there are none.
@@ -126,6 +127,7 @@ class ClosedChain:
         self.mixing = _mixing_matrix(self.alpha)
         self.model, self.frames = hold.model()
         self.n: int = self.model.nv
+        self.joint_units = joint_units(self.model)
         robots_own = self.robot.joint_names
         self.passive = np.array(
             [i for i, name in enumerate(self.joint_names) if name not in robots_own], int
@@ -247,7 +249,10 @@ class ClosedChain:
     def _data(self) -> Iterator[pin.Data]:
         """Pinocchio's memory for one computation; used again, for its pages cost more than that."""
         spare = self.once(_spare)
-        data = spare.pop() if spare else self.model.createData()
+        try:
+            data = spare.pop()
+        except IndexError:  # asked for, not looked for: another thread may take it in between
+            data = self.model.createData()
         try:
             yield data
         finally:
@@ -265,7 +270,7 @@ class ClosedChain:
             carried = self._carried(self.q_start, data)
             for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
                 places = [*(data.oMi[j].translation for j in joints), X.translation]
-                way = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(places))
+                way = sum(math.sqrt(d.dot(d)) for d in np.diff(places, axis=0))
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -278,11 +283,6 @@ class ClosedChain:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
-
-    @cached_property
-    def joint_units(self) -> tuple[str, ...]:
-        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
-        return joint_units(self.model)
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.
@@ -341,14 +341,14 @@ class ClosedChain:
     def _closed_near(self, q: Array) -> Array | None:
         """The configuration with the loops closed that Newton's method finds; None if none."""
         for _ in range(WALK_NEWTON):
-            gap = self._loop_error(q)
+            gap = self.loop_error(q)
             if np.linalg.norm(gap) < WALK_CLOSED:
                 return q
             q = q - np.linalg.lstsq(self.loop_jacobian(q), gap, rcond=WALK_TOLERANCE)[0]
         return None
 
-    def _loop_error(self, q: Array) -> Array:
-        """Positions and rotation vectors from how arm 0 to how the others carry it, (6 L,)."""
+    def loop_error(self, q: Array) -> Array:
+        """What ``State.loop_error`` is at q, of the closed loops alone, shape (6 L,)."""
         with self._data() as data:
             X_0, *others = self._carried(q, data)[: self.holding]
             return np.concatenate(

@@ -93,6 +93,11 @@ class TwistBounds:
     offset: float = 0.0
     gain: float = 0.0
 
+    @property
+    def rows(self) -> int:
+        """How many."""
+        return 2 * len(self.components) + len(self.points)
+
 
 Tighten = Callable[[State, LimitRows], None]
 

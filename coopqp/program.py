@@ -17,11 +17,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array, Vector3, unit
-from coopqp.geometry import PointInReference, Reference, polar
+from coopqp.geometry import Reference, polar
 from coopqp.profile import KINDS, Profile
 from coopqp.state import State
 
 AT_ONCE = Profile(kind="step")
+WORLD = Reference()  # at rest, so that nobody ever writes to it
 
 
 class Kind(IntEnum):
@@ -67,7 +68,7 @@ class Primitive:
 
     kind: Kind
     rows: tuple[int, ...]
-    reference: Reference = field(default_factory=Reference)
+    reference: Reference = WORLD
     profile: Profile = AT_ONCE
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
@@ -98,7 +99,7 @@ class Primitive:
             "profile": profile_numbers(self.profile),
             "point": np.array(self.point, float),
             "axis": np.array(self.axis, float),
-            "e_start": np.resize(np.append(self.e_start, np.zeros(3)), 3),
+            "e_start": np.array([*self.e_start, 0.0, 0.0, 0.0][:3]),
             "phi": np.array(self.phi, float),
             "Q_start": np.ascontiguousarray(self.Q_start, float),
             "length": float(self.length),
@@ -198,18 +199,17 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 
 def rotation(
-    goal: Array, profile: Profile, Q_start: Array, reference: Reference | None = None
+    goal: Array, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
     """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
     return Primitive(
-        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference or Reference(), profile=profile,
+        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile,
         phi=np.asarray(pin.log3(goal @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
     )  # fmt: skip
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     """Where a point is at the start, in the reference's axes."""
-    seen = PointInReference(p_O, reference, start.chain.n)
     reference.update(start)
-    seen.update(start)
-    return seen.x
+    seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
+    return seen

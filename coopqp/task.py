@@ -14,6 +14,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -213,7 +214,6 @@ class TaskStack:
         start: the state from which their references set out.
 
     Attributes:
-        rows: such as "task[reach].z".
         slices: of each task's rows. sizes: their numbers.
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
@@ -221,13 +221,11 @@ class TaskStack:
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
-        n = start.chain.n
-        rows = [_rows_of(task, start.chain) for task in tasks]
-        sizes = [len(r) for r in rows]
-        ends = np.cumsum([0, *sizes]).tolist()
+        self._chain, n = start.chain, start.chain.n
+        sizes = [len(task.rows(start.chain)) for task in tasks]
+        ends = list(itertools.accumulate(sizes, initial=0))
         k = ends[-1]
         self.tasks = tuple(tasks)
-        self.rows = tuple(itertools.chain.from_iterable(rows))
         self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
         self.e, self.rate, self.wanted = np.zeros(k), np.zeros(k), np.zeros(k)
         self.J = np.zeros((k, n))
@@ -237,7 +235,7 @@ class TaskStack:
         #: Largest second derivative of each row's error [unit/rad2].
         self.levers = np.array(
             [lever for task in tasks for lever in levers_of(task, start.chain)], float
-        )
+        ).reshape(k)
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
@@ -247,6 +245,11 @@ class TaskStack:
                 self.J[part] = np.eye(n)
             block = TaskRows(self.e[part], self.J[part], self.rate[part])
             self._evaluate.append((task.bind(start), block))
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """What each row is, such as "task[reach].z"."""
+        return tuple(row for task in self.tasks for row in _rows_of(task, self._chain))
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""

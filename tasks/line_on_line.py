@@ -94,7 +94,7 @@ class LineOnLine(Task):
         offset = point(start, line, self.point, self.profile, (0, 1))
         against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
         axis = -np.array(self.axis) if against else np.array(self.axis)
-        return offset, lean(start, self._line(start), axis.tolist(), self.profile)
+        return offset, lean(start, line, axis.tolist(), self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, and the point of the object's own."""

@@ -96,8 +96,9 @@ class LineOnPlane(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        height = point(start, self._plane(start), self.point, self.profile, (2,))
-        return height, tilt(start, self._plane(start), self.axis, self.profile)
+        plane = self._plane(start)
+        height = point(start, plane, self.point, self.profile, (2,))
+        return height, tilt(start, plane, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's line."""

@@ -95,17 +95,8 @@ class _Climb:
 
     def __init__(self, chain: ClosedChain, kept: list[int]) -> None:
         self._kept, self._arms = np.array(kept), len(chain.arms)
-        self._unmix = np.linalg.inv(chain.mixing)
         self._of_J, self._of_C = chain.mixing[kept], chain.mixing[6:]
-        model = chain.model
-        # carries[i, j, k]: arm i has joints j and k, and j is k or nearer to the base.
-        carries = np.zeros((self._arms, chain.n, chain.n))
-        for i, frame in enumerate(chain.frames):
-            joints = list(model.supports[model.frames[frame].parentJoint])[1:]
-            columns = [model.idx_vs[joint] for joint in joints]
-            carries[np.ix_([i], columns, columns)] = np.triu(np.ones((len(columns),) * 2))
-        self._down = np.ascontiguousarray(carries.transpose(0, 2, 1))
-        self._up = carries - carries * np.eye(chain.n)
+        self._unmix, self._down, self._up = chain.once(_carrying)
 
     def isotropic(self, state: State) -> float:
         """(tr(J P J') / k)^(k/2), or 1 where the object cannot move."""
@@ -137,6 +128,20 @@ class _Climb:
         J, C = state.J_task[self._kept], state.J_rel
         _, to_loops, failed = lapack.dposv(_regular(C.dot(C.T)), C.dot(J.T))
         return to_loops, J - to_loops.T.dot(C), failed
+
+
+def _carrying(chain: ClosedChain) -> tuple[Array, Array, Array]:
+    """The inverse of the mixing; and by arm which joints carry which, down and up the arm."""
+    model = chain.model
+    # carries[i, j, k]: arm i has joints j and k, and j is k or nearer to the base.
+    carries = np.zeros((len(chain.arms), chain.n, chain.n))
+    for i, frame in enumerate(chain.frames):
+        joints = list(model.supports[model.frames[frame].parentJoint])[1:]
+        columns = [model.idx_vs[joint] for joint in joints]
+        carries[np.ix_([i], columns, columns)] = np.triu(np.ones((len(columns),) * 2))
+    down = np.ascontiguousarray(carries.transpose(0, 2, 1))
+    unmix = np.asarray(np.linalg.inv(chain.mixing), float)
+    return unmix, down, carries - carries * np.eye(chain.n)
 
 
 def _regular(matrix: Array) -> Array:

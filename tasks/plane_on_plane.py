@@ -84,8 +84,9 @@ class PlaneOnPlane(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        height = point(start, self._plane(start), self.point, self.profile, (2,))
-        return height, lean(start, self._plane(start), self.axis, self.profile)
+        plane = self._plane(start)
+        height = point(start, plane, self.point, self.profile, (2,))
+        return height, lean(start, plane, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The plane, and the point of the object's own."""

@@ -90,7 +90,7 @@ class PointOnCircle(Task):
         """As primitives."""
         circle, of = self._circle(start), (self.point, self.profile)
         distance = radial(start, circle, *of, self.radius, planar=True)
-        return distance, point(start, self._circle(start), *of, (2,))
+        return distance, point(start, circle, *of, (2,))
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The circle, and the point that goes there."""

@@ -83,8 +83,9 @@ class Revolute(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
-        offset = point(start, self._hinge(start), self.point, self.profile, (0, 1, 2))
-        return offset, lean(start, self._hinge(start), self.axis, self.profile)
+        hinge = self._hinge(start)
+        offset = point(start, hinge, self.point, self.profile, (0, 1, 2))
+        return offset, lean(start, hinge, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The hinge, and the point that goes there."""

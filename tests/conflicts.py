@@ -10,10 +10,10 @@ from laws import NEAR, STEP
 from coopqp.checked import Array
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import Law
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
-from coopqp.qp_law.law import QPLaw
 from coopqp.robot import RobotModel
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Pose
@@ -47,7 +47,7 @@ def slightly_open(chain: ClosedChain, gap: float) -> Array:
     return q
 
 
-def jerked(law: QPLaw, speed: float) -> State:
+def jerked(law: Law, speed: float) -> State:
     """One joint moves as the loop cannot, so that no speed within reach closes it."""
     state = law.start()
     state.v[3] = speed

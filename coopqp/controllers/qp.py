@@ -36,8 +36,7 @@ class QPController(Controller):
             InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
                 for that admittance cannot bring about, or without a stated stiffness.
         """
-        law = self.unprepared(problem)
-        return law.prepare() if isinstance(law, KernelLaw) else law
+        return self.unprepared(problem).prepare()
 
     def unprepared(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         """The same; what only rare ticks need is built in the first of them."""

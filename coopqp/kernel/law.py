@@ -21,10 +21,9 @@ from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
-from coopqp.program import Programs
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
-from coopqp.qp_law.priorities import deciding
+from coopqp.qp_law.priorities import Order
 from coopqp.signal import Followed
 from coopqp.solver import Status
 from coopqp.squeezer import Squeezer
@@ -90,17 +89,15 @@ class KernelLaw(Law):
         squeezer: Squeezer | None = None,
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
-        self._start = start = State(problem.chain)
-        self._limits = limits = Limits(problem, start)
-        self._programs = programs = Programs(start)
+        self._order = order = Order(problem)
+        self._limits = limits = Limits(problem, order.start)
         self._settings = limits, damping, error_damping, self.command.v
-        hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
-        first, *later = deciding(problem, programs)
+        first, *later = order.groups
         self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
-        whole = [Group(first, hard, scaled), *(Group(tasks) for tasks in later)]
-        self.whole = Compiled(problem, programs, whole, *self._settings)
+        whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
+        self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self._engine_step = self.whole.engine.step
-        self._softens_at_all = bool(hard or scaled)
+        self._softens_at_all = bool(order.hard or order.scaled)
         self.softened: Compiled | None = None
         if any(task.joint_space for task in problem.tasks):  # which may not be compiled then
             self._prepare_softened()
@@ -109,7 +106,8 @@ class KernelLaw(Law):
         self._runs = self._alone_at_all and not self.whole.follows
         self._gives_up = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
-        self._dt, self._soft_ticks, self._scales = problem.dt, soft_ticks(problem), bool(scaled)
+        self._dt, self._soft_ticks = problem.dt, soft_ticks(problem)
+        self._scales = bool(order.scaled)
         self._asked = False  # whether the kernel has been asked in this tick
         self._shown: tuple[Any, ...] = NOTHING
 
@@ -117,18 +115,18 @@ class KernelLaw(Law):
     def plain(self) -> QPLaw:
         """The same law in Python, for ticks that the kernel leaves to it; built when asked for."""
         _, damping, error_damping, _ = self._settings
-        return QPLaw(self.problem, damping, error_damping, self.squeezer)
+        return QPLaw(self.problem, damping, error_damping, self.squeezer, self._order)
 
     def prepare(self) -> KernelLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        _ = self.plain
+        self.plain.prepare()
         self._prepare_softened()
         return self
 
     def _prepare_softened(self) -> Compiled | None:
         if self.softened is None and self._softens_at_all:
             tasks = [Group(self.problem.tasks)]
-            self.softened = Compiled(self.problem, self._programs, tasks, *self._settings)
+            self.softened = Compiled(self.problem, self._order.programs, tasks, *self._settings)
             state, memory = self._shown[0], self._shown[4]
             if state is not None and not self.softened.bind(state, memory):
                 self._shown = NOTHING

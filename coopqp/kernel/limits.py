@@ -42,14 +42,14 @@ class Limits:
         self.filled: Bounds | None = None
         self.q_measured: Array | None = None
         self.rows = 0
-        for limit, program in known:
+        for _, program in known:
             if isinstance(program, JointBounds):
                 self.joints.append(flat_joint_limit(program))
                 if program.of is Bounded.LEAD:
                     self.q_measured = np.full(chain.n, np.nan)
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
-                self.rows += len(limit.rows(chain))
+                self.rows += program.rows
         if filled := [limit for limit, program in known if program is None]:
             self.filled = Bounds(chain, filled, start, dt)
             self.rows += len(self.filled.rows)

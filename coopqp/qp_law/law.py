@@ -25,20 +25,20 @@ limits, so there is always an answer.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.program import Programs
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.fallback import Fallback
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.priorities import LaterLevel, deciding
+from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status, norm
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
-from coopqp.task import TaskStack
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
@@ -53,14 +53,15 @@ class QPLaw(Law):
         damping: cost of |v|^2.
         error_damping: c, share of the damping that rules out any overshoot.
         squeezer: who presses by measured forces, if anybody does.
+        order: of the problem's tasks, where it is known.
 
     Attributes:
+        order: of the tasks.
         exact: the hard tasks, then the scaled ones. stacks: the soft tasks of each level.
         first: the level that holds the loops, the exact and the first soft tasks; qp and solution
             are its program and answer in the last tick.
         levels: all of them.
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
-        fallback: for ticks in which not everything can hold.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
             soft; "swing" how much more damping there is because joints swung back,
             :func:`coopqp.qp_law.equations.note_swing`;
@@ -78,28 +79,36 @@ class QPLaw(Law):
         damping: float,
         error_damping: float = ERROR_DAMPING,
         squeezer: Squeezer | None = None,
+        order: Order | None = None,
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
-        start, loops = State(problem.chain), problem.chain.loops.solver_rows
-        programs = Programs(start)
+        self.order = order = order or Order(problem)
         self._damping = cost = Damping(damping, error_damping, problem.dt)
-        self.way_back = WayBack(problem, start, error_damping)
+        self.way_back = WayBack(problem, order.start, error_damping)
         self.probe, bounds = self.way_back.probe, self.way_back.bounds
-        hard, scaled = ([t for t in problem.tasks if t.mode == m] for m in ("hard", "scaled"))
-        self.exact = exact = TaskStack([*hard, *scaled], start)
-        self._scaled = exact.slices[len(hard) :]
-        self._at_rest = 0.0 if scaled else 1.0  # the scale where scaled tasks do nothing
-        self.stacks = stacks = [TaskStack(group, start) for group in deciding(problem, programs)]
-        names = [task.name for task in scaled]
-        self.first = Level(problem, stacks[0], [*loops, *exact.rows], bounds, cost, names)
+        self.exact = order.exact
+        self._scaled = self.exact.slices[len(order.hard) :]
+        self._at_rest = 0.0 if order.scaled else 1.0  # the scale where scaled tasks do nothing
+        self.stacks = [order.stack(level) for level in range(len(order.groups))]
+        rows = [*problem.chain.loops.solver_rows, *self.exact.rows]
+        names = [task.name for task in order.scaled]
+        self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, programs, [*stacks[:i], exact], stacks[i], bounds, cost)
-            for i in range(1, len(stacks))
+            LaterLevel(problem, order, level, bounds, cost) for level in range(1, len(self.stacks))
         ]
         self.levels = (self.first, *(later.level for later in self._later))
-        self.fallback = Fallback(problem, start, self.way_back, cost)
-        self.memory_sizes = memory_sizes(problem, len(stacks), squeezer)
+        self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
+
+    @cached_property
+    def fallback(self) -> Fallback:
+        """For ticks in which not everything can hold; built when asked for."""
+        return Fallback(self.problem, self.order.start, self.way_back, self._damping)
+
+    def prepare(self) -> QPLaw:
+        """Build now what only rare ticks need, so that none waits for it; returns itself."""
+        self.fallback  # noqa: B018 - is built by being asked for
+        return self
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify, level by level; the command is safe whatever happened."""

@@ -16,12 +16,13 @@ solvers can tell from a wall, the level's step is shortened by what is missing.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
@@ -53,60 +54,91 @@ def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
     return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
-def deciding(problem: ControlProblem, programs: Programs) -> list[list[Task]]:
-    """The :func:`groups` that have anything left to decide: none after all joints are decided.
+class Order:
+    """Which tasks of a problem decide when: exact ones, then soft ones level by level.
 
     Args:
         problem: whose tasks.
-        programs: of tasks, from the state from which their references set out.
+
+    Attributes:
+        start: the state from which their references set out, which stays as it is.
+        programs: of tasks, from there.
+        hard, scaled: the tasks of these modes, which the first level has to do.
+        groups: the :func:`groups` that have anything left to decide: none after all joints are
+            decided.
     """
-    n, (first, *later) = problem.chain.n, groups(problem)
-    found, decided = [first], [*first, *(task for task in problem.tasks if task.mode != "soft")]
-    for group in later:
-        if most_rank(decided, programs) == n and general_rank(decided, programs) == n:
-            break
-        found.append(group)
-        decided += group
-    return found
+
+    def __init__(self, problem: ControlProblem) -> None:
+        self.start = State(problem.chain)
+        self.programs = Programs(self.start)
+        self.hard, self.scaled = (
+            [task for task in problem.tasks if task.mode == mode] for mode in ("hard", "scaled")
+        )
+        self.groups = groups(problem)
+        self._stacks: dict[int, TaskStack] = {}
+        self._decided: dict[int, int] = {}
+        later = range(1, len(self.groups))
+        del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
+
+    @cached_property
+    def exact(self) -> TaskStack:
+        """The hard tasks, then the scaled ones."""
+        return TaskStack([*self.hard, *self.scaled], self.start)
+
+    def stack(self, level: int) -> TaskStack:
+        """The soft tasks of a level."""
+        if level not in self._stacks:
+            self._stacks[level] = TaskStack(self.groups[level], self.start)
+        return self._stacks[level]
+
+    def before(self, level: int) -> list[TaskStack]:
+        """What has been decided before a level."""
+        return [*(self.stack(i) for i in range(level)), self.exact]
+
+    def decided(self, level: int) -> int:
+        """How many rows of the loops and of the tasks before a level are independent in general.
+
+        Only where the pose at the start is singular do others have to be looked at.
+        """
+        if level not in self._decided:
+            self._decided[level] = self._rank_before(level)
+        return self._decided[level]
+
+    def _nothing_left(self, level: int) -> bool:
+        n = self.start.chain.n
+        return self._most_before(level) == n and self.decided(level) == n
+
+    def _tasks_before(self, level: int) -> list[Task]:
+        return [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
+
+    def _most_before(self, level: int) -> int:
+        """A rank that these rows cannot exceed.
+
+        Rows that see nothing but the object's twist are together of rank six at most.
+        """
+        chain = self.start.chain
+        sizes = {True: 0, False: len(chain.loops.solver_rows)}
+        for task in self._tasks_before(level):
+            sizes[sees_twist(self.programs.of(task))] += len(task.rows(chain))
+        return min(chain.n, sizes[False] + min(sizes[True], TWIST))
+
+    def _rank_before(self, level: int) -> int:
+        if any(task.joint_space and task.all_joints for task in self._tasks_before(level)):
+            return self.start.chain.n
+        before, rank, most = self.before(level), 0, self._most_before(level)
+        for state in _places(self.start):
+            for stack in before:
+                stack.update(state)
+            rank = max(rank, matrix_rank(np.vstack([state.J_loop, *(s.J for s in before)])))
+            if rank == most:
+                break
+        return rank
 
 
-def most_rank(tasks: Sequence[Task], programs: Programs) -> int:
-    """A rank that the rows of the loops and of these tasks cannot exceed.
-
-    Rows that see nothing but the object's twist are together of rank six at most.
-
-    Args:
-        tasks: any.
-        programs: of tasks.
-    """
-    chain = programs.start.chain
-    sizes = {True: 0, False: len(chain.loops.solver_rows)}
-    for task in tasks:
-        sizes[sees_twist(programs.of(task))] += len(task.rows(chain))
-    return min(chain.n, sizes[False] + min(sizes[True], TWIST))
-
-
-def general_rank(tasks: Sequence[Task], programs: Programs) -> int:
-    """How many rows of the loops and of these tasks are independent, unless a pose is singular.
-
-    Args:
-        tasks: any.
-        programs: of tasks.
-    """
-    start, rank, most = programs.start, 0, most_rank(tasks, programs)
-    stack = TaskStack(tasks, start)
-    for state in states_along(start.chain, _places(start.chain)):
-        stack.update(state)
-        rank = max(rank, matrix_rank(np.vstack([state.J_loop, stack.J])))
-        if rank == most:
-            break
-    return rank
-
-
-def _places(chain: ClosedChain) -> Iterator[Array]:
+def _places(start: State) -> Iterator[State]:
     """The start, and some configurations anywhere for those who need more."""
-    yield chain.q_start
-    yield from chain.sample(np.random.default_rng(0), SAMPLES)
+    yield start
+    yield from states_along(start.chain, start.chain.sample(np.random.default_rng(0), SAMPLES))
 
 
 class LaterLevel:
@@ -114,9 +146,8 @@ class LaterLevel:
 
     Args:
         problem: what to control.
-        programs: of tasks.
-        before: the tasks that have been decided.
-        tasks: the soft tasks of this level.
+        order: of its tasks.
+        number: of this level, from 1.
         bounds: the limits.
         damping: cost of |v|^2.
 
@@ -127,17 +158,16 @@ class LaterLevel:
     def __init__(
         self,
         problem: ControlProblem,
-        programs: Programs,
-        before: Sequence[TaskStack],
-        tasks: TaskStack,
+        order: Order,
+        number: int,
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        self._before, self._damping = before, damping
-        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
-        decided = general_rank([task for stack in before for task in stack.tasks], programs)
-        rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
-        self.level = Level(problem, tasks, rows, bounds, damping)
+        self._before, self._damping = order.before(number), damping
+        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in self._before)
+        decided = range(order.decided(number))
+        rows = [Row(name=f"decided[{i}]", kind="decided") for i in decided]
+        self.level = Level(problem, order.stack(number), rows, bounds, damping)
 
     def improve(
         self, state: State, bounds: Bounds, v: Array, status: Status, pull: Array

@@ -30,7 +30,7 @@ class LoopProbe:
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._second_order = problem.dt, opening(problem.chain, problem.dt)
         self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
-        self._after, self._reach = State(problem.chain), problem.chain.reach
+        self._chain, self._reach = problem.chain, problem.chain.reach
 
     def shorten(self, state: State, command: Command) -> None:
         """Halve the step until the loops stay within the budget after it."""
@@ -54,10 +54,8 @@ class LoopProbe:
         return bool(fits) or self._look(state, v)
 
     def _look(self, state: State, v: Array) -> bool:
-        after, closed = self._after, state.closed_error
-        after.q[:] = state.q + self._dt * v
-        after.update_poses()
-        opened = (after.loop_error - state.gap)[: len(closed)]
+        closed = state.closed_error
+        opened = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(closed)]
         # A loop that is open already may be closed by steps that leave it open for now.
         return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._most)).all())
 

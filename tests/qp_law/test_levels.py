@@ -20,11 +20,12 @@ from coopqp.checked import Array, spec
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.qp_law.priorities import Order
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
-from coopqp.tasks import JointCentering, PointOnPlane, PointOnPoint
+from coopqp.tasks import JointCentering, MinimumVelocity, PointOnPlane, PointOnPoint
 
 Point = tuple[float, float, float]
 GAIN, DAMPING = 5.0, PLAIN.damping
@@ -124,6 +125,28 @@ def test_symmetric_start_does_not_decide_what_later_levels_may_change(
         np.testing.assert_allclose(state.J_rel @ both, state.J_rel @ alone, atol=1e-7)
         for J, _, _ in levels_of(state, FRONT)[:2]:
             np.testing.assert_allclose(J @ both, J @ alone, atol=1e-7)
+
+
+@pytest.mark.parametrize("point", [ORIGIN, FRONT])
+def test_a_later_level_knows_how_many_rows_are_independent_before_it(
+    chain: ClosedChain, closed_loop_walk: Walk, point: Point
+) -> None:
+    """At the symmetric start the front's height and the origin's place depend on each other."""
+    order = Order(stack_of(chain, point))
+    state = State(chain, closed_loop_walk(chain, 2)[-1])
+    rows, found = state.J_rel, []
+    for J, _, _ in levels_of(state, point)[:2]:
+        rows = np.vstack([rows, J])
+        found.append(int(np.linalg.matrix_rank(rows, rtol=1e-8)))
+    later = range(1, len(order.groups))
+    assert [order.decided(level) for level in later] == found[: len(later)]
+    assert len(order.groups) == (2 if found[-1] == chain.n else 3)
+
+
+def test_nothing_is_left_after_a_wish_for_all_joints(chain: ClosedChain) -> None:
+    given = stack_of(chain)
+    more = replace(given, secondary=(*given.secondary, MinimumVelocity(priority=1)))
+    assert len(Order(more).groups) == len(Order(given).groups)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.2])

@@ -26,6 +26,8 @@ def test_a_step_that_passes_leaves_the_loops_within_the_budget(
         v = basis @ (basis.T @ rng.normal(size=len(basis))) * 10.0 ** rng.uniform(-1.0, 2.0)
         after.q[:] = state.q + problem.dt * v
         after.update()
+        found = scenario.chain.loop_error(after.q)
+        np.testing.assert_allclose(found, after.loop_error[: len(found)], rtol=0.0, atol=1e-14)
         if probe.within(state, v):
             passed += 1
             assert after.loop_position_error <= budget.loop_position

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import laws
 import numpy as np
@@ -19,8 +20,10 @@ from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity
 from coopqp.profile import Profile
+from coopqp.qp import QP
 from coopqp.solver import Budget, Status
 from coopqp.state import State
+from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, limits=LIMITS)
@@ -90,6 +93,22 @@ def test_acceleration_limits_give_way_to_the_loops(chain: ClosedChain) -> None:
     np.testing.assert_allclose(command.v, free.tick(state).v, atol=1e-7)
     # From rest there is no conflict.
     assert law.tick(law.start()).status is Status.OPTIMAL
+
+
+@pytest.mark.parametrize("engine", ["auto", "python"])
+def test_no_tick_of_a_built_law_waits_for_what_gives_up(
+    chain: ClosedChain, engine: Literal["auto", "python"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits = (*LIMITS, JointAcceleration(max=20.0))
+    law = replace(PLAIN, engine=engine).build(problem(chain, REACH, limits=limits))
+    state = jerked(law, 5.0)
+
+    def built(*args: object, **settings: object) -> None:
+        raise AssertionError("built in a tick")
+
+    for part in (QP, TaskStack, State):
+        monkeypatch.setattr(part, "__init__", built)
+    assert law.tick(state).status is Status.ACCELERATION_GIVEN_UP
 
 
 def most_correction(chain: ClosedChain, state: State, speed: float) -> float:

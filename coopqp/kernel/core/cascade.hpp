@@ -86,8 +86,7 @@ class Cascade {
         if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
         copy(V_, check_.V, 2);
         Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
-        if (outcome.status == Status::Optimal && outcome.off > SHORT_OF_DIGITS)
-            outcome = refined(l, first, d, outcome);
+        if (is_short(outcome)) outcome = refined(l, first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
         return outcome.status;
     }
@@ -125,8 +124,15 @@ class Cascade {
             rows_.twist(0, loops_.Z + std::size_t(z * stride()), W_ + TWIST * z);
     }
 
+    // Whether nothing is wrong with an answer but its last digits. Where rows do not hold to the last
+    // digit, something else is.
+    static bool is_short(const Outcome& found) {
+        if (found.status == Status::Optimal) return found.off > SHORT_OF_DIGITS;
+        return found.status == Status::Inaccurate && found.gap <= SHORT_OF_DIGITS;
+    }
+
     // The outcome after the rest of the way to the optimum, which the gradient that the check has
-    // left tells. What is worse than before is taken back. What the check refuses is not mended.
+    // left tells, judged anew. What is worse than before is taken back.
     Outcome refined(int l, int first, double d, const Outcome& found) {
         copy(kept_v_, v_, m_.blocks);
         copy(kept_V_, check_.V, 2);

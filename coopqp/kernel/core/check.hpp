@@ -23,6 +23,7 @@ struct Outcome {
     Status status;
     double pull;  // LaterLevel.pull, or the sum of the hard rows' multipliers
     double off;   // estimate of |v - v*|
+    double gap;   // by how much rows that must hold do not
 };
 
 class Check {
@@ -63,7 +64,7 @@ class Check {
         const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
         gradient(l, d, v, c.nearest, c.limits.G);
         double off = 0.0;
-        Outcome outcome{Status::Optimal, 0.0, 0.0};
+        Outcome outcome{Status::Optimal, 0.0, 0.0, gap};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
             y_.balance(first);

@@ -93,10 +93,12 @@ class LeastDistance {
     }
 
     // u: the step to the optimum with the active constraints as they are, from where the rows'
-    // gradient is g.
+    // gradient, with what these push, is g. Their multipliers take what they have left of it.
     void descend(const double* g) {
         multiply(normal_, M, stride(), K_, g, row_blocks_);
         multiply(d_, Q_, width_, K_, normal_, blocks_);
+        solve_triangular();
+        for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] += r_[std::size_t(i)];
         copy_from(h_, d_, active, blocks_);
         for (int b = 0; b < blocks_; b++) lanes(h_)[b] = -lanes(h_)[b];
         clear(u, blocks_);
@@ -105,6 +107,15 @@ class LeastDistance {
 
   private:
     double& R(int i, int j) { return R_[std::size_t(i * most_ + j)]; }
+
+    // r = R^-1 d over the active ones.
+    void solve_triangular() {
+        for (int i = active; i-- > 0;) {
+            double rest = d_[i];
+            for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
+            r_[std::size_t(i)] = rest / R(i, i);
+        }
+    }
 
     // The constraint that is violated most by values_, or -1.
     int most_violated(double& side) {
@@ -144,11 +155,7 @@ class LeastDistance {
             multiply(d_, Q_, width_, K_, normal_, blocks_);
             copy_from(h_, d_, active, blocks_);
             const double free2 = dot(h_, h_, blocks_);
-            for (int i = active; i-- > 0;) {
-                double rest = d_[i];
-                for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
-                r_[std::size_t(i)] = rest / R(i, i);
-            }
+            solve_triangular();
             double dual = std::numeric_limits<double>::infinity();
             int leaves = -1;
             for (int i = 0; i < active; i++)
@@ -252,12 +259,8 @@ class LeastDistance {
                 d_[i] = rest / R(i, i);
             }
             add_rows(u, Q_, width_, active, d_, blocks_);
-            for (int i = active; i-- > 0;) {
-                double rest = d_[i];
-                for (int j = i + 1; j < active; j++) rest -= R(i, j) * r_[std::size_t(j)];
-                r_[std::size_t(i)] = rest / R(i, i);
-                multiplier_[std::size_t(i)] += r_[std::size_t(i)];
-            }
+            solve_triangular();
+            for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] += r_[std::size_t(i)];
         }
         return Status::Optimal;
     }
