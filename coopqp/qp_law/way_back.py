@@ -15,6 +15,8 @@ back at least almost as fast.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from coopqp.checked import Array
@@ -57,14 +59,17 @@ class WayBack:
         self.probe = LoopProbe(problem)
         self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
-        self._whole, self._slowed = (
-            Level(problem, nothing, loops, self.bounds, self._damping, slows=slows)
-            for slows in (False, True)
-        )
+        self._start = start
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
+
+    @cached_property
+    def levels(self) -> tuple[Level, Level]:
+        """With all of the drift correction, and with a share of it; built when asked for."""
+        problem, nothing = self._problem, TaskStack((), self._start)
+        given = problem, nothing, problem.chain.loops.solver_rows, self.bounds, self._damping
+        return Level(*given), Level(*given, slows=True)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
@@ -91,8 +96,9 @@ class WayBack:
         extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
-        for level in (self._whole, self._slowed):
-            if level is self._whole and state.corrected < ALL_OF_IT:
+        whole, slowed = self.levels
+        for level in (whole, slowed):
+            if level is whole and state.corrected < ALL_OF_IT:
                 continue  # or it would go to and fro between all and a part
             level.assemble(state, bounds, extra)
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
@@ -100,7 +106,7 @@ class WayBack:
             level.close_loops(state, kappa)
             usable, y = level.solve().usable, level.solution.y
             saving = kappa * y.dot(state.e_loop)
-            if usable and (level is self._slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT):
+            if usable and (level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT):
                 self.v, self.share = level.v.copy(), level.scale
                 pull[0] = np.abs(y).sum()
                 return
