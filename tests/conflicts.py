@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from chains import HANDS
 from laws import NEAR, STEP
 
 from coopqp.checked import Array
@@ -12,6 +13,8 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Law
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
+from coopqp.held_object import HeldObject
+from coopqp.robot import RobotModel
 from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Pose
 
@@ -23,6 +26,15 @@ TURN = Pose(
     profile=STEP,
     mode="hard",
 )
+#: NAO's joints that begin outside their limits [rad].
+OUTSIDE: dict[str, dict[str, float]] = {
+    "elbow": {"RElbowRoll": 1.64},
+    "shoulder": {"LShoulderPitch": -2.2},
+    "both elbows": {"RElbowRoll": 1.7, "LElbowRoll": -1.7},
+    "both wrists": {"RWristYaw": 2.0, "LWristYaw": -2.0},
+    "both shoulders": {"RShoulderRoll": 0.5, "LShoulderRoll": -0.5},
+    "four joints": {"RElbowRoll": 1.7, "LElbowRoll": -1.65, "RShoulderRoll": 0.4, "RWristYaw": 2.0},
+}
 GRASPS: dict[str, Grasp] = {"rigid": Rigid(), "revolute": Revolute(point=(0.0, 0.0, -0.05))}
 each_grasp = pytest.mark.parametrize("grasp", list(GRASPS))
 REACH = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
@@ -40,6 +52,14 @@ def jerked(law: Law, speed: float) -> State:
     state = law.start()
     state.v[3] = speed
     return state
+
+
+def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> ClosedChain:
+    """Hands closed on the object while some joints are where they should not be."""
+    q = np.asarray(nao.configuration(HANDS), float)
+    for name, value in joints.items():
+        q[nao.joint_names.index(name)] = value
+    return ClosedChain.take_hold(nao, q, GRASPS[grasp], HeldObject())
 
 
 def beyond(chain: ClosedChain, q: Array) -> Array:

@@ -62,8 +62,8 @@ class Engine {
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
                     const Written& commanded, const Written& later_pulls, const Written& hard_pull,
-                    const Written& missing, const Written& swing, const Written& stopped,
-                    const Written& soft) {
+                    const Written& missing, const Written& recovery, const Written& swing,
+                    const Written& stopped, const Written& soft) {
         auto& b = kernel_->bound;
         b.q = q_now_ = q.data();
         b.v_last = v_now_ = v_last.data();
@@ -77,11 +77,12 @@ class Engine {
         b.later_pulls = later_pulls.data();
         b.hard_pull = hard_pull.data();
         b.missing = missing.data();
+        b.recovery = recovery.data();
         b.swing = swing.data();
         stopped_ = stopped.data();
         soft_ = soft.data();
         state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, hard_pull, missing, swing, stopped, soft);
+                                later_pulls, hard_pull, missing, recovery, swing, stopped, soft);
     }
 
     void bind_command(const Written& v) {
@@ -114,17 +115,17 @@ class Engine {
         references_[nb::int_(primitive)] = nb::make_tuple(c, RT, c_dot, omega);
     }
 
-    // A whole tick of a problem of which Python fills nothing.
-    int tick(double t) {
+    // A whole tick of a problem of which Python fills nothing; all_corrected: as in Kernel::solve.
+    int tick(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
-        return status ? status : int(kernel_->solve());
+        return status ? status : told(kernel_->solve(all_corrected));
     }
 
     // The same where Python has filled limits, rows of some tasks, or what some of them follow.
-    int tick_with_rows(double t) {
+    int tick_with_rows(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
@@ -132,33 +133,28 @@ class Engine {
         if (status) return status;
         for (const Filled& rows : filled_) take_rows(rows);
         if (filled_limits_.lb) take_limits();
-        return int(kernel_->solve());
+        return told(kernel_->solve(all_corrected));
     }
 
-    // The same within other bounds as well, with a gain of the drift correction, wherever joints are.
-    int tick_coming_back(double t, double kappa, const Numbers& lb, const Numbers& ub) {
+    // After a tick that was infeasible, where nothing may be given up: joints that are outside their
+    // limits come back, others stand still.
+    int rest() {
         const Use use(*this);
-        if (!use.alone) return BUSY;
-        const Unlocked unlocked(*kernel_);
-        const int status = evaluate(t);
-        if (status) return status;
-        for (const Filled& rows : filled_) take_rows(rows);
-        if (filled_limits_.lb) take_limits();
-        take_bounds(lb.data(), ub.data());
-        return int(kernel_->solve(kappa));
+        return use.alone ? come_back() : BUSY;
     }
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still or has given up hard tasks a moment ago.
+    // where the law stands still or has given up hard tasks a moment ago. The tick before has done
+    // all of the drift correction.
     int step(double t) {
         const Use use(*this);
         if (!use.alone || waits()) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
-        const coopqp::Status decided = kernel_->solve();
+        const coopqp::Status decided = kernel_->solve(true);
         if (is_answer(decided)) advance();
-        return int(decided);
+        return told(decided);
     }
 
     // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
@@ -206,7 +202,8 @@ class Engine {
 
   private:
     static constexpr int BUSY = -1;
-    static constexpr int SOFTENED = 16, STANDS = 32;  // added to the status of a tick of a run
+    // Added to the status of a tick.
+    static constexpr int SOFTENED = 16, STANDS = 32, COMES_BACK = 64;
 
     // What a run does where not everything can hold, as coopqp.kernel.law has it.
     struct GivingUp {
@@ -222,33 +219,37 @@ class Engine {
         if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
         if (stands) return stand_still();
         if (whole) {
-            const coopqp::Status status = kernel_->solve();
-            if (is_answer(status)) return int(status);
+            const coopqp::Status status = kernel_->solve(given.all_corrected);
+            if (is_answer(status)) return told(status);
             if (status != coopqp::Status::Infeasible) return BUSY;
         }
         if (!given.gives_up) {
             *stopped_ = given.stops ? 1.0 : 0.0;
             forget_exact();
-            return stand_still();
+            return come_back();
         }
         if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
-        const coopqp::Status status = given.softened->kernel_->solve();
+        const coopqp::Status status = given.softened->kernel_->solve(true);
         if (!is_answer(status)) return BUSY;
         *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
         forget_exact();
-        return SOFTENED + int(status);
+        return SOFTENED + given.softened->told(status);
     }
 
     // As coopqp.kernel.law says it.
     double scale_of(int how) const {
         const int shares = kernel_->levels[0].shares;
-        if (!shares) return 1.0;
+        if (!shares || how >= COMES_BACK + STANDS) return 1.0;
         const double* missing = kernel_->bound.missing;
-        return how < SOFTENED ? 1.0 - *std::max_element(missing, missing + shares) : 0.0;
+        return how & (SOFTENED | STANDS) ? 0.0 : 1.0 - *std::max_element(missing, missing + shares);
     }
 
     static bool is_answer(coopqp::Status status) {
         return status == coopqp::Status::Optimal || status == coopqp::Status::Shortened;
+    }
+
+    int told(coopqp::Status status) const {
+        return int(status) + (is_answer(status) && kernel_->comes_back() ? COMES_BACK : 0);
     }
 
     void forget_exact() {
@@ -262,6 +263,11 @@ class Engine {
         return STANDS;
     }
 
+    int come_back() {
+        if (!kernel_->comes_back()) return stand_still();
+        return COMES_BACK + STANDS + int(kernel_->come_back());
+    }
+
     int evaluate(double t) {
         const int status = int(kernel_->update(t));
         if (status) return status;
@@ -269,7 +275,7 @@ class Engine {
         const auto& m = kernel_->model();
         const auto& bound = kernel_->bound;
         program_.run(t, kernel_->kinematics, m, bound.q, kernel_->levels);
-        auto& limits = kernel_->constraints;
+        auto& limits = kernel_->limits;
         bounds_.update(m, bound.q, bound.v_last, limits.lb, limits.ub);
         twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), limits.G, limits.h);
         return 0;
@@ -311,7 +317,7 @@ class Engine {
     // Also where they are no numbers.
     void take_bounds(const double* least, const double* most) {
         const auto& joints = kernel_->model().joints;
-        auto& limits = kernel_->constraints;
+        auto& limits = kernel_->limits;
         for (std::size_t j = 0; j < joints.size(); j++) {
             double &lb = limits.lb[joints[j].lane], &ub = limits.ub[joints[j].lane];
             if (!(least[j] <= lb)) lb = least[j];
@@ -324,7 +330,7 @@ class Engine {
         const auto& joints = kernel_->model().joints;
         const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
         take_bounds(f.lb, f.ub);
-        auto& limits = kernel_->constraints;
+        auto& limits = kernel_->limits;
         const std::size_t first = limits.h.size() - f.rows;
         for (std::size_t i = 0; i < f.rows; i++) {
             limits.h[first + i] = f.h[i];
@@ -384,7 +390,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_reference", &Engine::bind_reference)
         .def("tick", &Engine::tick)
         .def("tick_with_rows", &Engine::tick_with_rows)
-        .def("tick_coming_back", &Engine::tick_coming_back)
+        .def("rest", &Engine::rest)
         .def("step", &Engine::step)
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
              "remembered"_a, "softened"_a.none(), "soft_ticks"_a, "gives_up"_a, "stops"_a,

@@ -15,13 +15,16 @@ from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
 from coopqp.program import Programs
-from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.signal import Course
 from coopqp.state import State
 
 
 class Outcome(IntEnum):
-    """What became of a tick of the kernel, numbered as in ``core/status.hpp``."""
+    """What became of a tick of the kernel, numbered as in ``core/status.hpp``.
+
+    Where joints are on their way back from outside their limits COMES_BACK is added to an answer.
+    """
 
     BUSY = -1
     OPTIMAL = 0
@@ -36,6 +39,8 @@ class Outcome(IntEnum):
     OUTSIDE = 9
     SHORTENED = 10
     UNPROVEN = 11
+    COMES_BACK = 64
+    COMES_BACK_SHORTENED = 74
 
 
 class Compiled:
@@ -96,7 +101,7 @@ class Compiled:
 
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
-        names = "later pulls", "pull", "missing", "swing", "stopped", "soft"
+        names = "later pulls", "pull", "missing", "recovery", "swing", "stopped", "soft"
         remembered = (memory[name] for name in names)
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
         before, self._heard = self._heard, []
@@ -121,27 +126,22 @@ class Compiled:
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
-    def tick(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> int:
+    def tick(self, state: State) -> int:
         """Decide, and return what became of it: INFEASIBLE only where that is proved.
 
         Where Python fills rows, the state's kinematics and the limits must be up to date.
 
         Args:
             state: of the tick, bound before.
-            within: bounds of joints that may be outside their limits; where there are none, a joint
-                outside is an outcome.
-            kappa: gain of the drift correction, with these bounds.
         """
-        if self.alone and within is None:
+        all_corrected = state.corrected >= ALL_OF_IT
+        if self.alone:
             if self.follows:
                 self._levels.follow(state)
-            self.outcome = self.engine.tick(state.t)
-            return self.outcome
-        self._levels.update(state)
-        if within is None:
-            self.outcome = self.engine.tick_with_rows(state.t)
+            self.outcome = self.engine.tick(state.t, all_corrected)
         else:
-            self.outcome = self.engine.tick_coming_back(state.t, kappa, within.lb, within.ub)
+            self._levels.update(state)
+            self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
         return self.outcome
 
 

@@ -3,9 +3,9 @@
 The kernel does what the plain law does when all is well: the loops, hard, scaled and soft tasks,
 any number of levels, limits, the check and the look ahead. Where it proves that hard and scaled
 tasks leave no motion they become soft, for as long as in the plain law, as a second program of the
-kernel. Joints that are outside their limits have their way back from the plain law, within which
-the kernel decides. All that is rarer is written once, in the plain law, which decides every tick
-that the kernel does not: drift that is corrected in part, acceleration limits that are given up.
+kernel. Joints that are outside their limits come back first. All that is rarer is written once, in
+the plain law, which decides every tick that the kernel does not: drift that is corrected in part,
+acceleration limits that are given up.
 """
 
 from __future__ import annotations
@@ -21,12 +21,9 @@ from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
-from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
 from coopqp.qp_law.priorities import Order
-from coopqp.qp_law.safety import drift_gain
-from coopqp.qp_law.way_back import WayBack
 from coopqp.signal import Followed
 from coopqp.solver import Status
 from coopqp.squeezer import Squeezer
@@ -35,16 +32,33 @@ from coopqp.ticks import Ticks
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
-INFEASIBLE, OUTSIDE = int(Outcome.INFEASIBLE), int(Outcome.OUTSIDE)
-ALL_WELL = {OPTIMAL: (Status.OPTIMAL,), SHORTENED: (Status.STEP_SHORTENED,)}
+INFEASIBLE, OPENS = int(Outcome.INFEASIBLE), int(Outcome.OPENS)
+#: Added to them, as in ``binding.cpp``.
+SOFTENED, STANDS, COMES_BACK = 16, 32, int(Outcome.COMES_BACK)
+ALL_WELL = {
+    OPTIMAL: (Status.OPTIMAL,),
+    SHORTENED: (Status.STEP_SHORTENED,),
+    COMES_BACK + OPTIMAL: (Status.RECOVERING,),
+    COMES_BACK + SHORTENED: (Status.STEP_SHORTENED, Status.RECOVERING),
+}
 GIVEN_UP = {
     OPTIMAL: (Status.TASKS_GIVEN_UP,),
     SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
+    COMES_BACK + OPTIMAL: (Status.TASKS_GIVEN_UP, Status.RECOVERING),
+    COMES_BACK + SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP, Status.RECOVERING),
 }
-STANDS = (Status.INFEASIBLE,)
-#: The same of a tick in a run, numbered as in ``binding.cpp``.
+#: Of a tick in which nothing may be given up.
+RESTS = {
+    STANDS: (Status.INFEASIBLE,),
+    COMES_BACK + STANDS + OPTIMAL: (Status.RECOVERING, Status.INFEASIBLE),
+    COMES_BACK + STANDS + SHORTENED: (
+        Status.STEP_SHORTENED, Status.RECOVERING, Status.INFEASIBLE
+    ),
+    COMES_BACK + STANDS + OPENS: (Status.LOOP_BUDGET, Status.RECOVERING, Status.INFEASIBLE),
+}  # fmt: skip
+#: Of a tick in a run.
 IN_A_RUN = {
-    **ALL_WELL, **{16 + said: causes for said, causes in GIVEN_UP.items()}, 32: STANDS
+    **ALL_WELL, **{SOFTENED + said: causes for said, causes in GIVEN_UP.items()}, **RESTS
 }  # fmt: skip
 AT_ONCE = 1000  # ticks of a run without Python
 NOTHING = (None,) * 5 + ((),)
@@ -94,8 +108,7 @@ class KernelLaw(Law):
         self._stops = problem.on_infeasible == "stop"
         self._dt, self._soft_ticks = problem.dt, soft_ticks(problem)
         self._scales = bool(order.scaled)
-        self._asked = False  # whether the kernel has been asked in this tick, and what it said
-        self._said = OPTIMAL
+        self._asked = False  # whether the kernel has been asked in this tick
         self._shown: tuple[Any, ...] = NOTHING
 
     @cached_property
@@ -104,14 +117,9 @@ class KernelLaw(Law):
         _, damping, error_damping, _ = self._settings
         return QPLaw(self.problem, damping, error_damping, self.squeezer, self._order)
 
-    @cached_property
-    def way_back(self) -> WayBack:
-        """Of joints that are outside their limits; built when asked for."""
-        return WayBack(self.problem, self._order.start, self._settings[2])
-
     def prepare(self) -> KernelLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.way_back = self.plain.prepare().way_back
+        self.plain.prepare()
         self._prepare_softened()
         return self
 
@@ -126,7 +134,7 @@ class KernelLaw(Law):
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
-        self._asked, self._said = False, OPTIMAL
+        self._asked = False
         if self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
@@ -140,13 +148,12 @@ class KernelLaw(Law):
         self.compiled = False
         if not self._asked and self._ready(state):
             if self._stopped[0]:
-                self._stand_still()
+                self.command.v[:] = 0.0
+                self._rests(STANDS)
                 return self.command
             self._limits.update(state)
             if self._decides(state):
                 return self.command
-        if self._said == OUTSIDE and self._comes_back(state):
-            return self.command
         other, command = self.plain.decide(state), self.command
         command.v[:] = other.v
         command.scale, command.drift = other.scale, other.drift
@@ -163,64 +170,35 @@ class KernelLaw(Law):
             self._asked = False
             return False
 
-    def _decides(self, state: State, within: Bounds | None = None, kappa: float = 0.0) -> bool:
-        """Whether the kernel has an answer, which is the command then.
-
-        Args:
-            state: of the tick.
-            within: bounds of joints that may be outside their limits, if they may.
-            kappa: drift gain with these bounds.
-        """
+    def _decides(self, state: State) -> bool:
+        """Whether the kernel has an answer, which is the command then."""
         self.compiled = False
         if self._soft[0] <= 0.0:
-            self._said = said = self.whole.tick(state, within, kappa)
+            said = self.whole.tick(state)
             if said in ALL_WELL:
                 self._say(ALL_WELL[said])
                 self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
                 return True
             if said != INFEASIBLE or (not self._softens_at_all and self._gives_up):
                 return False
-        if self._gives_up and not self._softens(state, within):
+        if not (self._softens(state) if self._gives_up else self._rests(self.whole.engine.rest())):
             return False
-        if not self._gives_up:
-            self._stand_still()
         self._pull[0] = self._missing[:] = 0.0
         return True
 
-    def _softens(self, state: State, within: Bounds | None) -> bool:
+    def _softens(self, state: State) -> bool:
         """Whether there is an answer with all tasks soft."""
         if not self._softens_at_all or state.corrected < ALL_OF_IT:
             return False
         softened = self.softened or self._prepare_softened()
         if softened is None or self._shown is NOTHING:
             return False
-        kappa = drift_gain(self.problem, state) if within else 0.0
-        self._said = said = softened.tick(state, within, kappa)
+        said = softened.tick(state)
         if said not in GIVEN_UP:
             return False
         self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
         self._say(GIVEN_UP[said])
         self.command.scale = 0.0 if self._scales else 1.0
-        return True
-
-    def _comes_back(self, state: State) -> bool:
-        """Whether there is an answer that brings joints back that are outside their limits.
-
-        The way back is the plain law's; the kernel decides within it.
-        """
-        command, way_back, pull = self.command, self.way_back, state.memory["recovery"]
-        before = pull[0]
-        kappa = way_back.limit(state)
-        if not self._decides(state, way_back.bounds, kappa):
-            pull[0] = before
-            return False
-        v, causes = way_back.rescue(command.v, command.causes)
-        command.say(*causes)
-        command.drift = min(command.drift, way_back.share)
-        if v is not command.v:
-            command.v[:] = v
-            command.scale = 1.0
-            way_back.probe.shorten(state, command)
         return True
 
     def step(self, state: State) -> Command:
@@ -235,6 +213,7 @@ class KernelLaw(Law):
             and state.gap is gap
             and state.memory is memory
             and state.q_measured is None
+            and state.corrected >= ALL_OF_IT
             and self._runs
             and not (inputs.stale or inputs.refused)
         ):
@@ -298,12 +277,14 @@ class KernelLaw(Law):
         self.command.drift = 1.0
         self.command.causes, self.command.note = causes, ""
 
-    def _stand_still(self) -> None:
-        """As the problem wants it where not everything can hold."""
-        self._say(STANDS)
-        self.command.v[:] = 0.0
-        self.command.scale = 0.0 if self._scales else 1.0
+    def _rests(self, said: int) -> bool:
+        """As the problem wants it where not everything can hold, if v is there already."""
+        if said not in RESTS:
+            return False
+        self._say(RESTS[said])
+        self.command.scale = 0.0 if self._scales and said == STANDS else 1.0
         self._stopped[0] = float(self._stops)
+        return True
 
     def _alone(self, state: State) -> bool:
         """Whether the kernel may decide and nothing of a tick is Python's.

@@ -107,7 +107,7 @@ class QPLaw(Law):
 
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.fallback  # noqa: B018 - is built by being asked for
+        self.fallback, self.way_back.levels  # noqa: B018 - are built by being asked for
         return self
 
     def decide(self, state: State) -> Command:

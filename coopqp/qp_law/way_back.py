@@ -3,7 +3,11 @@
 It has a QP of its own, with nothing else to want than to be inside again:
 
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
-    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h,  0 <= s <= 1, s largest
+    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
+
+with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2/2
+(at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0 to 1 and the
+largest that is worth it.
 
 What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
 back at least almost as fast.
@@ -11,13 +15,15 @@ back at least almost as fast.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import Damping
+from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.safety import LoopProbe, drift_gain
 from coopqp.solver import Status
@@ -53,11 +59,17 @@ class WayBack:
         self.probe = LoopProbe(problem)
         self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        nothing, loops = TaskStack((), start), problem.chain.loops.solver_rows
-        self._level = Level(problem, nothing, loops, self.bounds, self._damping, slows=True)
+        self._start = start
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
+
+    @cached_property
+    def levels(self) -> tuple[Level, Level]:
+        """With all of the drift correction, and with a share of it; built when asked for."""
+        problem, nothing = self._problem, TaskStack((), self._start)
+        given = problem, nothing, problem.chain.loops.solver_rows, self.bounds, self._damping
+        return Level(*given), Level(*given, slows=True)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
@@ -74,7 +86,7 @@ class WayBack:
 
     def _find(self, state: State, kappa: float) -> None:
         """The fastest way back for what is outside."""
-        level, bounds, lower, upper = self._level, self.bounds, self._chain.lower, self._chain.upper
+        bounds, lower, upper = self.bounds, self._chain.lower, self._chain.upper
         back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
         wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
         wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
@@ -82,14 +94,22 @@ class WayBack:
         # the shorter its steps.
         pull = state.memory["recovery"]
         extra = self._damping.of(state.chain.reach * pull[0], state)
-        level.assemble(state, bounds, extra + self._damping.of_drift(state, kappa))
-        level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
-        level.qp.q[: len(wish)] = -wish * outside
-        level.close_loops(state, kappa)
+        extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
-        if level.solve().usable:
-            self.v, self.share = level.v.copy(), level.scale
-            pull[0] = np.abs(level.solution.y).sum()
+        whole, slowed = self.levels
+        for level in (whole, slowed):
+            if level is whole and state.corrected < ALL_OF_IT:
+                continue  # or it would go to and fro between all and a part
+            level.assemble(state, bounds, extra)
+            level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
+            level.qp.q[: len(wish)] = -wish * outside
+            level.close_loops(state, kappa)
+            usable, y = level.solve().usable, level.solution.y
+            saving = kappa * y.dot(state.e_loop)
+            if usable and (level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT):
+                self.v, self.share = level.v.copy(), level.scale
+                pull[0] = np.abs(y).sum()
+                return
 
     def tighten(self, bounds: Bounds) -> None:
         """Let nobody take the way back away."""

@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from itertools import count as counted
+from itertools import islice
 from pathlib import Path
 
 import click
@@ -31,6 +34,7 @@ def main() -> int:
     parser.add_argument("--problems", type=int, default=1000, help="random ones")
     parser.add_argument("--ticks", type=int, default=40, help="of each")
     parser.add_argument("--seed", type=int, default=0, help="of the first; others count up")
+    parser.add_argument("--outside", action="store_true", help="only such as start outside")
     parser.add_argument("--scenarios", action="store_true", help="shipped ones alone")
     asked, everything = parser.parse_args(), Seen()
     for name in LOADABLE:
@@ -41,7 +45,10 @@ def main() -> int:
             tell(name, seen)
             everything.add(seen)
     random = Seen()
-    for seed in range(asked.seed, asked.seed + (0 if asked.scenarios else asked.problems)):
+    seeds: Iterator[int] = counted(asked.seed)
+    if asked.outside:
+        seeds = (seed for seed in seeds if draw(seed).start == "outside")
+    for seed in islice(seeds, 0 if asked.scenarios else asked.problems):
         problem = draw(seed).problem
         if reason := why_not(problem):
             random.left[reason] += asked.ticks

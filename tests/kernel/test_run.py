@@ -37,7 +37,7 @@ def law_for(chain: ClosedChain, goal: tuple[float, float, float]) -> KernelLaw:
 def test_a_run_is_its_ticks(
     goal: tuple[float, float, float], outside: float, chain: ClosedChain
 ) -> None:
-    """Bit for bit; also where a joint comes back from outside, which Python decides."""
+    """Bit for bit; also where a joint comes back from outside."""
     law, q_start = law_for(chain, goal), chain.q_start.copy()
     q_start[0] += outside * 50.0
     state, again = law.start(q_start), law.start(q_start)

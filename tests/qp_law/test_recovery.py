@@ -8,15 +8,13 @@ from typing import Any
 import laws
 import numpy as np
 import pytest
-from chains import HANDS
-from conflicts import GRASPS, beyond, each_grasp
+from conflicts import OUTSIDE, beyond, each_grasp, started_outside
 from laws import DT, LIMITS, PLAIN, run
 from scipy.optimize import linprog
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.robot import RobotModel
 from coopqp.solver import Status, causes_of
@@ -26,25 +24,6 @@ from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 
 problem = partial(laws.problem, limits=LIMITS)
-OUTSIDE: dict[str, dict[str, float]] = {
-    "elbow": {"RElbowRoll": 1.64},
-    "shoulder": {"LShoulderPitch": -2.2},
-    "both elbows": {"RElbowRoll": 1.7, "LElbowRoll": -1.7},
-    "both wrists": {"RWristYaw": 2.0, "LWristYaw": -2.0},
-    "both shoulders": {"RShoulderRoll": 0.5, "LShoulderRoll": -0.5},
-    "four joints": {"RElbowRoll": 1.7, "LElbowRoll": -1.65, "RShoulderRoll": 0.4, "RWristYaw": 2.0},
-}
-
-
-def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> ClosedChain:
-    q = nao.configuration({**HANDS, **dict(zip(nao.joint_names, _start(nao), strict=True))})
-    for name, value in joints.items():
-        q[nao.joint_names.index(name)] = value
-    return ClosedChain.take_hold(nao, q, GRASPS[grasp], HeldObject())
-
-
-def _start(nao: RobotModel) -> Array:
-    return np.asarray(nao.configuration(HANDS), float)
 
 
 def recovery(chain: ClosedChain, way: Array | None = None, **settings: Any) -> ControlProblem:

@@ -48,13 +48,13 @@ class Check {
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   const Constraints& c) {
         const double mu = std::min(d, SCALE_WEIGHT);
-        const double overrun = std::sqrt(clip(v, c.lb, c.ub) + (l == 0 ? clip_shares() : 0.0));
+        const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
         const int p = s_.inequalities;
         for (int i = 0; i < p; i++) {
             const std::size_t at = std::size_t(i);
-            slack_[at] = c.h[at] - dot(c.G + at * rows_.stride(), v, m_.blocks);
+            slack_[at] = c.limits.h[at] - dot(c.limits.G + at * rows_.stride(), v, m_.blocks);
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
         above = std::sqrt(above);
@@ -62,13 +62,13 @@ class Check {
         rows_.twists(v, of_arms_);
         rows_.mean(of_arms_, V);
         const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
-        gradient(l, d, v, c.nearest, c.G);
+        gradient(l, d, v, c.nearest, c.limits.G);
         double off = 0.0;
         Outcome outcome{Status::Optimal, 0.0, 0.0, gap};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
             y_.balance(first);
-            off = distance(v, c.lb, c.ub, mu, c.nearest.active > 0);
+            off = distance(v, c.limits.lb, c.limits.ub, mu, c.nearest.active > 0);
             if (l == 0 && shares_.count()) off = std::sqrt(off * off + share_distance2(mu));
             if (off <= s_.budget.accuracy) break;
         }
@@ -84,7 +84,7 @@ class Check {
         else if (!(gap <= s_.budget.equality))
             outcome.status = Status::Equality;
         else if (!(off <= s_.budget.accuracy) &&
-                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, c.G) / mu))
+                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, c.limits.G) / mu))
             outcome.status = Status::Inaccurate;
         outcome.off = off;
         return outcome;
@@ -97,26 +97,42 @@ class Check {
                y_.of_shares[std::size_t(k)];
     }
 
+    // How much the answer judged last pulls at the loops.
+    double loop_pull() const {
+        double all = 0.0;
+        for (double by : y_.of_loops) all += std::fabs(by);
+        return all;
+    }
+
+    // What the level judged last would save by less of the loops' motion b, a share of it.
+    double loop_saving() const {
+        double all = 0.0;
+        for (std::size_t i = 0, at = 0; i < kept_.size(); i++)
+            for (std::size_t r = 0; r < kept_[i].size(); r++, at++)
+                all -= y_.of_loops[at] * b_[at];
+        return all;
+    }
+
     // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
     // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
     //   first: how many rows are exact, all of level 0.
     bool excludes(int first, const Constraints& c) {
         const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
-        y_.push_limits(c.nearest, c.G);
+        y_.push_limits(c.nearest, c.limits.G);
         for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
         double all = 0.0, asked = 0.0, widest2 = 0.0;
         for (int i = 0; i < m_.blocks * LANES; i++) {
-            const double by = y_.box[i], most = std::max(std::fabs(c.lb[i]), std::fabs(c.ub[i]));
+            const double by = y_.box[i], most = std::max(std::fabs(c.limits.lb[i]), std::fabs(c.limits.ub[i]));
             all += std::fabs(by);
-            if (by != 0.0) asked -= by * (by > 0.0 ? c.ub[i] : c.lb[i]);
+            if (by != 0.0) asked -= by * (by > 0.0 ? c.limits.ub[i] : c.limits.lb[i]);
             widest2 += std::min(most, FASTEST) * std::min(most, FASTEST);
         }
         for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
             if (y_.of_rows[i] == 0.0) continue;
             if (y_.of_rows[i] < 0.0) return false;
             all += y_.of_rows[i];
-            asked -= y_.of_rows[i] * c.h[i];
+            asked -= y_.of_rows[i] * c.limits.h[i];
         }
         std::size_t rows = 0;
         for (const auto& of_loop : kept_) rows += of_loop.size();

@@ -12,21 +12,30 @@ namespace coopqp {
 
 constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
 
-class Constraints {
-  public:
-    Constraints(int lanes, int inequalities, int columns, const Level& first, Shares& shares,
-                Arena& arena)
-        : nearest(lanes + padded(inequalities) + padded(shares.count()) + padded(first.exact),
-                  columns + shares.count(), arena),
-          lb(arena.take(std::size_t(lanes))), ub(arena.take(std::size_t(lanes))),
-          G(arena.take(std::size_t(lanes * (inequalities + 1)))), h(std::size_t(inequalities)),
-          lanes_(lanes), inequalities_(inequalities), exact_(first.exact), shares_(shares),
-          turn_(std::size_t(shares.count() + 1)) {}
+// lb <= v <= ub and G v <= h of a tick, for all levels.
+struct Limits {
+    Limits(int lanes, int inequalities, Arena& arena)
+        : lb(arena.take(std::size_t(lanes))), ub(arena.take(std::size_t(lanes))),
+          G(arena.take(std::size_t(lanes * (inequalities + 1)))), h(std::size_t(inequalities)) {}
 
-    LeastDistance nearest;
     double *lb, *ub;  // in lanes
     double* G;        // (p, lanes)
     std::vector<double> h;
+};
+
+class Constraints {
+  public:
+    Constraints(int lanes, const Limits& given, int columns, const Level& first, Shares& shares,
+                Arena& arena)
+        : limits(given),
+          nearest(lanes + padded(int(given.h.size())) + padded(shares.count()) +
+                      padded(first.exact),
+                  columns + shares.count(), arena),
+          lanes_(lanes), inequalities_(int(given.h.size())), exact_(first.exact), shares_(shares),
+          turn_(std::size_t(shares.count() + 1)) {}
+
+    const Limits& limits;
+    LeastDistance nearest;
 
     // Whether level l may have v and the shares as they are; sides of all rows but those of joints
     // and shares are written for who may not.
@@ -38,8 +47,8 @@ class Constraints {
     // Sides of joints and of limits.
     void begin(const double* v) {
         for (int b = 0; b < lanes_ / LANES; b++) {
-            coopqp::lanes(nearest.lower)[b] = coopqp::lanes(lb)[b] - coopqp::lanes(v)[b];
-            coopqp::lanes(nearest.upper)[b] = coopqp::lanes(ub)[b] - coopqp::lanes(v)[b];
+            coopqp::lanes(nearest.lower)[b] = coopqp::lanes(limits.lb)[b] - coopqp::lanes(v)[b];
+            coopqp::lanes(nearest.upper)[b] = coopqp::lanes(limits.ub)[b] - coopqp::lanes(v)[b];
         }
         for (int i = 0; i < inequalities_; i++) nearest.lower[lanes_ + i] = -1e300;
     }
@@ -64,7 +73,7 @@ class Constraints {
         for (int i = 0; i < inequalities_; i++)
             for (int a = 0; a < columns; a++)
                 nearest.column(a)[lanes_ + i] =
-                    dot(G + std::size_t(i) * std::size_t(lanes_), nearest.column(a), lanes_ / LANES);
+                    dot(limits.G + std::size_t(i) * std::size_t(lanes_), nearest.column(a), lanes_ / LANES);
     }
 
     // Let exact rows that depend on others give way a little, as solvers let equalities.
@@ -87,15 +96,15 @@ class Constraints {
 
     bool limits_hold(const double* v) {
         bool inside = true;
-        const v4 *lo = coopqp::lanes(lb), *hi = coopqp::lanes(ub), *x = coopqp::lanes(v);
+        const v4 *lo = coopqp::lanes(limits.lb), *hi = coopqp::lanes(limits.ub), *x = coopqp::lanes(v);
         v4 over = v4{};
         for (int b = 0; b < lanes_ / LANES; b++)
             over = larger(over, larger(lo[b] - x[b], x[b] - hi[b]));
         for (int k = 0; k < LANES; k++) inside &= over[k] <= INSIDE;
         double* slack = nearest.upper + lanes_;
         for (int i = 0; i < inequalities_; i++) {
-            slack[i] = h[std::size_t(i)] -
-                       dot(G + std::size_t(i) * std::size_t(lanes_), v, lanes_ / LANES);
+            slack[i] = limits.h[std::size_t(i)] -
+                       dot(limits.G + std::size_t(i) * std::size_t(lanes_), v, lanes_ / LANES);
             inside &= slack[i] >= -INSIDE;
         }
         for (int k = 0; k < shares_.count(); k++)

@@ -32,6 +32,9 @@ class StepDamping {
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
 
+    // For a bend.
+    double of(double bend) const { return share_ * bend; }
+
     // Of level l.
     double of(int l, const Level& level, const Bound& bound) {
         if (!(share_ > 0.0)) return 0.0;

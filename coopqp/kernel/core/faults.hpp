@@ -21,9 +21,15 @@ enum class Fault {
 
 #ifdef COOPQP_FAULTS
 inline Fault injected = Fault::None;
-inline bool fault(Fault kind) { return injected == kind; }
+inline bool in_way_back = false, in_way_back_alone = false;  // where the tick is, and the fault
+inline bool fault(Fault kind) { return injected == kind && (in_way_back || !in_way_back_alone); }
+struct WithinWayBack {
+    WithinWayBack() { in_way_back = true; }
+    ~WithinWayBack() { in_way_back = false; }
+};
 #else
 inline constexpr bool fault(Fault) { return false; }
+struct WithinWayBack {};
 #endif
 
 }  // namespace coopqp

@@ -27,7 +27,10 @@ class Hierarchy {
           Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
-          sigma_(std::size_t(most_rows + 1)) {}
+          sigma_(std::size_t(most_rows + 1)) {
+        pivots_.reserve(std::size_t(most_rows));  // a tick takes no memory
+        left_out_.reserve(std::size_t(most_rows));
+    }
 
     int decided = 0;  // coordinates of y
     int rows = 0;     // of all levels so far

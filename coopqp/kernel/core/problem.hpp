@@ -27,6 +27,10 @@ struct Level {
     // Joint objectives together: |v - wish|^2 with one weight for all joints.
     double joint_weight = 0.0;
     double* wish = nullptr;  // weight times the wished velocities, in lanes
+
+    void want() {
+        for (std::size_t s = 0; s < std::size_t(rows); s++) wanted[s] = rate[s] - gain[s] * e[s];
+    }
 };
 
 struct Settings {
@@ -37,7 +41,13 @@ struct Settings {
     double steepest;                         // the largest of them
     int inequalities = 0;                    // rows of G
 
-    // Whether a joint is outside its limits.
+    // Whether a joint is outside its limits: 1 below them, -1 above, 0 inside.
+    int outside(const double* q, int j) const {
+        const std::size_t at = std::size_t(j);
+        return (q[j] < lower[at] - OUTSIDE) - (q[j] > upper[at] + OUTSIDE);
+    }
+
+    // Whether any joint is.
     bool outside(const double* q) const {
         bool any = false;
         for (std::size_t j = 0; j < lower.size(); j++)
@@ -57,6 +67,7 @@ struct Bound {
     double* later_pulls = nullptr;
     double* hard_pull = nullptr;
     double* missing = nullptr;  // what each share lacks to 1
+    double* recovery = nullptr;  // what the way back has pulled at the loops
     double* swing = nullptr;    // how much more damping there is because joints swung back
 };
 

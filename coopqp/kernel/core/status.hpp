@@ -13,7 +13,7 @@ enum class Status : int {
     Bound,        // the answer breaks a limit
     Singular,     // loop or hard rows that are independent in general are not so here
     Opens,        // hardly a step leaves the loops within their budget
-    Outside,      // a joint is outside its limits
+    Outside,      // a joint is outside its limits; no way back does all of the drift correction
     Shortened,    // optimal, but for the length of the step
     Unproven,     // no answer was found, and no proof that there is none
 };

@@ -1,0 +1,311 @@
+// Levels decided one after the other, each within the limits and what those before it leave free, and
+// each answer checked.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "check.hpp"
+#include "constraints.hpp"
+#include "faults.hpp"
+#include "hierarchy.hpp"
+#include "loops.hpp"
+#include "problem.hpp"
+#include "rows.hpp"
+#include "shares.hpp"
+#include "small.hpp"
+
+namespace coopqp {
+
+// By how much a certificate may be short of zero before the answer is refined: as far as the kernel
+// and the plain law agree [rad/s].
+constexpr double SHORT_OF_DIGITS = 1e-10;
+
+class Cascade {
+  public:
+    // Of levels that have no more rows in a tick than here.
+    Cascade(const Model& model, const Settings& settings, const Rows& rows, const Loops& loops,
+            const Limits& limits, const std::vector<std::vector<int>>& kept,
+            std::vector<Level>& levels, Arena& arena)
+        : m_(model),
+          rows_(rows),
+          loops_(loops),
+          levels_(levels),
+          most_rows_(rows_in(levels)),
+          hierarchy_(loops.free, most_rows_, arena),
+          shares_(levels[0], hierarchy_, stride(), arena),
+          constraints_(stride(), limits, loops.free, levels[0], shares_, arena),
+          check_(model, rows, loops, hierarchy_, shares_, settings, levels, kept, arena),
+          v_(arena.take(std::size_t(stride()))),
+          before_(arena.take(std::size_t(stride()))),
+          kept_v_(arena.take(std::size_t(stride()))),
+          V_(arena.take(TWIST)),
+          kept_V_(arena.take(TWIST)),
+          t_(arena.take(std::size_t(stride()))),
+          W_(arena.take(std::size_t(TWIST * hierarchy_.width()))),
+          w_(arena.take(std::size_t(hierarchy_.width()))),
+          x_(arena.take(std::size_t(hierarchy_.width()))),
+          z_(arena.take(std::size_t(hierarchy_.width()))),
+          X_(arena.take(std::size_t(loops.free + 1) * std::size_t(hierarchy_.width()))),
+          residual_(std::size_t(most_rows_ + 1)),
+          small_(most_rows_ + 1, std::min(most_rows_, loops.free) + 1, arena),
+          pulls_(levels.size()) {
+        for (const Level& level : levels)
+            for (char twist : level.twist) sees_twist_ |= twist != 0;
+    }
+
+    // Set out from the motion v, in lanes, that moves the loops by b, their independent rows.
+    void begin(const double* b, const double* v) {
+        check_.aim(b);
+        copy(v_, v, m_.blocks);
+        if (sees_twist_) see_object();
+        hierarchy_.forget();
+        hierarchy_.begin();
+    }
+
+    // Decide a level within the limits and what the levels before it leave free; d: its damping.
+    Status decide(int l, double d) {
+        Level& level = levels_[std::size_t(l)];
+        const int before = hierarchy_.rows;
+        if (l > 0 && !hierarchy_.singular_values() && !leave_noise(l)) return Status::Singular;
+        write_rows(level);
+        if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
+        const int decided = hierarchy_.decided;
+        hierarchy_.append(level.rows);
+        copy(before_, v_, m_.blocks);
+        miss(l, level);
+        const int first = decided + (level.exact ? take_exact(level, d) : 0);
+        take_soft(l, before, first, d);
+        if (fault(Fault::WrongAnswer)) add(v_, loops_.Z, 1e-4, m_.blocks);
+        const Status status = bring_inside(l, first, d + level.joint_weight);
+        if (status == Status::Infeasible || fault(Fault::FalseProof))
+            return l == 0 && check_.excludes(first, constraints_) ? Status::Infeasible
+                                                                 : Status::Unproven;
+        if (status != Status::Optimal) return status;
+        if (fault(Fault::WrongMultiplier)) constraints_.nearest.spoil();
+        if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
+        copy(V_, check_.V, 2);
+        Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
+        if (is_short(outcome)) outcome = refined(l, first, d, outcome);
+        pulls_[std::size_t(l)] = outcome.pull;
+        return outcome.status;
+    }
+
+    // Make a share of the step of the level that was decided last.
+    void shorten(double share) {
+        if (share == 1.0) return;
+        for (int b = 0; b < m_.blocks; b++)
+            lanes(v_)[b] = lanes(before_)[b] + share * (lanes(v_)[b] - lanes(before_)[b]);
+        for (int b = 0; b < 2; b++)
+            lanes(check_.V)[b] = lanes(V_)[b] + share * (lanes(check_.V)[b] - lanes(V_)[b]);
+    }
+
+    // What the levels have decided, in lanes.
+    const double* v() const { return v_; }
+    const Shares& shares() const { return shares_; }
+    Check& check() { return check_; }
+    const Check& check() const { return check_; }
+    // What a level pulls at the rows before it, Outcome::pull.
+    double pull(int l) const { return pulls_[std::size_t(l)]; }
+
+  private:
+    static int rows_in(const std::vector<Level>& levels) {
+        int count = 0;
+        for (const Level& level : levels) count += level.rows;
+        return count;
+    }
+
+    int stride() const { return m_.blocks * LANES; }
+
+    // The object's twist along each column of Z. All arms that hold it move it alike there, so arm 0
+    // speaks for all.
+    void see_object() {
+        for (int z = 0; z < loops_.free; z++)
+            rows_.twist(0, loops_.Z + std::size_t(z * stride()), W_ + TWIST * z);
+    }
+
+    // Whether nothing is wrong with an answer but its last digits. Where rows do not hold to the last
+    // digit, something else is.
+    static bool is_short(const Outcome& found) {
+        if (found.status == Status::Optimal) return found.off > SHORT_OF_DIGITS;
+        return found.status == Status::Inaccurate && found.gap <= SHORT_OF_DIGITS;
+    }
+
+    // The outcome after the rest of the way to the optimum, which the gradient that the check has
+    // left tells, judged anew. What is worse than before is taken back.
+    Outcome refined(int l, int first, double d, const Outcome& found) {
+        copy(kept_v_, v_, m_.blocks);
+        copy(kept_V_, check_.V, 2);
+        shares_.keep();
+        go_on(l, first, d + levels_[std::size_t(l)].joint_weight);
+        copy(check_.V, V_, 2);
+        const Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
+        if (outcome.status == Status::Optimal && outcome.off < found.off) return outcome;
+        copy(v_, kept_v_, m_.blocks);
+        copy(check_.V, kept_V_, 2);
+        shares_.take_back();
+        return found;
+    }
+
+    // A Newton step of a level, with the limits active that are.
+    void go_on(int l, int first, double curvature) {
+        LeastDistance& nearest = constraints_.nearest;
+        const int shares = l == 0 ? shares_.count() : 0, own = hierarchy_.decided - first;
+        if (nearest.active) {
+            double* slope = nearest.zeros();
+            copy(slope, check_.left(), m_.blocks);
+            for (int k = 0; k < shares; k++)
+                slope[constraints_.share_row(k)] = check_.left_of_share(k);
+            nearest.descend(slope);
+            return constraints_.step(shares + loops_.free - first, shares, v_);
+        }
+        reduce(check_.left(), z_);
+        small_.descend(z_ + first);
+        clear(x_, hierarchy_.blocks());
+        for (int k = 0; k < own; k++) x_[first + k] = small_.x(k);
+        for (int i = first + own; i < loops_.free; i++) x_[i] = -z_[i] / curvature;
+        move(x_, v_);
+    }
+
+    // Rows of a level in coordinates of z, appended to those of the levels before.
+    void write_rows(const Level& level) {
+        for (int s = 0; s < level.rows; s++) {
+            double* row = hierarchy_.row(hierarchy_.rows + s);
+            if (level.twist[std::size_t(s)])
+                multiply(row, W_, TWIST, loops_.free, level.T + TWIST * s, Blocks<2>{});
+            else
+                multiply(row, loops_.Z, stride(), loops_.free,
+                         level.J + std::size_t(s * stride()), m_.blocks);
+        }
+    }
+
+    // Decide the rows of the levels before l anew without those that, at a singular pose, are
+    // noise: these would freeze another motion in each tick. Whether nothing else is left.
+    bool leave_noise(int l) {
+        for (int left = 0; left < most_rows_ && hierarchy_.decided > 0; left++) {
+            hierarchy_.leave_out_smallest();
+            hierarchy_.begin();
+            for (int k = 0; k < l; k++) {
+                write_rows(levels_[std::size_t(k)]);
+                hierarchy_.append(levels_[std::size_t(k)].rows);
+            }
+            if (hierarchy_.singular_values()) return true;
+        }
+        return false;
+    }
+
+    // What v lacks of each row.
+    void miss(int l, const Level& level) {
+        if (l == 0) rows_.object_twist(v_, check_.V);  // later v is as it was judged
+        for (int s = 0; s < level.rows; s++)
+            residual_[std::size_t(s)] =
+                level.wanted[std::size_t(s)] - rows_.times(level, s, v_, check_.V);
+    }
+
+    // Do what exact rows ask for; returns how many coordinates that takes.
+    int take_exact(const Level& level, double d) {
+        const int count = shares_.take(level, residual_.data(), x_, d);
+        for (int k = 0; k < level.shares; k++) {
+            clear(shares_.way(k), m_.blocks);
+            move(shares_.coordinates(k), shares_.way(k));
+        }
+        move(x_, v_);
+        for (int s = level.exact; s < level.rows; s++)
+            for (int k = 0; k < count; k++)
+                residual_[std::size_t(s)] -= hierarchy_.row(s)[k] * x_[k];
+        return count;
+    }
+
+    // The optimum of soft rows, joint objectives and damping where no limit binds.
+    void take_soft(int l, int before, int first, double d) {
+        const Level& level = levels_[std::size_t(l)];
+        const int own = hierarchy_.decided - first, soft = level.rows - level.exact;
+        const double curvature = d + level.joint_weight;
+        const double* c = nullptr;
+        if (l > 0 || level.joint_weight > 0.0) {
+            for (int b = 0; b < m_.blocks; b++)
+                lanes(t_)[b] = -lanes(v_)[b] * curvature;
+            if (level.joint_weight > 0.0) add(t_, level.wish, 1.0, m_.blocks);
+            reduce(t_, z_);
+            c = z_;
+        }
+        small_.open(soft, own);
+        for (int s = 0; s < soft; s++) {
+            const double root = std::sqrt(level.weight[std::size_t(level.exact + s)]);
+            const double* L = hierarchy_.row(before + level.exact + s) + first;
+            for (int k = 0; k < own; k++) small_.A(s, k) = root * L[k];
+            small_.b(s) = root * residual_[std::size_t(level.exact + s)];
+        }
+        small_.solve(curvature, c ? c + first : nullptr);
+        clear(x_, hierarchy_.blocks());
+        for (int k = 0; k < own; k++) x_[first + k] = small_.x(k);
+        if (c)
+            for (int i = first + own; i < loops_.free; i++) x_[i] = c[i] / curvature;
+        move(x_, v_);
+    }
+
+    // v += Z V' y
+    void move(const double* y, double* v) const {
+        hierarchy_.to_z(y, w_);
+        add_rows(v, loops_.Z, stride(), loops_.free, w_, m_.blocks);
+    }
+
+    // y = V Z' t
+    void reduce(const double* t, double* y) {
+        multiply(w_, loops_.Z, stride(), loops_.free, t, m_.blocks);
+        hierarchy_.to_y(w_, y);
+    }
+
+    // Change v and the shares by as little as limits ask for, in the metric of the level's cost.
+    Status bring_inside(int l, int first, double curvature) {
+        LeastDistance& nearest = constraints_.nearest;
+        nearest.active = 0;
+        if (constraints_.hold(l, v_) || fault(Fault::LimitsForgotten)) return Status::Optimal;
+        const int shares = l == 0 ? shares_.count() : 0, K = loops_.free - first;
+        constraints_.begin(v_);
+        for (int a = 0; a < padded(shares + K); a++)
+            clear(nearest.column(a), nearest.stride() / LANES);
+        for (int a = 0; a < shares; a++) constraints_.share_column(a);
+        for (int a = 0; a < K; a++) {
+            level_direction(a, first, hierarchy_.decided - first, curvature);
+            add_rows(nearest.column(shares + a), loops_.Z, stride(), loops_.free,
+                     X_ + a * hierarchy_.width(), m_.blocks);
+        }
+        constraints_.see_limits(shares + K);
+        Status status = nearest.solve(shares + K);
+        if (status == Status::Infeasible && l == 0 && levels_[0].exact > first) {
+            constraints_.widen();
+            status = nearest.solve(shares + K);
+        }
+        if (status == Status::Optimal) constraints_.step(shares + K, shares, v_);
+        return status;
+    }
+
+    // The a-th direction, in coordinates of z, in which the level's cost bends by one: of its own
+    // coordinates from `first` on, then of those that it leaves free.
+    void level_direction(int a, int first, int own, double curvature) {
+        const int width = hierarchy_.width(), blocks = hierarchy_.blocks();
+        double* X = X_ + a * width;
+        copy(X, hierarchy_.V(first + a), blocks);
+        for (int j = 0; j < a && a < own; j++) add(X, X_ + j * width, -small_.R(j, a), blocks);
+        const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
+        for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
+    }
+
+    const Model& m_;
+    const Rows& rows_;
+    const Loops& loops_;
+    std::vector<Level>& levels_;
+    int most_rows_;
+    Hierarchy hierarchy_;
+    Shares shares_;
+    Constraints constraints_;
+    Check check_;
+    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_, *X_;
+    std::vector<double> residual_;
+    SmallLeastSquares small_;
+    std::vector<double> pulls_;
+    bool sees_twist_ = false;  // whether there are rows that see the object's twist
+};
+
+}  // namespace coopqp
