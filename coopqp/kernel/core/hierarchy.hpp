@@ -25,9 +25,9 @@ class Hierarchy {
         : free_(free), blocks_(blocks_of(std::max(free, 1))), width_(blocks_ * LANES),
           V_(arena.take(std::size_t(width_) * std::size_t(width_))),
           Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
-          S_(arena.take(std::size_t(most_rows + 1) * std::size_t(width_))),
+          S_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
-          sigma_(std::size_t(most_rows + 1)) {
+          sigma_(std::size_t(most_rows + 1)), column_(std::size_t(most_rows + LANES)) {
         pivots_.reserve(std::size_t(most_rows));  // a tick takes no memory
         left_out_.reserve(std::size_t(most_rows));
     }
@@ -91,26 +91,26 @@ class Hierarchy {
         add_rows(z, V_, width_, free_, y, blocks_);
     }
 
-    // Singular values of all rows so far, largest nowhere in particular; false where one of the
-    // decided directions is noise. Afterwards sigma(i) and direction(i) are theirs.
+    // Singular values of all rows so far, as many as coordinates are decided, largest nowhere in
+    // particular; false where one of them is noise. Afterwards sigma(i) and direction(i) are theirs.
     bool singular_values() {
-        for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
         const int b = blocks_of(std::max(decided, 1));
+        for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
+        for (int s = rows; s < rows + LANES; s++) clear(S_ + s * width_, blocks_);
+        triangulate(b);
         for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
             bool turned = false;
-            for (int i = 0; i < rows; i++)
-                for (int j = i + 1; j < rows; j++) turned |= make_orthogonal(i, j, b);
+            for (int i = 0; i < decided; i++)
+                for (int j = i + 1; j < decided; j++) turned |= make_orthogonal(i, j, b);
             if (!turned) break;
         }
         int found = 0;
-        singular_ = rows;
-        for (int s = 0; s < rows; s++) {
+        for (int s = 0; s < decided; s++) {
             sigma_[std::size_t(s)] = std::sqrt(dot(S_ + s * width_, S_ + s * width_, b));
             found += sigma_[std::size_t(s)] > NOISE;
         }
         return found == decided;
     }
-    int singular() const { return singular_; }
     double sigma(int s) const { return sigma_[std::size_t(s)]; }
     // Row of length sigma along a right singular vector, in coordinates of y.
     const double* direction(int s) const { return S_ + s * width_; }
@@ -133,6 +133,24 @@ class Hierarchy {
         s = c * t;
     }
 
+    // Turn the copied rows among themselves until only as many are left as there are coordinates,
+    // each from its own coordinate on. These are much nearer to orthogonal (Drmac and Veselic 2008).
+    void triangulate(int b) {
+        std::fill_n(column_.begin() + rows, LANES, 0.0);
+        for (int k = 0; k < decided; k++) {
+            double rest2 = 0.0;
+            for (int s = k; s < rows; s++) {
+                column_[std::size_t(s)] = S_[s * width_ + k];
+                if (s > k) rest2 += column_[std::size_t(s)] * column_[std::size_t(s)];
+            }
+            if (rest2 == 0.0) continue;
+            double& first = column_[std::size_t(k)];
+            const double size = std::sqrt(first * first + rest2), onto = first > 0 ? -size : size;
+            first -= onto;
+            reflect_columns(S_ + k * width_, width_, rows - k, &first, -1.0 / (onto * first), b, t_);
+        }
+    }
+
     // One-sided Jacobi.
     bool make_orthogonal(int i, int j, int b) {
         double *x = S_ + i * width_, *y = S_ + j * width_;
@@ -152,9 +170,8 @@ class Hierarchy {
 
     int free_, blocks_, width_;
     double *V_, *Y_, *S_, *h_, *t_;
-    std::vector<double> sigma_;
+    std::vector<double> sigma_, column_;
     std::vector<int> pivots_, left_out_;
-    int singular_ = 0;
     bool identity_ = true;
 };
 

@@ -87,7 +87,7 @@ class Multipliers {
         for (int b = 0; b < blocks; b++)
             lanes(y_)[b] = lanes(of_g_)[b] - lanes(y_)[b] * damping;
         put_end(y_, first - 1, y_[first - 1], blocks);
-        for (int s = 0; s < hierarchy_.singular(); s++) {
+        for (int s = 0; s < first; s++) {
             const double sigma = hierarchy_.sigma(s);
             if (sigma > NOISE)
                 all += std::fabs(dot(hierarchy_.direction(s), y_, blocks)) / (sigma * sigma);
