@@ -41,8 +41,24 @@ LONGEST = (
     "plants/test_phases.py",
     "test_gallery.py",
 )
-#: Folders whose files go to one process, because they share what takes long to make.
-TOGETHER = ("tests/recordings/",)
+#: Files that go to one process, because they share what takes long to make.
+TOGETHER = {
+    "a report": ("recordings/test_every_format.py", "recordings/test_standard_messages.py"),
+    "workers": ("study/test_stress_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
+    "shipped scenarios": (
+        "report/test_playback.py",
+        "test_contracts.py",
+        "test_comparison.py",
+        "test_rollout.py",
+        "kernel/test_agreement.py",
+        "scenario/test_other_robots.py",
+        "scenario/test_validate.py",
+        "scenario/test_start_solver.py",
+        "scenario/test_forces_asked.py",
+        "closed_loop/test_holding.py",
+        "closed_loop/test_transmission.py",
+    ),
+}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -80,13 +96,15 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
-    """All tests of a file in one process, so that what they share is made once."""
+    """All tests of a file, or of files that share much, in one process, which makes it once."""
     from xdist.scheduler import LoadFileScheduling
+
+    shared = {f"tests/{file}": what for what, files in TOGETHER.items() for file in files}
 
     class Scheduling(LoadFileScheduling):  # type: ignore[misc]
         def _split_scope(self, nodeid: str) -> str:
-            together = [folder for folder in TOGETHER if nodeid.startswith(folder)]
-            return together[0] if together else str(super()._split_scope(nodeid))
+            file = str(super()._split_scope(nodeid))
+            return shared.get(file, file)
 
     config.option.loadscopereorder = False  # the order is that of pytest_collection_modifyitems
     return Scheduling(config, log)
