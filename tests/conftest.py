@@ -72,6 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     if config.getoption("dist", "no") == "no":
+        gc.disable()  # until all is collected, of which nothing goes
         config.pluginmanager.import_plugin("given")
 
 
@@ -92,6 +93,7 @@ def pytest_collection_finish() -> None:
     """
     gc.freeze()
     gc.set_threshold(50_000)
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

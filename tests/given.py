@@ -36,13 +36,17 @@ SINGULAR = 1e-8  # share of the largest singular value
 
 
 def _remembering(load: Callable[..., Scenario]) -> Callable[..., Scenario]:
-    """Shipped scenarios are read and checked once a process; nothing in a scenario ever changes."""
-    once, places = cache(load), set(shipped().values())
+    """Shipped scenarios are read and checked once a process; nothing in a scenario ever changes.
+
+    So they are by commands too, unless these have plug-ins of a user's own.
+    """
+    once, places, ordinary = cache(load), set(shipped().values()), Catalog()
 
     @wraps(load)
     def remembered(path: str | Path, catalog: Catalog | None = None) -> Scenario:
         found = find(path)
-        return once(found) if catalog is None and found in places else load(path, catalog)
+        plain = found in places and (catalog is None or catalog == ordinary)
+        return once(found) if plain else load(path, catalog)
 
     return remembered
 
