@@ -18,13 +18,13 @@ import pytest
 #: Files that take longest, in this order, so that no process is alone with one of them at the end.
 LONGEST = (
     "viewer/test_in_a_browser.py",
+    "report/test_playback.py",
     "plants/test_rigid_body.py",
     "controllers/test_passive_grasp.py",
     "study/test_stress_wide.py",
     "study/test_sweep_kept.py",
     "plants/test_pressing_hands.py",
     "controllers/test_torque_margins.py",
-    "report/test_playback.py",
     "plants/test_kinematic_errors.py",
     "online/test_real_time.py",
     "recordings/test_every_format.py",
@@ -47,6 +47,7 @@ TOGETHER = {
     "workers": ("study/test_stress_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
     "shipped scenarios": (
         "report/test_playback.py",
+        "test_cli.py",
         "test_contracts.py",
         "test_comparison.py",
         "test_rollout.py",
@@ -57,6 +58,7 @@ TOGETHER = {
         "scenario/test_forces_asked.py",
         "closed_loop/test_holding.py",
         "closed_loop/test_transmission.py",
+        "pages/test_blocks.py",
     ),
 }
 
