@@ -34,9 +34,7 @@ class FreeBody:
         self.state.R_WO[:] = pin.exp3(dt * v[3:]) @ self.state.R_WO
         self.state.t += dt
 
-    def follow(
-        self, task: Task, duration: float, dt: float = 0.005
-    ) -> tuple[TaskRows, list[float]]:
+    def follow(self, task: Task, duration: float, dt: float = 0.01) -> tuple[TaskRows, list[float]]:
         """Move as the task wishes and no more; the rows at the end and the errors on the way."""
         k = len(task.rows(self.state.chain))
         block = TaskRows(np.zeros(k), np.zeros((k, 6)), np.zeros(k))

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from scenario_files import LOADABLE
+from shipped_runs import comparison
 
-import coopqp
-from coopqp.comparison import Comparison
 from coopqp.scenario.loader import shipped
 
 REACHABLE = ("point_on_point", "point_on_plane", "tilting_plane", "near_singular")
-
-
-@cache
-def comparison(name: str) -> Comparison:
-    return coopqp.compare(coopqp.load(name))
 
 
 def of_the_qp(name: str) -> list[Mapping[str, Any]]:

@@ -5,13 +5,8 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 
-import matplotlib
 import pytest
 from scenario_files import HAS_ROBOTS
-
-matplotlib.use("agg")
-
-from matplotlib import pyplot as plt
 
 SCRIPTS = sorted((Path(__file__).parents[1] / "examples" / "gallery").glob("*.py"))
 
@@ -20,6 +15,11 @@ SCRIPTS = sorted((Path(__file__).parents[1] / "examples" / "gallery").glob("*.py
 def test_a_script_of_the_gallery_draws_its_picture(script: Path) -> None:
     if not HAS_ROBOTS and "pandas" in script.stem:
         pytest.skip("needs coopqp[robots]")
+    import matplotlib  # here, so that only the process that draws imports it
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot as plt
+
     try:
         runpy.run_path(str(script), run_name="__main__")
         drawn = [axes for number in plt.get_fignums() for axes in plt.figure(number).axes]

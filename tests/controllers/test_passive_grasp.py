@@ -27,12 +27,16 @@ DISTURBANCES = {
     "pushed": Disturbance(push=Push(force=(0.0, 1.0, 0.0), start=1.0, duration=0.2)),
 }
 TORQUE = ("passive_grasp_pid", "torque_qp")
+SECONDS = 2.8  # the way takes 2.5
 
 
 @cache
 def carried(plant: str, disturbance: str, controller: str) -> Trace:
     scenario = replace(
-        load("passive_grasp_pose"), plant=PLANTS[plant], disturbance=DISTURBANCES[disturbance]
+        load("passive_grasp_pose"),
+        plant=PLANTS[plant],
+        disturbance=DISTURBANCES[disturbance],
+        duration=SECONDS,
     )
     return run(scenario, controller=controller)
 
@@ -114,12 +118,13 @@ def test_the_internal_force_is_what_the_hands_do_against_each_other() -> None:
     assert np.abs(internal).max() > 1e-6
 
 
-@pytest.mark.parametrize("feed_forward", ["gravity", "inverse_dynamics"])
-def test_feed_forward_of_the_reference_helps_tracking(feed_forward: str) -> None:
-    pid = PassiveGraspPid(name="pid", feed_forward=feed_forward)  # type: ignore[arg-type]
+def test_feed_forward_of_the_reference_helps_tracking() -> None:
+    pid = PassiveGraspPid(name="pid", feed_forward="gravity")
     scenario = replace(load("passive_grasp_pose"), controllers={"pid": pid}, duration=2.5)
-    worst = run(scenario, controller="pid").task_error[:, 0].max()
-    assert worst < (5e-3 if feed_forward == "gravity" else 1e-5)
+    assert run(scenario, controller="pid").task_error[:, 0].max() < 5e-3
+    assert PassiveGraspPid().feed_forward == "inverse_dynamics"
+    whole = carried("rigid_body", "undisturbed", "passive_grasp_pid")
+    assert whole.task_error[:, 0].max() < 1e-5
 
 
 def test_a_kinematic_pid_reaches_the_pose_by_velocities() -> None:

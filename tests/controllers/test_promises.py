@@ -38,12 +38,12 @@ HELD = {"joint_velocity": 2e-5, "object_speed": 2e-5, "workspace": 2e-5, "joint_
 
 
 def carried(*limits: Limit) -> Trace:
-    """Two seconds of the torque QP on rigid bodies."""
+    """The torque QP on rigid bodies, on a way of a second."""
     scenario = coopqp.load("passive_grasp_pose")
-    tasks = tuple(replace(task, profile=Profile(duration=1.5)) for task in scenario.tasks)
+    tasks = tuple(replace(task, profile=Profile(duration=1.0)) for task in scenario.tasks)
     own = (JointPosition(), *limits)
     return coopqp.run(
-        replace(scenario, tasks=tasks, duration=2.0, limits=own), controller="torque_qp"
+        replace(scenario, tasks=tasks, duration=1.4, limits=own), controller="torque_qp"
     )
 
 

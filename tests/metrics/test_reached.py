@@ -95,7 +95,7 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
 @pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
 def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are() -> None:
     """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
-    given = coopqp.load("impedance")
+    given = replace(coopqp.load("impedance"), dt=0.002)
     push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
     for seconds, there in ((2.2, True), (0.2, False)):
         pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))

@@ -11,20 +11,25 @@ import pytest
 import coopqp
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.comparison import summarize
 from coopqp.metrics.internal_force import InternalForce
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.plants._end_stops import STOP_ANGLE, EndStops
+from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
 PLANTS = {"rigid_body": RigidBody, "mujoco": Mujoco}
 
 
-@cache
-def carried(plant: str, controller: str, *, stops: bool = True) -> Trace:
+def on(plant: str, *, stops: bool = True) -> Scenario:
     if plant == "mujoco":
         pytest.importorskip("mujoco")
-    scenario = replace(coopqp.load("point_on_point"), plant=PLANTS[plant](end_stops=stops))
-    return coopqp.run(scenario, controller=controller)
+    return replace(coopqp.load("point_on_point"), plant=PLANTS[plant](end_stops=stops))
+
+
+@cache
+def carried(plant: str, controller: str, *, stops: bool = True) -> Trace:
+    return coopqp.run(on(plant, stops=stops), controller=controller)
 
 
 def beyond(trace: Trace) -> float:
@@ -58,6 +63,23 @@ def test_both_plants_agree_on_where_it_ends() -> None:
     ends = [carried(plant, "pseudoinverse") for plant in PLANTS]
     np.testing.assert_allclose(ends[0].position[-1], ends[1].position[-1], atol=2e-3)
     assert squeeze(ends[0]) == pytest.approx(squeeze(ends[1]), rel=0.1)
+
+
+def test_the_qp_reaches_its_goal_on_rigid_bodies() -> None:
+    trace = carried("rigid_body", "qp")
+    found = summarize(on("rigid_body"), {"qp": trace}).metrics["qp"]
+    assert found["reached"]
+    assert max(found["loop_error_max"].values()) < 1e-9
+    np.testing.assert_allclose(trace.position[-1], [0.13, 0.05, 0.03], atol=5e-4)
+
+
+def test_runs_on_rigid_bodies_tell_torques_and_energy() -> None:
+    for controller in ("qp", "pseudoinverse"):
+        trace = carried("rigid_body", controller)
+        assert trace.signals["tau"].shape == (trace.ticks, 10)
+        assert trace.signals["energy"].shape == (trace.ticks, 2)
+        assert np.all(np.abs(trace.signals["tau"]) <= trace.effort)
+        assert np.all(trace.signals["energy"][:, 0] >= 0)
 
 
 def test_full_torque_presses_a_joint_in_by_the_stop_angle(chain: ClosedChain) -> None:

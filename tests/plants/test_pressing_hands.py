@@ -54,7 +54,7 @@ def ran(
     plant: Plant,
     disturbance: Disturbance | None = None,
     *wrenches: Task,
-    seconds: float = 0.6,
+    seconds: float = 0.5,
     chain: ClosedChain | None = None,
     controller: Controller | None = None,
 ) -> Trace:

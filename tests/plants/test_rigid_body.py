@@ -26,7 +26,7 @@ from coopqp.solvers import Daqp
 from coopqp.state import State
 
 DT = 0.01  # control period [s]
-FINE = RigidBody(time_step=1e-4)
+FINE = RigidBody(time_step=2e-4)
 """At which even the stiffest servos of these tests are integrated stably."""
 
 
@@ -83,6 +83,8 @@ FREE: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
     "hinged": lambda request: request.getfixturevalue("hinged_box"),
     "three arms": lambda _: ring(3, 6),
 }
+#: The default, and twice as much, where 16 times the error of a step is still little enough.
+FREE_STEP = {"firm": 0.002, "hinged": 0.001, "three arms": 0.002}
 
 
 @pytest.mark.parametrize("name", FREE)
@@ -91,7 +93,7 @@ def test_free_chain_keeps_its_energy_and_its_loops_for_ten_seconds(
 ) -> None:
     """Gravity and no torque: less than a thousandth of the exchanged energy is lost or won."""
     chain = limp(FREE[name](request))
-    plant, state, still = build(chain, RigidBody(end_stops=False))
+    plant, state, still = build(chain, RigidBody(time_step=FREE_STEP[name], end_stops=False))
     ledger = Ledger(chain)
     ledger.note(plant.truth(state))
     for _ in range(1000):
@@ -285,35 +287,14 @@ def test_time_step_that_divides_the_period(chain: ClosedChain, time_step: float)
     assert state.t == pytest.approx(DT, rel=1e-12)
 
 
-@pytest.fixture(scope="module")
-def comparison() -> coopqp.Comparison:
-    """Three controllers carry the box to a point on rigid bodies under servos."""
-    scenario = replace(coopqp.load("point_on_point"), plant=RigidBody())
-    return coopqp.compare(scenario)
-
-
-def test_box_reaches_its_goal_on_rigid_bodies(comparison: coopqp.Comparison) -> None:
-    found = comparison.metrics["qp"]
-    assert found["reached"]
-    assert max(found["loop_error_max"].values()) < 1e-9
-    trace = comparison.traces["qp"]
-    np.testing.assert_allclose(trace.position[-1], [0.13, 0.05, 0.03], atol=5e-4)
-
-
-def test_run_on_rigid_bodies_tells_torques_and_energy(comparison: coopqp.Comparison) -> None:
-    effort = comparison.scenario.chain.model.effortLimit
-    for trace in comparison.traces.values():
-        assert trace.signals["tau"].shape == (trace.ticks, 10)
-        assert trace.signals["energy"].shape == (trace.ticks, 2)
-        assert np.all(np.abs(trace.signals["tau"]) <= effort)
-        assert np.all(trace.signals["energy"][:, 0] >= 0)
-
-
 def test_run_does_not_depend_on_the_time_step() -> None:
-    """A pose where the arms are nearly stretched: the same box at the same place."""
+    """A pose where the arms are nearly stretched: the same box at the same place.
+
+    Half the step leaves a sixteenth of the error, so that the difference is the error of the other.
+    """
     scenario = coopqp.load("near_singular")
     ends = []
-    for time_step in (0.001, 0.00025):
+    for time_step in (0.001, 0.0005):
         trace = coopqp.run(replace(scenario, plant=RigidBody(time_step=time_step)), controller="qp")
         ends.append(np.concatenate([trace.position[-1], 1e-3 * trace.signals["tau"][-1]]))
     np.testing.assert_allclose(*ends, atol=1e-4)

@@ -16,39 +16,57 @@ from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.tick_record import TickRecord
 
 PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow"}
 every_format = pytest.mark.parametrize("name", NAMES)
+TICKS = (0, 70, 150)  # one of each phase
+
+
+@pytest.fixture(scope="module")
+def cells(written: Any) -> list[Any]:
+    """The cells of the report, row by row."""
+    rows = format_of(written.trace_csv).rows(written.trace_csv)
+    return [row.texts for row in rows if row.texts["controller"] == "qp"]
+
+
+@pytest.fixture(scope="module")
+def solved(written: Any) -> dict[int, TickRecord]:
+    """Ticks of the report, solved again."""
+    trace, given = written.trace_csv, load(written.trace_csv.parent / "scenario.yaml")
+    return {tick: recorded_tick(trace, given, "qp", tick) for tick in TICKS}
+
+
+@pytest.fixture(scope="module")
+def explained(written: Any) -> str:
+    """What is said of the report's run."""
+    said = typed("explain", written.trace_csv, "--controller", "qp")
+    assert said.exit_code == 0
+    return said.stdout
 
 
 @every_format
-def test_every_cell_is_kept(name: str, written: Any) -> None:
-    own = [
-        row.texts
-        for row in format_of(written.trace_csv).rows(written.trace_csv)
-        if row.texts["controller"] == "qp"
-    ]
+def test_every_cell_is_kept(name: str, written: Any, cells: list[Any]) -> None:
     path = written.exported[name]
-    assert [row.texts for row in format_of(path).rows(path)] == own
+    assert [row.texts for row in format_of(path).rows(path)] == cells
 
 
 @every_format
-def test_ticks_are_explained_and_solved_again_bit_for_bit(name: str, written: Any) -> None:
+def test_ticks_are_explained_and_solved_again_bit_for_bit(
+    name: str, written: Any, solved: dict[int, TickRecord]
+) -> None:
     path = written.exported[name]
     scenario = format_of(path).scenario(path, Catalog())
-    for tick in (0, 70, 150):  # in each phase
-        again = recorded_tick(path, scenario, "qp", tick)
-        assert again == recorded_tick(written.trace_csv, scenario, "qp", tick)
+    for tick in TICKS:
+        assert recorded_tick(path, scenario, "qp", tick) == solved[tick]
     said = typed("replay", path, "--tick", 150, "--solver", "daqp", "--json")
     assert '"difference": 0.0' in said.stdout
     assert not said.stderr  # it comes out as recorded
 
 
 @every_format
-def test_runs_are_explained_alike(name: str, written: Any) -> None:
-    own = typed("explain", written.trace_csv, "--controller", "qp")
-    assert own.exit_code == 0
-    assert typed("explain", written.exported[name]).stdout == own.stdout
+def test_runs_are_explained_alike(name: str, written: Any, explained: str) -> None:
+    assert typed("explain", written.exported[name]).stdout == explained
 
 
 @every_format

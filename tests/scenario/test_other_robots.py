@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 from scenario_files import LOADABLE, needs_robots
+from shipped_runs import comparison
 
-import coopqp
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.comparison import Comparison
 from coopqp.errors import ScenarioError
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.loader import load
+from coopqp.scenario.loader import find, load, load_file
+from coopqp.scenario.yaml import read_yaml
 from coopqp.state import State
 
 # ---- what each scenario allows ---------------------------------------------------------------
@@ -109,11 +109,6 @@ def test_a_shared_torso_moves_the_object_and_opens_no_loop() -> None:
 NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5", "two_so101")
 
 
-@cache
-def comparison(name: str) -> Comparison:
-    return coopqp.compare(load(name))
-
-
 def of(name: str, controller: str) -> Mapping[str, Any]:
     return comparison(name).metrics[controller]
 
@@ -174,4 +169,4 @@ def test_without_the_package_a_scenario_says_what_to_install(
     monkeypatch.setattr(example_robot, "metadata", Empty)
     for name in ("baxter_tray", "two_pandas"):  # by itself, and one of several
         with pytest.raises(ScenarioError, match=r"robot: .*pip install 'coopqp\[robots\]'"):
-            load(name, Catalog())  # which is read anew
+            load_file(read_yaml(find(name)), Catalog())  # which is read anew

@@ -64,7 +64,7 @@ def test_a_worker_that_dies_takes_no_more_than_its_item(marks: Path) -> None:
     assert found == {item: item * item for item in items if item != -1}
 
 
-def test_what_work_raises_comes_out_as_it_was(marks: Path) -> None:
+def test_what_work_raises_comes_out_as_it_was() -> None:
     with pytest.raises(MissingDependencyError, match=r"^solver 'x' needs: pip .*coopqp\[extra\]'$"):
         list(Engine(jobs=2).results(refuses, range(9)))
 

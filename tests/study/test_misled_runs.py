@@ -27,6 +27,7 @@ def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunEx
 def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("point_on_point"),
+        duration=2.5,
         plant=RigidBody(time_step=0.002),
         disturbance=Disturbance(noise_position=1e-5),
         limits=(JointPosition(), JointVelocity(), FollowingError(max=1e-4)),
@@ -40,9 +41,9 @@ def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
 
 def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> None:
     wrong = Disturbance(grasp_offset=3e-3, encoder_offset=5e-3)
-    scenario = replace(
-        coopqp.load("point_on_point"), plant=RigidBody(time_step=0.002), disturbance=wrong
-    )
+    plant = RigidBody(time_step=0.002)
+    given = coopqp.load("point_on_point")
+    scenario = replace(given, duration=2.5, plant=plant, disturbance=wrong)
     found = explained(scenario, tmp_path)
     assert found.kind == "model", found.sentence
     assert "what the model gets wrong" in found.sentence

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from command_line import typed
 from plate_study import HERE, STUDY, table_of, written
-from scipy.stats import qmc
 
 from coopqp.cli.sweep import _Drawn
 from coopqp.controller_run import run
@@ -37,6 +36,8 @@ def refused(folder: Path, *changes: tuple[str, str]) -> list[str]:
 
 
 def test_points_are_scipys_in_the_units_of_the_study(plate: Path) -> None:
+    from scipy.stats import qmc  # which takes long to import, in the process that needs it
+
     study = read_study(plate / "study.yaml")
     rng = np.random.default_rng([1, 0x5A3B])
     u = qmc.Sobol(4, seed=rng).random(8)

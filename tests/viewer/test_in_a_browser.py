@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,11 @@ UP = np.array([0.0, 0.0, 1.0])
 #: Graphics by software; a sandbox is not to be had in every container.
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-pytest.importorskip("viser", reason="needs coopqp[viewer]")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs a chromium on the path")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="needs a chromium on the path"),
+    pytest.mark.skipif(find_spec("playwright") is None, reason="needs playwright"),
+    pytest.mark.skipif(find_spec("viser") is None, reason="needs coopqp[viewer]"),
+]
 
 
 @contextmanager
@@ -58,7 +61,9 @@ def served(player: Player) -> Iterator[str]:
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as api:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as api:
         chromium = api.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield chromium
         chromium.close()

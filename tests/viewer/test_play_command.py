@@ -99,6 +99,7 @@ def started(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command with one law, on any port that is free, and the page's address."""
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     words = ["point_on_point", "--controller", "qp", "--port", "0", "--record", "out"]
+    words += ["--speed", "4"]
     process = subprocess.Popen(
         [*COMMAND, *words], cwd=tmp_path, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
