@@ -18,7 +18,6 @@ zero, but it still has an object frame, where the object would be if it held it.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -270,7 +269,8 @@ class ClosedChain:
             carried = self._carried(self.q_start, data)
             for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
                 places = [*(data.oMi[j].translation for j in joints), X.translation]
-                way = sum(math.sqrt(d.dot(d)) for d in np.diff(places, axis=0))
+                steps = np.diff(np.array(places), axis=0)
+                way = float(np.sqrt(np.square(steps).sum(axis=1)).sum())
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
 

@@ -29,13 +29,12 @@ from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import MOST_DAMPING, Damping
 from coopqp.qp_law.level import Level
-from coopqp.rank import RANK_TOLERANCE, matrix_rank
+from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
 from coopqp.row import Row
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
-TWIST = 6  # numbers of the object's twist
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
@@ -114,13 +113,13 @@ class Order:
     def _most_before(self, level: int) -> int:
         """A rank that these rows cannot exceed.
 
-        Rows that see nothing but the object's twist are together of rank six at most.
+        Rows that see nothing but the object's twist add no more than what the loops leave of it.
         """
         chain = self.start.chain
         sizes = {True: 0, False: len(chain.loops.solver_rows)}
         for task in self._tasks_before(level):
             sizes[sees_twist(self.programs.of(task))] += len(task.rows(chain))
-        return min(chain.n, sizes[False] + min(sizes[True], TWIST))
+        return min(chain.n, sizes[False] + min(sizes[True], chain.once(_freedom)))
 
     def _rank_before(self, level: int) -> int:
         if any(task.joint_space and task.all_joints for task in self._tasks_before(level)):
@@ -133,6 +132,13 @@ class Order:
             if rank == most:
                 break
         return rank
+
+
+def _freedom(chain: ClosedChain) -> int:
+    """How many of the six directions of the object's twist the loops leave in general."""
+    return max(
+        matrix_rank(state.J_task @ null_space(state.J_loop)) for state in _places(State(chain))
+    )
 
 
 def _places(start: State) -> Iterator[State]:

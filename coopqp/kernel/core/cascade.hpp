@@ -71,7 +71,7 @@ class Cascade {
         write_rows(level);
         if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
         const int decided = hierarchy_.decided;
-        hierarchy_.append(level.rows);
+        hierarchy_.append(level.rows, level.exact);
         copy(before_, v_, m_.blocks);
         miss(l, level);
         const int first = decided + (level.exact ? take_exact(level, d) : 0);
@@ -187,7 +187,7 @@ class Cascade {
             hierarchy_.begin();
             for (int k = 0; k < l; k++) {
                 write_rows(levels_[std::size_t(k)]);
-                hierarchy_.append(levels_[std::size_t(k)].rows);
+                hierarchy_.append(levels_[std::size_t(k)].rows, levels_[std::size_t(k)].exact);
             }
             if (hierarchy_.singular_values()) return true;
         }

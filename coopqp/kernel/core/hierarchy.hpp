@@ -16,6 +16,7 @@ namespace coopqp {
 
 constexpr double NOISE = 1e-6;       // singular values of task rows up to this ask for nothing
 constexpr double NOTHING = 1e-13;    // left of a task row that others explain
+constexpr double IDLE = 1e-8;        // left of a row that must hold, of which no speed makes anything
 constexpr double ORTHOGONAL = 1e-13;  // cosine of rows whose lengths are singular values
 constexpr int MOST_SWEEPS = 30;
 
@@ -59,8 +60,10 @@ class Hierarchy {
         for (int y = 0; y < free_; y++) unit(V_ + y * width_, y, blocks_);
     }
 
-    // Take up the next `count` rows, which were written to row(rows) ... in coordinates of z.
-    void append(int count) {
+    // Take up the next `count` rows, which were written to row(rows) ... in coordinates of z; the
+    // first `exact` of them must hold.
+    void append(int count, int exact) {
+        const int soft = rows + exact;
         if (!identity_)
             for (int s = rows; s < rows + count; s++) {
                 copy(h_, row(s), blocks_);
@@ -70,7 +73,7 @@ class Hierarchy {
             double beta = 0.0;
             if (decided >= free_) break;
             if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
-            const double onto = reflection(row(s), decided, blocks_, NOTHING, h_, beta);
+            const double onto = reflection(row(s), decided, blocks_, s < soft ? IDLE : NOTHING, h_, beta);
             if (onto == 0.0) continue;
             reflect_rows(row(s + 1), width_, rows + count - s - 1, h_, beta, blocks_);
             reflect_columns(V_, width_, free_, h_, beta, blocks_, t_);

@@ -60,6 +60,7 @@ class PartErrors:
 
     def __init__(self, problem: ControlProblem, start: State | None = None) -> None:
         self._problem = problem
+        self._seen, self._found = -1, np.zeros(0)  # after how many ticks what was found
         self._tasks = TaskStack(problem.tasks, start or State(problem.chain))
         parts = [(task, part) for task in problem.tasks for part in task.parts(problem.chain)]
         ends = itertools.accumulate((part.rows for _, part in parts), initial=0)
@@ -75,7 +76,9 @@ class PartErrors:
             state: at the end, up to date.
             record: of all ticks.
         """
-        return self._errors(state, record.v[-1])
+        if self._seen != len(record.v):
+            self._seen, self._found = len(record.v), self._errors(state, record.v[-1])
+        return self._found
 
     def before(self, state: State, record: Record) -> Array:
         """Of a rollout, some ticks before its end."""
