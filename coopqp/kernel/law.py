@@ -33,7 +33,7 @@ from coopqp.ticks import Ticks
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
 INFEASIBLE, OPENS = int(Outcome.INFEASIBLE), int(Outcome.OPENS)
-#: Added to them, as in ``binding.cpp``.
+#: Added to them, as in ``deciding.hpp``.
 SOFTENED, STANDS, COMES_BACK = 16, 32, int(Outcome.COMES_BACK)
 ALL_WELL = {
     OPTIMAL: (Status.OPTIMAL,),

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist

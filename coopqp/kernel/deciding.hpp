@@ -1,0 +1,368 @@
+// The kernel as a Python class. Arrays are bound once; the GIL is released for all that takes long.
+#pragma once
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <optional>
+
+#include "reading.hpp"
+
+// Of its own name in each variant, so that two of them may be imported side by side.
+namespace KERNEL_MODULE {
+
+// Rows that Python fills, and where they go.
+struct Filled {
+    const double *e, *J, *rate;
+    int level, at, rows;
+    double weight, gain;  // of joint objectives
+    bool joints;
+};
+
+struct FilledLimits {
+    const double *lb, *ub, *G, *h;
+    std::size_t rows;
+};
+
+class Engine {
+  public:
+    explicit Engine(const nb::dict& d) {
+        auto arena = std::make_unique<coopqp::Arena>();
+        auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
+        std::vector<coopqp::Level> levels;
+        for (nb::handle level : nb::cast<nb::list>(d["levels"]))
+            levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
+        const auto settings = settings_of(nb::cast<nb::dict>(d["settings"]));
+        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"])) {
+            program_.primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+            const auto& p = program_.primitives.back();
+            if (p.kind != coopqp::Kind::Posture) continue;
+            const std::size_t stride = std::size_t(model->blocks) * coopqp::LANES;
+            double* J = levels[std::size_t(p.level)].J + std::size_t(p.at) * stride;
+            for (std::size_t i = 0; i < p.rows.size(); i++)
+                J[i * stride + std::size_t(model->joints[std::size_t(p.rows[i])].lane)] = 1.0;
+        }
+        program_.open(*model, *arena);
+        bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
+        for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
+            twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
+        kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model),
+                                                   kept_of(numbers(d, "kept")), settings,
+                                                   std::move(levels));
+    }
+
+    void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
+                    const Written& p_WO, const Written& R_WO, const Written& loop_error,
+                    const Written& drift, const Written& q_seen,
+                    const Written& commanded, const Written& later_pulls, const Written& hard_pull,
+                    const Written& missing, const Written& recovery, const Written& swing,
+                    const Written& stopped, const Written& soft) {
+        auto& b = kernel_->bound;
+        b.q = q_now_ = q.data();
+        b.v_last = v_now_ = v_last.data();
+        commanded_ = commanded.data();
+        b.gap = gap.data();
+        b.p_WO = p_WO.data();
+        b.R_WO = R_WO.data();
+        b.loop_error = loop_error.data();
+        b.drift = drift.data();
+        b.q_seen = q_seen.data();
+        b.later_pulls = later_pulls.data();
+        b.hard_pull = hard_pull.data();
+        b.missing = missing.data();
+        b.recovery = recovery.data();
+        b.swing = swing.data();
+        stopped_ = stopped.data();
+        soft_ = soft.data();
+        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
+                                later_pulls, hard_pull, missing, recovery, swing, stopped, soft);
+    }
+
+    void bind_command(const Written& v) {
+        kernel_->bound.v = v.data();
+        command_ = nb::cast(v);
+    }
+
+    void bind_measured(const Numbers& q) {
+        bounds_.q_measured = q.data();
+        measured_ = nb::cast(q);
+    }
+
+    // Limits that Python fills: bounds beside those of the kernel, and rows after the kernel's.
+    void bind_limits(const Numbers& lb, const Numbers& ub, const Numbers& G, const Numbers& h) {
+        filled_limits_ = {lb.data(), ub.data(), G.data(), h.data(), h.size()};
+        limits_ = nb::make_tuple(lb, ub, G, h);
+    }
+
+    void bind_rows(const Numbers& e, const Numbers& J, const Numbers& rate, int level, int at,
+                   bool joints, double weight, double gain) {
+        filled_.push_back(
+            {e.data(), J.data(), rate.data(), level, at, int(e.size()), weight, gain, joints});
+        rows_.append(nb::make_tuple(e, J, rate));
+    }
+
+    void bind_reference(std::size_t primitive, const Numbers& c, const Numbers& RT,
+                        const Numbers& c_dot, const Numbers& omega) {
+        program_.primitives.at(primitive).reference.followed = {c.data(), RT.data(), c_dot.data(),
+                                                                omega.data()};
+        references_[nb::int_(primitive)] = nb::make_tuple(c, RT, c_dot, omega);
+    }
+
+    // A whole tick of a problem of which Python fills nothing; all_corrected: as in Kernel::solve.
+    int tick(double t, bool all_corrected) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const Unlocked unlocked(*kernel_);
+        const int status = evaluate(t);
+        return status ? status : told(kernel_->solve(all_corrected));
+    }
+
+    // The same where Python has filled limits, rows of some tasks, or what some of them follow.
+    int tick_with_rows(double t, bool all_corrected) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const Unlocked unlocked(*kernel_);
+        const int status = evaluate(t);
+        if (status) return status;
+        for (const Filled& rows : filled_) take_rows(rows);
+        if (filled_limits_.lb) take_limits();
+        return told(kernel_->solve(all_corrected));
+    }
+
+    // After a tick that was infeasible, where nothing may be given up: joints that are outside their
+    // limits come back, others stand still.
+    int rest() {
+        const Use use(*this);
+        return use.alone ? come_back() : BUSY;
+    }
+
+    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
+    // where the law stands still or has given up hard tasks a moment ago. The tick before has done
+    // all of the drift correction.
+    int step(double t) {
+        const Use use(*this);
+        if (!use.alone || waits()) return BUSY;
+        const Unlocked unlocked(*kernel_);
+        const int status = evaluate(t);
+        if (status) return status;
+        const coopqp::Status decided = kernel_->solve(true);
+        if (is_answer(decided)) advance();
+        return told(decided);
+    }
+
+    // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
+    // each tick and at the end, shape (T + 1, n), v of each of T ticks, who decided it and how, the
+    // least share of a scaled task's speed, and what of `memory` was there before it.
+    // Returns how many were done; signals of the process wait as long.
+    int run(double t, const Written& q, const Written& v, const Said& said, const Written& scale,
+            const Numbers& memory, const Written& remembered, Engine* softened, double soft_ticks,
+            bool gives_up, bool stops, bool all_corrected) {
+        const Use use(*this);
+        if (!use.alone || !q_now_ || softened == this) return BUSY;
+        std::optional<Use> other;
+        if (softened) other.emplace(*softened);
+        if (other && !other->alone) return BUSY;
+        const std::size_t n = kernel_->model().joints.size(), ticks = said.size();
+        const std::size_t kept = memory.size();
+        if (q.size() < n * (ticks + 1) || v.size() < n * ticks || scale.size() < ticks ||
+            remembered.size() < kept * ticks)
+            return BUSY;
+        nb::gil_scoped_release released;
+        GivingUp given{softened, soft_ticks, gives_up, stops, all_corrected};
+        std::size_t done = 0;
+        for (; done < ticks; done++) {
+            std::copy(q_now_, q_now_ + n, q.data() + done * n);
+            std::copy_n(memory.data(), kept, remembered.data() + done * kept);
+            const int how = decide(t, given);
+            if (how == BUSY) break;
+            said.data()[done] = std::uint8_t(how);
+            scale.data()[done] = scale_of(how);
+            advance();
+            std::copy(v_now_, v_now_ + n, v.data() + done * n);
+            t += kernel_->settings().dt;
+            given.all_corrected = true;
+        }
+        std::copy(q_now_, q_now_ + n, q.data() + done * n);
+        return int(done);
+    }
+
+    // e, J and rate of a level's rows, one row after the other, for tests.
+    std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
+
+    std::vector<double> worst() const {
+        return {kernel_->check().worst_primal, kernel_->check().worst_dual};
+    }
+
+  private:
+    static constexpr int BUSY = -1;
+    // Added to the status of a tick.
+    static constexpr int SOFTENED = 16, STANDS = 32, COMES_BACK = 64;
+
+    // What a run does where not everything can hold, as coopqp.kernel.law has it.
+    struct GivingUp {
+        Engine* softened;  // the problem with its hard and scaled tasks soft, if there are any
+        double soft_ticks;
+        bool gives_up, stops;
+        bool all_corrected;  // whether the tick before has done all of the drift correction
+    };
+
+    // The status of a tick and who decided it; BUSY where that is Python's.
+    int decide(double t, const GivingUp& given) {
+        const bool stands = *stopped_ != 0.0, whole = *soft_ <= 0.0;
+        if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
+        if (stands) return stand_still();
+        if (whole) {
+            const coopqp::Status status = kernel_->solve(given.all_corrected);
+            if (is_answer(status)) return told(status);
+            if (status != coopqp::Status::Infeasible) return BUSY;
+        }
+        if (!given.gives_up) {
+            *stopped_ = given.stops ? 1.0 : 0.0;
+            forget_exact();
+            return come_back();
+        }
+        if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
+        const coopqp::Status status = given.softened->kernel_->solve(true);
+        if (!is_answer(status)) return BUSY;
+        *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
+        forget_exact();
+        return SOFTENED + given.softened->told(status);
+    }
+
+    // As coopqp.kernel.law says it.
+    double scale_of(int how) const {
+        const int shares = kernel_->levels[0].shares;
+        if (!shares || how >= COMES_BACK + STANDS) return 1.0;
+        const double* missing = kernel_->bound.missing;
+        return how & (SOFTENED | STANDS) ? 0.0 : 1.0 - *std::max_element(missing, missing + shares);
+    }
+
+    static bool is_answer(coopqp::Status status) {
+        return status == coopqp::Status::Optimal || status == coopqp::Status::Shortened;
+    }
+
+    int told(coopqp::Status status) const {
+        return int(status) + (is_answer(status) && kernel_->comes_back() ? COMES_BACK : 0);
+    }
+
+    void forget_exact() {
+        const auto& bound = kernel_->bound;
+        *bound.hard_pull = 0.0;
+        std::fill_n(bound.missing, kernel_->levels[0].shares, 0.0);
+    }
+
+    int stand_still() {
+        std::fill_n(kernel_->bound.v, kernel_->model().joints.size(), 0.0);
+        return STANDS;
+    }
+
+    int come_back() {
+        if (!kernel_->comes_back()) return stand_still();
+        return COMES_BACK + STANDS + int(kernel_->come_back());
+    }
+
+    int evaluate(double t) {
+        const int status = int(kernel_->update(t));
+        if (status) return status;
+        for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
+        const auto& m = kernel_->model();
+        const auto& bound = kernel_->bound;
+        program_.run(t, kernel_->kinematics, m, bound.q, kernel_->levels);
+        auto& limits = kernel_->limits;
+        bounds_.update(m, bound.q, bound.v_last, limits.lb, limits.ub);
+        twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), limits.G, limits.h);
+        return 0;
+    }
+
+    bool waits() const { return !q_now_ || *stopped_ != 0.0 || *soft_ != 0.0; }
+
+    // As coopqp.state.State.advance.
+    void advance() {
+        const double dt = kernel_->settings().dt;
+        const double* v = kernel_->bound.v;
+        for (std::size_t j = 0; j < kernel_->model().joints.size(); j++) {
+            q_now_[j] += dt * v[j];
+            v_now_[j] = v[j];
+            commanded_[j] = q_now_[j];
+        }
+    }
+
+    // Without the GIL for a tick that takes long. To let go of it and take it again is 2 % of a short
+    // one, and another thread may keep it for milliseconds meanwhile.
+    struct Unlocked {
+        explicit Unlocked(const coopqp::Kernel& kernel) {
+            if (kernel.model().blocks > SHORT) released.emplace();
+        }
+        std::optional<nb::gil_scoped_release> released;
+    };
+    static constexpr int SHORT = 8;  // blocks of joints
+
+    // One thread at a time: another is told so.
+    struct Use {
+        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_.test_and_set()) {}
+        ~Use() {
+            if (alone) engine.busy_.clear();
+        }
+        Engine& engine;
+        bool alone;
+    };
+
+    // Also where they are no numbers.
+    void take_bounds(const double* least, const double* most) {
+        const auto& joints = kernel_->model().joints;
+        auto& limits = kernel_->limits;
+        for (std::size_t j = 0; j < joints.size(); j++) {
+            double &lb = limits.lb[joints[j].lane], &ub = limits.ub[joints[j].lane];
+            if (!(least[j] <= lb)) lb = least[j];
+            if (!(most[j] >= ub)) ub = most[j];
+        }
+    }
+
+    void take_limits() {
+        const FilledLimits& f = filled_limits_;
+        const auto& joints = kernel_->model().joints;
+        const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
+        take_bounds(f.lb, f.ub);
+        auto& limits = kernel_->limits;
+        const std::size_t first = limits.h.size() - f.rows;
+        for (std::size_t i = 0; i < f.rows; i++) {
+            limits.h[first + i] = f.h[i];
+            for (std::size_t j = 0; j < n; j++)
+                limits.G[(first + i) * stride + std::size_t(joints[j].lane)] = f.G[i * n + j];
+        }
+    }
+
+    void take_rows(const Filled& rows) {
+        auto& level = kernel_->levels[std::size_t(rows.level)];
+        const auto& joints = kernel_->model().joints;
+        const std::size_t n = joints.size(), stride = std::size_t(kernel_->stride());
+        if (rows.joints) {
+            for (std::size_t j = 0; j < n; j++)
+                level.wish[joints[j].lane] +=
+                    rows.weight * (rows.rate[j] - rows.gain * rows.e[j]);
+            return;
+        }
+        for (std::size_t s = 0; s < std::size_t(rows.rows); s++) {
+            const std::size_t to = std::size_t(rows.at) + s;
+            level.e[to] = rows.e[s];
+            level.rate[to] = rows.rate[s];
+            for (std::size_t j = 0; j < n; j++)
+                level.J[to * stride + std::size_t(joints[j].lane)] = rows.J[s * n + j];
+        }
+    }
+
+    std::unique_ptr<coopqp::Kernel> kernel_;
+    coopqp::Program program_;
+    coopqp::Bounds bounds_;
+    std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
+    coopqp::TwistLimits twist_limits_;
+    FilledLimits filled_limits_{};
+    std::vector<Filled> filled_;
+    nb::object state_, command_, limits_, measured_;
+    nb::list rows_;
+    nb::dict references_;
+    double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
+    double *stopped_ = nullptr, *soft_ = nullptr;
+};
+
+}  // namespace KERNEL_MODULE
