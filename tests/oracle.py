@@ -62,7 +62,8 @@ def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
         if before:
             A = np.vstack([state.J_loop, decided])
             b = A.astype(LONG) @ v
-        v = _solved(_program(level, A, b), level.solution.v)[:n]
+        share = law._later[before - 1].share if before else 1.0  # of the step that is made
+        v = v + share * (_solved(_program(level, A, b), level.solution.v)[:n] - v)
         decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
     return v
 

@@ -160,6 +160,7 @@ class LaterLevel:
 
     Attributes:
         level: its QP.
+        share: of its step that was made in the last tick.
     """
 
     def __init__(
@@ -170,7 +171,7 @@ class LaterLevel:
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        self._before, self._damping = order.before(number), damping
+        self._before, self._damping, self.share = order.before(number), damping, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in self._before)
         decided = range(order.decided(number))
         rows = [Row(name=f"decided[{i}]", kind="decided") for i in decided]
@@ -200,7 +201,11 @@ class LaterLevel:
             return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
         pull[0] = np.abs(level.solution.y + level.curvature * b).dot(turns)
-        v = v + MOST_DAMPING / needed * (level.v - v) if needed > MOST_DAMPING else level.v
+        if needed > MOST_DAMPING:
+            self.share = MOST_DAMPING / needed
+            v = v + self.share * (level.v - v)
+        else:
+            self.share, v = 1.0, level.v
         return v, status if own is Status.OPTIMAL else own
 
     def _decide(self, state: State, Q: Array) -> Array:
