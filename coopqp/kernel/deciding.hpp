@@ -232,7 +232,7 @@ class Engine {
     // As coopqp.kernel.law says it.
     double scale_of(int how) const {
         const int shares = kernel_->levels[0].shares;
-        if (!shares || how >= COMES_BACK + STANDS) return 1.0;
+        if (!shares) return 1.0;
         const double* missing = kernel_->bound.missing;
         return how & (SOFTENED | STANDS) ? 0.0 : 1.0 - *std::max_element(missing, missing + shares);
     }

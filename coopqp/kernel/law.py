@@ -282,7 +282,7 @@ class KernelLaw(Law):
         if said not in RESTS:
             return False
         self._say(RESTS[said])
-        self.command.scale = 0.0 if self._scales and said == STANDS else 1.0
+        self.command.scale = 0.0 if self._scales else 1.0
         self._stopped[0] = float(self._stops)
         return True
 

@@ -18,7 +18,8 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
-#: After a tick in which a joint swings back damping is this many times what it was, up to the most,
+#: After two ticks on end in which a joint swings back damping is this many times what it was, up to
+#: the most,
 GROWS, MOST_GROWN = 1.5, 4.0
 #: and fades in the others.
 FADES = 0.99
@@ -38,7 +39,7 @@ class Damping:
     stops it; d = dt bend keeps a below 1, and half of that below 2.
 
     That is so of each level alone. Two that pull at one nearly singular direction may go too far
-    together, which shows: joints swing back from tick to tick, and then all damping grows
+    together, which shows: joints swing back in tick after tick, and then all damping grows
     (:func:`note_swing`).
 
     Attributes:
@@ -75,9 +76,11 @@ class Damping:
 def note_swing(state: State, v: Array) -> None:
     """Remember whether joints swing back, for the damping of the next ticks.
 
+    In one tick they also do so where a reference turns, or a task is given up.
+
     Args:
         state: of the tick, with the last velocity; "swing" of its memory is how much more than its
-            own the damping is.
+            own the damping is, and whether a joint swung back in the last tick.
         v: what is commanded now, shape (n,).
     """
     swing, before = state.memory["swing"], np.abs(state.v).max(initial=0.0)
@@ -85,4 +88,8 @@ def note_swing(state: State, v: Array) -> None:
     back = -(v * state.v).min(initial=0.0)
     swings = back > max(AMONG_THE_FAST * fastest, SWINGS_AT * SWINGS_AT)
     grown = 1.0 + swing[0]
-    swing[0] = (min(GROWS * grown, MOST_GROWN) if swings else max(FADES * grown, 1.0)) - 1.0
+    again = bool(swings) and swing[1] > 0.0
+    swing[:] = (
+        (min(GROWS * grown, MOST_GROWN) if again else max(FADES * grown, 1.0)) - 1.0,
+        float(swings),
+    )

@@ -63,7 +63,7 @@ class QPLaw(Law):
         levels: all of them.
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
         memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
-            soft; "swing" how much more damping there is because joints swung back,
+            soft; "swing" how much more damping there is because joints swing back,
             :func:`coopqp.qp_law.equations.note_swing`;
             "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
             of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
@@ -184,12 +184,13 @@ class QPLaw(Law):
 
     def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The answer of a smaller problem, where the problem is to be scaled."""
+        self.command.scale = self._at_rest
         if self.problem.on_infeasible == "stop":
             state.memory["stopped"][0] = 1.0
         if self.problem.on_infeasible != "scale":
             return self.first.v, (failed,)
         v, causes = self.fallback.solve(state, failed)
-        self.command.scale, self.command.drift = self._at_rest, self.fallback.drift
+        self.command.drift = self.fallback.drift
         return v, causes
 
     def _stand_still(self, *causes: Status) -> Command:
@@ -212,7 +213,7 @@ def memory_sizes(
     return {
         "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
         "missing": scaled, "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}), "swing": 1,
+        **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
     }  # fmt: skip
 
 

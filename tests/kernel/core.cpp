@@ -47,7 +47,8 @@ struct Owner {
         p.assign(3, 0.0);
         R.assign(9, 0.0);
         pulls.assign(std::size_t(levels), 0.0);
-        for (auto* a : {&hard, &recovery, &swing}) a->assign(1, 0.0);
+        for (auto* a : {&hard, &recovery}) a->assign(1, 0.0);
+        swing.assign(2, 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
                    error.data(), drift.data(), seen.data(), pulls.data(), hard.data(), missing.data(),
@@ -60,7 +61,7 @@ struct Owner {
         std::copy(other.hard.begin(), other.hard.end(), hard.begin());
         std::copy(other.missing.begin(), other.missing.end(), missing.begin());
         recovery[0] = other.recovery[0];
-        swing[0] = other.swing[0];
+        std::copy(other.swing.begin(), other.swing.end(), swing.begin());
     }
 };
 

@@ -32,7 +32,7 @@ def centred(chain: ClosedChain) -> ControlProblem:
 
 def after(swing: float, velocities: Sequence[tuple[float, float]], chain: ClosedChain) -> float:
     """What is remembered when the first two joints go at these velocities, tick by tick."""
-    state = State(chain, memory=Memory({"swing": 1}))
+    state = State(chain, memory=Memory({"swing": 2}))
     state.memory["swing"][0] = swing
     for pair in velocities:
         v = np.zeros(chain.n)
@@ -44,7 +44,7 @@ def after(swing: float, velocities: Sequence[tuple[float, float]], chain: Closed
 
 def test_damping_grows_by_half_a_swing_up_to_four_times(chain: ClosedChain) -> None:
     back_and_forth = [(0.1, 0.0), (-0.1, 0.0)] * 4
-    assert [after(0.0, back_and_forth[: k + 2], chain) for k in range(5)] == [
+    assert [after(0.0, back_and_forth[: k + 3], chain) for k in range(5)] == [
         0.5,
         1.25,
         2.375,
@@ -58,6 +58,7 @@ def test_damping_grows_by_half_a_swing_up_to_four_times(chain: ClosedChain) -> N
     [
         [(0.1, 0.0), (0.1, 0.0)],  # goes on
         [(0.1, 0.0), (0.0, 0.0), (-0.1, 0.0)],  # stands in between
+        [(0.1, 0.0), (-0.1, 0.0), (-0.1, 0.0), (0.1, 0.0)],  # turns, as references do
         [(0.019, 0.0), (-0.019, 0.0)],  # slowly
         [(0.1, 1.0), (-0.1, 1.0)],  # beside a joint that goes on ten times as fast
     ],

@@ -57,18 +57,20 @@ class StepDamping {
         return needed > MOST_DAMPING ? MOST_DAMPING / needed : 1.0;
     }
 
-    // How joints swing after a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
-    double swing_after(const double* v, double swing, int blocks) const {
+    // Note how joints swing in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
+    void note_swing(const double* v, double* swing, int blocks) const {
         double fastest = 0.0, before = 0.0, back = 0.0;
         for (int i = 0; i < blocks * LANES; i++) {
             fastest = std::max(fastest, std::fabs(v[i]));
             before = std::max(before, std::fabs(v_last_[i]));
             back = std::max(back, -(v[i] * v_last_[i]));
         }
-        const double grown = 1.0 + swing;
+        const double grown = 1.0 + swing[0];
         const bool swings = back > std::max(AMONG_THE_FAST * (before * fastest),
                                             SWINGS_AT * SWINGS_AT);
-        return (swings ? std::min(GROWS * grown, MOST_GROWN) : std::max(FADES * grown, 1.0)) - 1.0;
+        const bool again = swings && swing[1] > 0.0;
+        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(FADES * grown, 1.0)) - 1.0;
+        swing[1] = swings;
     }
 
   private:

@@ -153,7 +153,7 @@ class Kernel {
 
     void write() {
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
-        bound.swing[0] = damping_.swing_after(v_, bound.swing[0], m_->blocks);
+        damping_.note_swing(v_, bound.swing, m_->blocks);
     }
 
     Ahead ahead_;

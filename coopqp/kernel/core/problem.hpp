@@ -68,7 +68,7 @@ struct Bound {
     double* hard_pull = nullptr;
     double* missing = nullptr;  // what each share lacks to 1
     double* recovery = nullptr;  // what the way back has pulled at the loops
-    double* swing = nullptr;    // how much more damping there is because joints swung back
+    double* swing = nullptr;    // how much more damping there is, and whether a joint swung back
 };
 
 }  // namespace coopqp
