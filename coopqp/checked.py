@@ -171,7 +171,7 @@ def real(values: Any) -> Array:
     Raises:
         ValueError: they are no real numbers; says why.
     """
-    if np.ma.is_masked(values):
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise ValueError("has masked values")
     try:
         found = np.array(values)

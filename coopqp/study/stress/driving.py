@@ -17,7 +17,7 @@ from coopqp.study.stress import signs
 from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.signs import Record
 
-ROUND, FEWEST, MOST = 100, 200, 500  # ticks; after each round it is asked whether it has ended
+FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
 
 
 def record_of(problem: ControlProblem) -> Record:
@@ -40,14 +40,14 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
     problem = law.problem
     record.q, arrived = state.q[None].copy(), max(task.end for task in problem.tasks)
     while len(record.v) < MOST:
-        made = law.run(state, ROUND)
+        made = law.run(state, ROUND if len(record.v) else FEWEST)
         record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
         record.causes.extend(made.causes)
         record.plain += int(np.count_nonzero(~made.compiled))
         _note_loops(record, state)
         if not np.isfinite(made.v).all():
             return
-        if len(record.v) >= FEWEST and state.t >= arrived and _ended(state, record, errors):
+        if state.t >= arrived and _ended(state, record, errors):
             break
     position, orientation = loop_errors(problem.chain, record.q)
     record.loop_position = max(record.loop_position, float(position.max()))

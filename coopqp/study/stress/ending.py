@@ -115,7 +115,7 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
     if stands and problem.on_infeasible == "stop":
         return asked
-    if signs.beyond(record)[-1].max() > signs.EXCESS:
+    if signs.outside(record) > signs.EXCESS:
         way = way_back(problem, state)
         stuck = way > INWARD and signs.slowest(record) < signs.AT_REST
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)

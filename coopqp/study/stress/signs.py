@@ -93,6 +93,12 @@ def beyond(record: Record) -> Array:
     return out
 
 
+def outside(record: Record) -> float:
+    """How far the farthest joint is outside its limits at the end [rad, m]."""
+    q = record.q[-1]
+    return float(np.maximum(record.lower - q, q - record.upper).max())
+
+
 def position_excess(record: Record) -> float:
     """Largest overrun: what is inside stays inside, what is outside may only come nearer."""
     out = beyond(record)
