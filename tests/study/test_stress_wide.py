@@ -33,7 +33,7 @@ from coopqp.study.stress import (
     summarize,
 )
 from coopqp.study.stress.draw import LAW, draw
-from coopqp.study.stress.driving import MOST, ROUND, drive_on, record_of
+from coopqp.study.stress.driving import FEWEST, MOST, ROUND, drive_on, record_of
 from coopqp.study.stress.ending import PartErrors, ending, way_back
 from coopqp.study.stress.goals import pick
 from coopqp.study.stress.signs import Record
@@ -294,6 +294,6 @@ def test_pinocchio_sees_loops_that_the_kernels_kinematics_do_not(
     law = LAW.build(drawn(next(s for s in range(100) if drawn(s).robot == "baxter")).problem)
     state, record = law.start(), record_of(law.problem)
     drive_on(law, state, record, PartErrors(law.problem))
-    seen = [State(law.problem.chain, q) for q in record.q[ROUND::ROUND]]
+    seen = [State(law.problem.chain, q) for q in record.q[FEWEST::ROUND]]
     assert record.loop_position == max(s.loop_position_error for s in seen) > 0.0
     assert record.loop_orientation == max(s.loop_orientation_error for s in seen) > 0.0
