@@ -20,6 +20,7 @@ namespace coopqp {
 // By how much a certificate may be short of zero before the answer is refined: as far as the kernel
 // and the plain law agree [rad/s].
 constexpr double SHORT_OF_DIGITS = 1e-10;
+constexpr double HOLD = 1e-12;  // by which rows that must hold may not, in an answer that is mended
 
 class Cascade {
   public:
@@ -128,7 +129,7 @@ class Cascade {
     // digit, something else is.
     static bool is_short(const Outcome& found) {
         if (found.status == Status::Optimal) return found.off > SHORT_OF_DIGITS;
-        return found.status == Status::Inaccurate && found.gap <= SHORT_OF_DIGITS;
+        return found.status == Status::Inaccurate && found.gap <= HOLD;
     }
 
     // The outcome after the rest of the way to the optimum, which the gradient that the check has
