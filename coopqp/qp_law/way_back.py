@@ -104,9 +104,11 @@ class WayBack:
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
             level.qp.q[: len(wish)] = -wish * outside
             level.close_loops(state, kappa)
-            usable, y = level.solve().usable, level.solution.y
+            if not level.solve().usable:
+                continue  # multipliers are then no numbers
+            y = level.solution.y
             saving = kappa * y.dot(state.e_loop)
-            if usable and (level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT):
+            if level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT:
                 self.v, self.share = level.v.copy(), level.scale
                 pull[0] = np.abs(y).sum()
                 return

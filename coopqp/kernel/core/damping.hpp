@@ -59,15 +59,15 @@ class StepDamping {
 
     // Note how joints swing in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
     void note_swing(const double* v, double* swing, int blocks) const {
-        double fastest = 0.0, before = 0.0, back = 0.0;
-        for (int i = 0; i < blocks * LANES; i++) {
-            fastest = std::max(fastest, std::fabs(v[i]));
-            before = std::max(before, std::fabs(v_last_[i]));
-            back = std::max(back, -(v[i] * v_last_[i]));
+        v4 back4 = v4{}, fastest4 = v4{}, before4 = v4{};
+        for (int b = 0; b < blocks; b++) back4 = larger(back4, -(lanes(v)[b] * lanes(v_last_)[b]));
+        const double back = largest(back4), grown = 1.0 + swing[0];
+        bool swings = back > SWINGS_AT * SWINGS_AT;
+        for (int b = 0; swings && b < blocks; b++) {
+            fastest4 = larger(fastest4, larger(lanes(v)[b], -lanes(v)[b]));
+            before4 = larger(before4, larger(lanes(v_last_)[b], -lanes(v_last_)[b]));
         }
-        const double grown = 1.0 + swing[0];
-        const bool swings = back > std::max(AMONG_THE_FAST * (before * fastest),
-                                            SWINGS_AT * SWINGS_AT);
+        swings = swings && back > AMONG_THE_FAST * (largest(before4) * largest(fastest4));
         const bool again = swings && swing[1] > 0.0;
         swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(FADES * grown, 1.0)) - 1.0;
         swing[1] = swings;

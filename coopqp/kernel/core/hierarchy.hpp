@@ -100,7 +100,7 @@ class Hierarchy {
         const int b = blocks_of(std::max(decided, 1));
         for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
         for (int s = rows; s < rows + LANES; s++) clear(S_ + s * width_, blocks_);
-        triangulate(b);
+        if (rows > decided) triangulate(b);
         for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
             bool turned = false;
             for (int i = 0; i < decided; i++)

@@ -46,6 +46,9 @@ __attribute__((always_inline)) inline v4 sums(const v4& a, const v4& b, const v4
 }
 
 __attribute__((always_inline)) inline v4 larger(const v4& a, const v4& b) { return a > b ? a : b; }
+__attribute__((always_inline)) inline double largest(const v4& a) {
+    return std::max(std::max(a[0], a[1]), std::max(a[2], a[3]));
+}
 __attribute__((always_inline)) inline v4 smaller(const v4& a, const v4& b) { return a < b ? a : b; }
 
 __attribute__((always_inline)) inline bool any_above(const v4& a, double most) {

@@ -123,7 +123,7 @@ class LeastDistance {
         v4 most = v4{} + OVERRUN;
         for (int b = 0; b < row_blocks_; b++)
             most = larger(most, larger(x[b] - hi[b], lo[b] - x[b]));
-        const double worst = std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
+        const double worst = largest(most);
         if (!(worst > OVERRUN)) return -1;
         for (int i = 0; i < stride(); i++) {
             const bool above = values_[i] - upper[i] >= worst;
