@@ -264,8 +264,8 @@ class Check {
     double idle(double mu) const {
         double squares = 0.0;
         for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
-            const double off =
-                std::max(std::min(slack_[i], y_.of_rows[i] / mu), -std::fabs(y_.of_rows[i]));
+            const double z = y_.of_rows[i];  // one that pulls, where rows may only push, is all off
+            const double off = z < 0.0 ? z / mu : std::max(std::min(slack_[i], z / mu), -z);
             squares += off * off;
         }
         return std::sqrt(squares);

@@ -137,7 +137,8 @@ class Kernel {
     }
 
     Status find_way_back() {
-        const Status status = way_back_.find(bound.q, damping_.of(s_.reach * bound.recovery[0]), b_.data(), set_out_);
+        const double damping = damping_.of(s_.reach * bound.recovery[0]);
+        const Status status = way_back_.find(bound.q, damping, b_.data(), set_out_);
         if (status == Status::Optimal) way_back_.keep(bound.q, limits);
         return status;
     }
