@@ -41,7 +41,11 @@ class Status(enum.Enum):
     NOT_FINITE = "the state or the answer has NaN or infinite values"
     EQUALITY_RESIDUAL = "the answer breaks the loop closure"
     BOUND_RESIDUAL = "the answer breaks a limit"
-    TASKS_GIVEN_UP = "hard and scaled tasks became soft: they left no motion", True, True
+    TASKS_RELAXED = (
+        "hard or scaled tasks are not met in full, but as nearly as limits and loops allow",
+        True,
+        True,
+    )
     ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
     CONTACT_GIVEN_UP = "friction cannot bear it: a hand that presses may slip", True, True
     DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
@@ -81,7 +85,7 @@ so for ``NOT_MEASURED``, too, with which others go on."""
 
 
 def written(causes: Sequence[Status]) -> str:
-    """All causes of a tick in one word, the gravest first, such as "TASKS_GIVEN_UP+RECOVERING"."""
+    """All causes of a tick in one word, the gravest first, such as "TASKS_RELAXED+RECOVERING"."""
     return "+".join(cause.name for cause in causes)
 
 

@@ -179,4 +179,4 @@ def _least_squares(A: Array, b: Array) -> Array:
 
 def plainly(causes: tuple[Status, ...]) -> bool | None:
     """Whether a tick gave its hard tasks up; None where more was done than to solve its levels."""
-    return {(Status.OPTIMAL,): False, (Status.TASKS_GIVEN_UP,): True}.get(causes)
+    return {(Status.OPTIMAL,): False, (Status.TASKS_RELAXED,): True}.get(causes)

@@ -167,7 +167,7 @@ class TorqueQpLaw(Law):
         given_up: tuple[Status, ...] = ()
         if self._has_hard:
             x, status = self._solve_levels(state, soften=True)
-            given_up = (Status.TASKS_GIVEN_UP,)
+            given_up = (Status.TASKS_RELAXED,)
         if x is None and self.hands.pressing:
             x, status = self._solve_levels(state, soften=True, keep=False)
             given_up = (*given_up, Status.CONTACT_GIVEN_UP)

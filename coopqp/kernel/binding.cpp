@@ -28,8 +28,8 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("rest", &Engine::rest)
         .def("step", &Engine::step)
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
-             "remembered"_a, "softened"_a.none(), "soft_ticks"_a, "gives_up"_a, "stops"_a,
-             "all_corrected"_a)
+             "remembered"_a, "stops"_a, "all_corrected"_a)
+        .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     nb::class_<Slide>(m, "Slide")

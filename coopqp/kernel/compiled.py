@@ -23,7 +23,8 @@ from coopqp.state import State
 class Outcome(IntEnum):
     """What became of a tick of the kernel, numbered as in ``core/status.hpp``.
 
-    Where joints are on their way back from outside their limits COMES_BACK is added to an answer.
+    RELAXED is added to an answer where hard or scaled tasks are not met in full, COMES_BACK where
+    joints are on their way back from outside their limits.
     """
 
     BUSY = -1
@@ -39,8 +40,9 @@ class Outcome(IntEnum):
     OUTSIDE = 9
     SHORTENED = 10
     UNPROVEN = 11
+    RELAXED = 16
+    STANDS = 32
     COMES_BACK = 64
-    COMES_BACK_SHORTENED = 74
 
 
 class Compiled:
@@ -101,7 +103,7 @@ class Compiled:
 
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
-        names = "later pulls", "pull", "missing", "recovery", "swing", "stopped", "soft"
+        names = "later pulls", "missed", "missing", "recovery", "swing", "stopped"
         remembered = (memory[name] for name in names)
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
         before, self._heard = self._heard, []

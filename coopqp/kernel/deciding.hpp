@@ -54,9 +54,9 @@ class Engine {
     void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
-                    const Written& commanded, const Written& later_pulls, const Written& hard_pull,
+                    const Written& commanded, const Written& later_pulls, const Written& missed,
                     const Written& missing, const Written& recovery, const Written& swing,
-                    const Written& stopped, const Written& soft) {
+                    const Written& stopped) {
         auto& b = kernel_->bound;
         b.q = q_now_ = q.data();
         b.v_last = v_now_ = v_last.data();
@@ -68,14 +68,13 @@ class Engine {
         b.drift = drift.data();
         b.q_seen = q_seen.data();
         b.later_pulls = later_pulls.data();
-        b.hard_pull = hard_pull.data();
+        b.missed = missed.data();
         b.missing = missing.data();
         b.recovery = recovery.data();
         b.swing = swing.data();
         stopped_ = stopped.data();
-        soft_ = soft.data();
         state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, hard_pull, missing, recovery, swing, stopped, soft);
+                                later_pulls, missed, missing, recovery, swing, stopped);
     }
 
     void bind_command(const Written& v) {
@@ -136,9 +135,11 @@ class Engine {
         return use.alone ? come_back() : BUSY;
     }
 
+    // The least share of its rate at which a hard or scaled task ran in the last tick.
+    double scale() const { return kernel_->scale(); }
+
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still or has given up hard tasks a moment ago. The tick before has done
-    // all of the drift correction.
+    // where the law stands still. The tick before has done all of the drift correction.
     int step(double t) {
         const Use use(*this);
         if (!use.alone || waits()) return BUSY;
@@ -155,32 +156,27 @@ class Engine {
     // least share of a scaled task's speed, and what of `memory` was there before it.
     // Returns how many were done; signals of the process wait as long.
     int run(double t, const Written& q, const Written& v, const Said& said, const Written& scale,
-            const Numbers& memory, const Written& remembered, Engine* softened, double soft_ticks,
-            bool gives_up, bool stops, bool all_corrected) {
+            const Numbers& memory, const Written& remembered, bool stops, bool all_corrected) {
         const Use use(*this);
-        if (!use.alone || !q_now_ || softened == this) return BUSY;
-        std::optional<Use> other;
-        if (softened) other.emplace(*softened);
-        if (other && !other->alone) return BUSY;
+        if (!use.alone || !q_now_) return BUSY;
         const std::size_t n = kernel_->model().joints.size(), ticks = said.size();
         const std::size_t kept = memory.size();
         if (q.size() < n * (ticks + 1) || v.size() < n * ticks || scale.size() < ticks ||
             remembered.size() < kept * ticks)
             return BUSY;
         nb::gil_scoped_release released;
-        GivingUp given{softened, soft_ticks, gives_up, stops, all_corrected};
         std::size_t done = 0;
         for (; done < ticks; done++) {
             std::copy(q_now_, q_now_ + n, q.data() + done * n);
             std::copy_n(memory.data(), kept, remembered.data() + done * kept);
-            const int how = decide(t, given);
+            const int how = decide(t, stops, all_corrected);
             if (how == BUSY) break;
             said.data()[done] = std::uint8_t(how);
             scale.data()[done] = scale_of(how);
             advance();
             std::copy(v_now_, v_now_ + n, v.data() + done * n);
             t += kernel_->settings().dt;
-            given.all_corrected = true;
+            all_corrected = true;
         }
         std::copy(q_now_, q_now_ + n, q.data() + done * n);
         return int(done);
@@ -196,45 +192,25 @@ class Engine {
   private:
     static constexpr int BUSY = -1;
     // Added to the status of a tick.
-    static constexpr int SOFTENED = 16, STANDS = 32, COMES_BACK = 64;
-
-    // What a run does where not everything can hold, as coopqp.kernel.law has it.
-    struct GivingUp {
-        Engine* softened;  // the problem with its hard and scaled tasks soft, if there are any
-        double soft_ticks;
-        bool gives_up, stops;
-        bool all_corrected;  // whether the tick before has done all of the drift correction
-    };
+    static constexpr int RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 
     // The status of a tick and who decided it; BUSY where that is Python's.
-    int decide(double t, const GivingUp& given) {
-        const bool stands = *stopped_ != 0.0, whole = *soft_ <= 0.0;
-        if ((stands || whole || !given.gives_up) && evaluate(t)) return BUSY;
-        if (stands) return stand_still();
-        if (whole) {
-            const coopqp::Status status = kernel_->solve(given.all_corrected);
-            if (is_answer(status)) return told(status);
-            if (status != coopqp::Status::Infeasible) return BUSY;
-        }
-        if (!given.gives_up) {
-            *stopped_ = given.stops ? 1.0 : 0.0;
-            forget_exact();
-            return come_back();
-        }
-        if (!given.softened || !given.all_corrected || given.softened->evaluate(t)) return BUSY;
-        const coopqp::Status status = given.softened->kernel_->solve(true);
-        if (!is_answer(status)) return BUSY;
-        *soft_ = *soft_ > 0.0 ? *soft_ - 1.0 : given.soft_ticks;
+    //   stops: whether the law stands still from a tick on that is infeasible.
+    int decide(double t, bool stops, bool all_corrected) {
+        if (evaluate(t)) return BUSY;
+        if (*stopped_ != 0.0) return stand_still();
+        const coopqp::Status status = kernel_->solve(all_corrected);
+        if (is_answer(status)) return told(status);
+        if (status != coopqp::Status::Infeasible || kernel_->settings().relaxes) return BUSY;
+        *stopped_ = stops ? 1.0 : 0.0;
         forget_exact();
-        return SOFTENED + given.softened->told(status);
+        return come_back();
     }
 
     // As coopqp.kernel.law says it.
     double scale_of(int how) const {
-        const int shares = kernel_->levels[0].shares;
-        if (!shares) return 1.0;
-        const double* missing = kernel_->bound.missing;
-        return how & (SOFTENED | STANDS) ? 0.0 : 1.0 - *std::max_element(missing, missing + shares);
+        if (!kernel_->levels[0].exact) return 1.0;
+        return how & STANDS ? 0.0 : kernel_->scale();
     }
 
     static bool is_answer(coopqp::Status status) {
@@ -242,12 +218,14 @@ class Engine {
     }
 
     int told(coopqp::Status status) const {
-        return int(status) + (is_answer(status) && kernel_->comes_back() ? COMES_BACK : 0);
+        if (!is_answer(status)) return int(status);
+        return int(status) + (kernel_->relaxed() ? RELAXED : 0) +
+               (kernel_->comes_back() ? COMES_BACK : 0);
     }
 
     void forget_exact() {
         const auto& bound = kernel_->bound;
-        *bound.hard_pull = 0.0;
+        std::fill_n(bound.missed, kernel_->levels[0].exact, 0.0);
         std::fill_n(bound.missing, kernel_->levels[0].shares, 0.0);
     }
 
@@ -274,7 +252,7 @@ class Engine {
         return 0;
     }
 
-    bool waits() const { return !q_now_ || *stopped_ != 0.0 || *soft_ != 0.0; }
+    bool waits() const { return !q_now_ || *stopped_ != 0.0; }
 
     // As coopqp.state.State.advance.
     void advance() {
@@ -362,7 +340,7 @@ class Engine {
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
-    double *stopped_ = nullptr, *soft_ = nullptr;
+    double* stopped_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE

@@ -101,6 +101,7 @@ def flat_settings(
         "upper": np.minimum(chain.upper, LARGE),
         "second_order": opening(chain, problem.dt).ravel(),
         "inequalities": float(inequalities),
+        "relaxes": float(problem.on_infeasible == "scale"),
     }
 
 

@@ -1,11 +1,9 @@
 """A tick by the kernel, or by the plain law where the kernel has no verified answer.
 
-The kernel does what the plain law does when all is well: the loops, hard, scaled and soft tasks,
-any number of levels, limits, the check and the look ahead. Where it proves that hard and scaled
-tasks leave no motion they become soft, for as long as in the plain law, as a second program of the
-kernel. Joints that are outside their limits come back first. All that is rarer is written once, in
-the plain law, which decides every tick that the kernel does not: drift that is corrected in part,
-acceleration limits that are given up.
+The kernel does what the plain law does when limits leave all of the drift correction: loops, limits
+and the way back of joints outside of them, hard, scaled and soft tasks, any number of levels, the
+check and the look ahead. What is rarer is written once, in the plain law, which decides every tick
+that the kernel does not: drift that is corrected in part, acceleration limits that are given up.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
 from coopqp.memory import Memory
 from coopqp.qp_law.equations import ALL_OF_IT
-from coopqp.qp_law.law import QPLaw, memory_sizes, soft_ticks
+from coopqp.qp_law.law import QPLaw, memory_sizes
 from coopqp.qp_law.priorities import Order
 from coopqp.signal import Followed
 from coopqp.solver import Status
@@ -33,21 +31,16 @@ from coopqp.ticks import Ticks
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
 INFEASIBLE, OPENS = int(Outcome.INFEASIBLE), int(Outcome.OPENS)
-#: Added to them, as in ``deciding.hpp``.
-SOFTENED, STANDS, COMES_BACK = 16, 32, int(Outcome.COMES_BACK)
+RELAXED, STANDS, COMES_BACK = map(int, (Outcome.RELAXED, Outcome.STANDS, Outcome.COMES_BACK))
 ALL_WELL = {
-    OPTIMAL: (Status.OPTIMAL,),
-    SHORTENED: (Status.STEP_SHORTENED,),
-    COMES_BACK + OPTIMAL: (Status.RECOVERING,),
-    COMES_BACK + SHORTENED: (Status.STEP_SHORTENED, Status.RECOVERING),
-}
-GIVEN_UP = {
-    OPTIMAL: (Status.TASKS_GIVEN_UP,),
-    SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP),
-    COMES_BACK + OPTIMAL: (Status.TASKS_GIVEN_UP, Status.RECOVERING),
-    COMES_BACK + SHORTENED: (Status.STEP_SHORTENED, Status.TASKS_GIVEN_UP, Status.RECOVERING),
-}
-#: Of a tick in which nothing may be given up.
+    shortened + relaxed + back: (
+        *((Status.STEP_SHORTENED,) if shortened else ()),
+        *((Status.TASKS_RELAXED,) if relaxed else ()),
+        *((Status.RECOVERING,) if back else ()),
+    ) or (Status.OPTIMAL,)
+    for shortened in (OPTIMAL, SHORTENED) for relaxed in (0, RELAXED) for back in (0, COMES_BACK)
+}  # fmt: skip
+#: Of a tick in which nothing may be relaxed.
 RESTS = {
     STANDS: (Status.INFEASIBLE,),
     COMES_BACK + STANDS + OPTIMAL: (Status.RECOVERING, Status.INFEASIBLE),
@@ -56,10 +49,7 @@ RESTS = {
     ),
     COMES_BACK + STANDS + OPENS: (Status.LOOP_BUDGET, Status.RECOVERING, Status.INFEASIBLE),
 }  # fmt: skip
-#: Of a tick in a run.
-IN_A_RUN = {
-    **ALL_WELL, **{SOFTENED + said: causes for said, causes in GIVEN_UP.items()}, **RESTS
-}  # fmt: skip
+IN_A_RUN = {**ALL_WELL, **RESTS}
 AT_ONCE = 1000  # ticks of a run without Python
 NOTHING = (None,) * 5 + ((),)
 
@@ -75,8 +65,6 @@ class KernelLaw(Law):
 
     Attributes:
         whole: the problem, compiled.
-        softened: the same with all tasks soft, and no later levels; None where all are anyway, and
-            until it is asked for.
     """
 
     engine = "kernel"
@@ -97,17 +85,12 @@ class KernelLaw(Law):
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self._engine_step = self.whole.engine.step
-        self._softens_at_all = bool(order.hard or order.scaled)
-        self.softened: Compiled | None = None
-        if any(task.joint_space for task in problem.tasks):  # which may not be compiled then
-            self._prepare_softened()
-        self._alone_at_all = self.whole.alone and (not self.softened or self.softened.alone)
-        self._alone_at_all &= squeezer is None
+        self._alone_at_all = self.whole.alone and squeezer is None
         self._runs = self._alone_at_all and not self.whole.follows
-        self._gives_up = problem.on_infeasible == "scale"
+        self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
-        self._dt, self._soft_ticks = problem.dt, soft_ticks(problem)
-        self._scales = bool(order.scaled)
+        self._dt = problem.dt
+        self._exact = bool(order.hard or order.scaled)
         self._asked = False  # whether the kernel has been asked in this tick
         self._shown: tuple[Any, ...] = NOTHING
 
@@ -120,17 +103,7 @@ class KernelLaw(Law):
     def prepare(self) -> KernelLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
         self.plain.prepare()
-        self._prepare_softened()
         return self
-
-    def _prepare_softened(self) -> Compiled | None:
-        if self.softened is None and self._softens_at_all:
-            tasks = [Group(self.problem.tasks)]
-            self.softened = Compiled(self.problem, self._order.programs, tasks, *self._settings)
-            state, memory = self._shown[0], self._shown[4]
-            if state is not None and not self.softened.bind(state, memory):
-                self._shown = NOTHING
-        return self.softened
 
     def tick(self, state: State) -> Command:
         """The command for the next dt; without a line of Python between where nothing needs it."""
@@ -173,32 +146,14 @@ class KernelLaw(Law):
     def _decides(self, state: State) -> bool:
         """Whether the kernel has an answer, which is the command then."""
         self.compiled = False
-        if self._soft[0] <= 0.0:
-            said = self.whole.tick(state)
-            if said in ALL_WELL:
-                self._say(ALL_WELL[said])
-                self.command.scale = 1.0 - self._missing.max() if self._scales else 1.0
-                return True
-            if said != INFEASIBLE or (not self._softens_at_all and self._gives_up):
-                return False
-        if not (self._softens(state) if self._gives_up else self._rests(self.whole.engine.rest())):
+        said = self.whole.tick(state)
+        if said in ALL_WELL:
+            self._say(ALL_WELL[said])
+            self.command.scale = self.whole.engine.scale() if self._exact else 1.0
+            return True
+        if said != INFEASIBLE or self._relaxes or not self._rests(self.whole.engine.rest()):
             return False
-        self._pull[0] = self._missing[:] = 0.0
-        return True
-
-    def _softens(self, state: State) -> bool:
-        """Whether there is an answer with all tasks soft."""
-        if not self._softens_at_all or state.corrected < ALL_OF_IT:
-            return False
-        softened = self.softened or self._prepare_softened()
-        if softened is None or self._shown is NOTHING:
-            return False
-        said = softened.tick(state)
-        if said not in GIVEN_UP:
-            return False
-        self._soft[0] = self._soft[0] - 1.0 if self._soft[0] > 0.0 else self._soft_ticks
-        self._say(GIVEN_UP[said])
-        self.command.scale = 0.0 if self._scales else 1.0
+        self._missed[:] = self._missing[:] = 0.0
         return True
 
     def step(self, state: State) -> Command:
@@ -227,8 +182,8 @@ class KernelLaw(Law):
                 command, self.compiled = self.command, True
                 command.drift = command.scale = 1.0
                 command.causes, command.note = ALL_WELL[said], ""
-                if self._scales:
-                    command.scale = 1.0 - self._missing.max()
+                if self._exact:
+                    command.scale = self.whole.engine.scale()
                 return command
         return super().step(state)
 
@@ -260,9 +215,7 @@ class KernelLaw(Law):
         said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
         room = found.q[done:], found.v[done:], said, found.scale[done:]
         remembered = state.memory.numbers, found.memory[done:]
-        softened = self.softened.engine if self.softened else None
-        giving_up = softened, self._soft_ticks, self._gives_up, self._stops, whole
-        made: int = max(self.whole.engine.run(state.t, *room, *remembered, *giving_up), 0)
+        made: int = max(self.whole.engine.run(state.t, *room, *remembered, self._stops, whole), 0)
         found.causes[done : done + made] = map(IN_A_RUN.__getitem__, said[:made].tolist())
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit
@@ -282,7 +235,7 @@ class KernelLaw(Law):
         if said not in RESTS:
             return False
         self._say(RESTS[said])
-        self.command.scale = 0.0 if self._scales else 1.0
+        self.command.scale = 0.0 if self._exact else 1.0
         self._stopped[0] = float(self._stops)
         return True
 
@@ -318,13 +271,12 @@ class KernelLaw(Law):
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
         self._shown = NOTHING
-        for compiled in (self.whole, self.softened):
-            if compiled is not None and not compiled.bind(state, memory):
-                return False
+        if not self.whole.bind(state, memory):
+            return False
         heard = self.whole.heard(state)
         self._shown = (state, state.q, state.v, state.gap, memory, heard)
-        self._stopped, self._soft = memory["stopped"], memory["soft"]
-        self._pull, self._missing = memory["pull"], memory["missing"]
+        self._stopped = memory["stopped"]
+        self._missed, self._missing = memory["missed"], memory["missing"]
         return True
 
 

@@ -121,7 +121,9 @@ class Levels:
 
     def _level(self, level: int, group: Group) -> Flat:
         rows, joint_weight = _Rows(), 0.0
+        first = list[float]()
         for task in group.hard:
+            first.append(float(len(rows.gain)))
             self._take(level, task, rows)
         hard = len(rows.gain)
         for share, task in enumerate(group.scaled):
@@ -136,6 +138,7 @@ class Levels:
         return {
             **numbers,
             **{name: float(size) for name, size in sizes.items()},
+            "task": np.array(first),
             "joint_weight": joint_weight,
         }
 

@@ -82,6 +82,7 @@ coopqp::Settings settings_of(const nb::dict& d) {
     s.steepest = 0.0;
     for (double x : s.second_order) s.steepest = std::max(s.steepest, x);
     s.inequalities = int(number(d, "inequalities"));
+    s.relaxes = number(d, "relaxes") != 0.0;
     return s;
 }
 
@@ -96,6 +97,7 @@ coopqp::Level level_of(const nb::dict& d, const coopqp::Model& m, coopqp::Arena&
     level.hard = int(number(d, "hard"));
     level.share = integers(d, "share");
     level.shares = int(number(d, "shares"));
+    level.task = integers(d, "task");
     level.exact = int(number(d, "exact"));
     level.joint_weight = number(d, "joint_weight");
     const std::size_t k = level.gain.size(), stride = std::size_t(m.blocks) * coopqp::LANES;

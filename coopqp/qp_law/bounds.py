@@ -40,8 +40,9 @@ class Bounds:
         by_limit = [limit.rows(chain) for limit in limits]
         self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
         self.lb, self.ub = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
-        self.G, self.h = np.zeros((len(self.rows), chain.n)), np.zeros(len(self.rows))
+        self.G, self.h = np.zeros((len(self.rows), chain.n)), np.full(len(self.rows), np.inf)
         self._each_tick: list[tuple[Tighten, LimitRows]] = []
+        self._kept: list[tuple[Tighten, LimitRows]] = []
         ends = itertools.accumulate(map(len, by_limit), initial=0)
         for limit, (first, last) in zip(limits, itertools.pairwise(ends), strict=True):
             block = LimitRows(self.lb, self.ub, self.G[first:last], self.h[first:last])
@@ -51,9 +52,20 @@ class Bounds:
                 tighten(start, block)
             else:
                 self._each_tick.append((tighten, block))
-        self._constant = self.lb.copy(), self.ub.copy()
+                if not limit.sacrificed_first:
+                    self._kept.append((tighten, block))
+        self._constant = self.lb.copy(), self.ub.copy(), self.G.copy(), self.h.copy()
 
     def update(self, state: State) -> None:
         """Ask the limits that change."""
-        self.lb[:], self.ub[:] = self._constant
-        evaluate_all(self._each_tick, state)
+        self._evaluate(self._each_tick, state)
+
+    def release(self, state: State) -> bool:
+        """Leave out acceleration limits, and ask for no motion; whether there are such limits."""
+        self._evaluate(self._kept, state)
+        np.maximum(self.h, 0.0, out=self.h)
+        return len(self._kept) < len(self._each_tick)
+
+    def _evaluate(self, limits: Sequence[tuple[Tighten, LimitRows]], state: State) -> None:
+        self.lb[:], self.ub[:], self.G[:], self.h[:] = self._constant
+        evaluate_all(limits, state)

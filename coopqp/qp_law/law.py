@@ -32,17 +32,17 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
-from coopqp.qp_law.fallback import Fallback
+from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.level import Level
+from coopqp.qp_law.nearest import MET, Nearest
 from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
 from coopqp.solver import Status, norm
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
-SOFT_FOR = 0.2  # hard tasks that were given up stay soft for this long [s]
-MOST_HARD_DAMPING = 1.0  # that the multipliers of hard tasks may ask for
 
 
 class QPLaw(Law):
@@ -87,13 +87,15 @@ class QPLaw(Law):
         self.way_back = WayBack(problem, order.start, error_damping)
         self.probe, bounds = self.way_back.probe, self.way_back.bounds
         self.exact = order.exact
+        self._hard = sum(self.exact.sizes[: len(order.hard)])
         self._scaled = self.exact.slices[len(order.hard) :]
-        self._at_rest = 0.0 if order.scaled else 1.0  # the scale where scaled tasks do nothing
+        self._at_rest = 0.0 if self.exact.tasks else 1.0  # the scale where these do nothing
         self.stacks = [order.stack(level) for level in range(len(order.groups))]
         rows = [*problem.chain.loops.solver_rows, *self.exact.rows]
         names = [task.name for task in order.scaled]
         self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
+        self._shares = self.solution.v[problem.chain.n :]
         self._later = [
             LaterLevel(problem, order, level, bounds, cost) for level in range(1, len(self.stacks))
         ]
@@ -101,102 +103,164 @@ class QPLaw(Law):
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
 
     @cached_property
-    def fallback(self) -> Fallback:
-        """For ticks in which not everything can hold; built when asked for."""
-        return Fallback(self.problem, self.order.start, self.way_back, self._damping)
+    def nearest(self) -> Nearest:
+        """For ticks in which hard or scaled tasks cannot hold; built when asked for."""
+        return Nearest(self.problem, self.order, self.way_back.bounds, self._damping)
+
+    @cached_property
+    def drift(self) -> DriftShare:
+        """For ticks in which not all of the drift correction can be done; built when asked for."""
+        return DriftShare(self.problem, self.order.start, self.way_back, self._damping)
 
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.fallback, self.way_back.levels  # noqa: B018 - are built by being asked for
+        self.nearest, self.drift, self.way_back.levels  # noqa: B018 - are built by being asked for
         return self
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify, level by level; the command is safe whatever happened."""
         if state.memory["stopped"][0]:
             return self._stand_still(Status.INFEASIBLE)
-        self.assemble(state)
-        status = self._solve_first(state)
         command, way_back = self.command, self.way_back
-        command.scale, command.drift = self.first.scale, 1.0
-        v, causes = (self._improve if status.usable else self._give_up)(state, status)
+        command.scale, command.drift = 1.0, 1.0
+        kappa = self.assemble(state)
+        v, causes = self._decide_levels(state, kappa)
+        if not causes[0].usable:
+            v, causes = self._with_less_drift(state, causes[0])
         if way_back.active:
             v, causes = way_back.rescue(v, causes)
             command.drift = min(command.drift, way_back.share)
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
-        command.say(*causes)
+        command.say(*_said(causes))
         self.probe.shorten(state, command)
         note_swing(state, command.v)
         return command
 
-    def assemble(self, state: State) -> None:
-        """Evaluate limits and tasks, and fill the first level's QP."""
+    def assemble(self, state: State) -> float:
+        """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.way_back.limit(state)
         for stack in (*self.stacks, self.exact):
             stack.update(state)
-        self.first.assemble(state, self.way_back.bounds, self._exact_damping(state))
-        self.first.close_loops(state, kappa)
-        self._hold_exact(self.qp.A[len(state.e_loop) :], self.qp.b[len(state.e_loop) :])
+        self._assemble_first(state, kappa, self.exact.wanted)
+        return kappa
 
-    def _hold_exact(self, A: Array, b: Array) -> None:
-        """Write J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
-        n, wanted = self.problem.chain.n, self.exact.wanted
+    def _assemble_first(self, state: State, kappa: float, wanted: Array) -> None:
+        """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
+        n, m, first = self.problem.chain.n, len(state.e_loop), self.first
+        bend = self._damping.of(first.tasks.bend(state.v), state)
+        first.assemble(self.way_back.bounds, bend + self._scaled_damping(state))
+        first.close_loops(state, kappa)
+        A, b = self.qp.A[m:], self.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):
             A[part, n + share], b[part] = -wanted[part], 0.0
 
-    def _exact_damping(self, state: State) -> float:
-        """For hard rows, which bend by their multipliers, and for scaled ones.
+    def _scaled_damping(self, state: State) -> float:
+        """For scaled tasks, whose rows bend by their multipliers.
 
-        The multiplier of a scaled task is SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
+        They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
         """
         if not self._scaled:
-            pull = state.memory["pull"][0]
-            return min(self._damping.of(state.chain.reach * pull, state), MOST_HARD_DAMPING)
+            return 0.0
         bends, pull = self.exact.bends(state.v), 0.0
         for part, missing in zip(self._scaled, state.memory["missing"], strict=True):
             wanted = self.exact.wanted[part]
             pull += missing * norm(bends[part]) / (wanted @ wanted + LEAST_SPEED**2)
         return min(self._damping.of(SCALE_WEIGHT * pull, state), MOST_DAMPING)
 
-    def _solve_first(self, state: State) -> Status:
-        """The first level's answer, unless its hard tasks were given up a moment ago."""
-        memory, answer = state.memory, self.solution
-        if memory["soft"][0] > 0.0:
-            memory["soft"][0] -= 1.0
-            return Status.INFEASIBLE
-        status = self.first.solve()
-        gives_up = status is Status.INFEASIBLE and self.problem.on_infeasible == "scale"
-        if gives_up and self.exact.tasks:
-            memory["soft"][0] = soft_ticks(self.problem)
-        pulls, shares = answer.y[len(state.e_loop) :], answer.v[self.problem.chain.n :]
-        memory["pull"][0] = np.abs(pulls).sum() if status.usable else 0.0
-        memory["missing"][:] = 1.0 - shares if status.usable else 0.0
-        return status
-
-    def _improve(self, state: State, status: Status) -> tuple[Array, tuple[Status, ...]]:
-        """What the later levels make of the first one's answer."""
-        v, pulls = self.first.v, state.memory["later pulls"].reshape(-1, 1)
+    def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
+        """One after the other, each within what those before it leave free."""
+        v, causes = self._decide_first(state, kappa)
+        if not causes[0].usable:
+            return v, causes
+        status, pulls = causes[-1], state.memory["later pulls"].reshape(-1, 1)
         for later, pull in zip(self._later, pulls, strict=True):
             v, status = later.improve(state, self.way_back.bounds, v, status, pull)
-        return v, (status,)
+        return v, (*causes[:-1], status)
 
-    def _give_up(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
-        """The answer of a smaller problem, where the problem is to be scaled."""
+    def _decide_first(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
+        """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones."""
+        status, missed = Status.INFEASIBLE, state.memory["missed"]
+        if not missed[: self._hard].any():
+            status = self.first.solve()
+            if status.usable:
+                missed[:], state.memory["missing"][:] = 0.0, 1.0 - self._shares
+                self.command.scale = self.first.scale
+                return self.first.v, (status,)
+        if not self.exact.tasks or self.problem.on_infeasible != "scale":
+            return self.first.v, (status,)
+        return self._come_near(state, kappa, status)
+
+    def _come_near(
+        self, state: State, kappa: float, failed: Status
+    ) -> tuple[Array, tuple[Status, ...]]:
+        """The levels of hard and of scaled tasks where not all they ask can be done."""
+        exact, nearest, hard, memory = self.exact, self.nearest, self._hard, state.memory
+        got, v, status = exact.wanted.copy(), self.first.v, failed
+        if hard:
+            status, v = nearest.of_hard(state, kappa), nearest.v
+            if not status.usable:
+                return v, (status,)
+            got[:hard] = exact.J[:hard] @ v
+        if self._scaled:
+            self._assemble_first(state, kappa, got)
+            status, v = self.first.solve(), self.first.v
+            shares = self._shares
+            if not status.usable:
+                status, v = nearest.of_scaled(state, kappa, got[:hard]), nearest.v
+                if not status.usable:
+                    return v, (status,)
+                got[hard:] = exact.J[hard:] @ v
+                shares = np.array([share_of(exact.wanted[p], got[p]) for p in self._scaled])
+            memory["missing"][:] = 1.0 - shares
+        missed = got - exact.wanted
+        memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
+        parts = exact.slices[: len(self.order.hard)]
+        met = [1.0 - norm(missed[p]) / max(norm(exact.wanted[p]), norm(missed[p])) for p in parts if missed[p].any()]
+        self.command.scale = min(1.0, *met, *(1.0 - memory["missing"]))
+        if norm(missed) <= self.problem.budget.equality:
+            return v, (status,) 
+        said = Status.TASKS_RELAXED if failed is Status.INFEASIBLE else Status.SOLVER_FAILED
+        return v, (said, status)
+
+    def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
+        """The levels with as much of the drift correction as can be done."""
         self.command.scale = self._at_rest
         if self.problem.on_infeasible == "stop":
             state.memory["stopped"][0] = 1.0
         if self.problem.on_infeasible != "scale":
             return self.first.v, (failed,)
-        v, causes = self.fallback.solve(state, failed)
-        self.command.drift = self.fallback.drift
-        return v, causes
+        relaxed = self.drift.find(state)
+        if not relaxed[0].usable:
+            self.command.drift = 0.0
+            return self.drift.v, (failed,)
+        self.command.drift = self.drift.share
+        kappa = self.drift.share * drift_gain(self.problem, state)
+        self._assemble_first(state, kappa, self.exact.wanted)
+        v, causes = self._decide_levels(state, kappa)
+        if not causes[0].usable:
+            v, causes = self.drift.v, ()
+        if failed is not Status.INFEASIBLE:
+            relaxed = (Status.SOLVER_FAILED,)
+        return v, (*relaxed, *causes)
 
     def _stand_still(self, *causes: Status) -> Command:
         self.command.v[:], self.command.scale = 0.0, self._at_rest
         self.command.say(*causes)
         return self.command
+
+
+def _said(causes: tuple[Status, ...]) -> tuple[Status, ...]:
+    """Each cause once; OPTIMAL only where there is no other."""
+    others = tuple(dict.fromkeys(c for c in causes if c is not Status.OPTIMAL))
+    return others or (Status.OPTIMAL,)
+
+
+def share_of(wanted: Array, got: Array) -> float:
+    """How much of a wanted rate was got along its direction, from 0 to 1."""
+    return float(np.clip(wanted @ got / (wanted @ wanted + LEAST_SPEED**2), 0.0, 1.0))
 
 
 def memory_sizes(
@@ -210,13 +274,9 @@ def memory_sizes(
         squeezer: who presses by measured forces, if anybody does.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
+    exact = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode != "soft")
     return {
-        "stopped": 1, "soft": 1, "pull": 1, "recovery": 1,
-        "missing": scaled, "later pulls": levels - 1,
+        "stopped": 1, "recovery": 1, "missed": exact, "missing": scaled, "later pulls": levels - 1,
         **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
     }  # fmt: skip
 
-
-def soft_ticks(problem: ControlProblem) -> int:
-    """For how many more ticks hard tasks stay soft that were given up."""
-    return round(SOFT_FOR / problem.dt)

@@ -34,6 +34,7 @@ class Level:
         tasks: as given.
         v: the velocities of the answer, shape (n,).
         curvature: smallest eigenvalue that P has at least, its damping in the last tick.
+        certified: curvature by which the answer is judged at least.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Level:
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._damping, self._slows = tasks, damping, slows
+        self.tasks, self._least, self._slows = tasks, damping.least, slows
         self._n, self._eye = n, np.eye(n)
         self.qp = qp = QP(Rows(variables, bounds.rows, tuple(equalities)))
         self.solution = Solution(qp)
@@ -59,21 +60,21 @@ class Level:
         qp.lb[n:], qp.ub[n:] = 0.0, 1.0
         np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
         qp.q[n:] = -SCALE_WEIGHT
-        self.curvature = damping.least
+        self.curvature = self.certified = damping.least
         self._verifier = Verifier(qp, self.solution, problem.budget, damping.least)
         self._solve = problem.solver.open(qp, self.solution)
 
-    def assemble(self, state: State, bounds: Bounds, extra_damping: float = 0.0) -> None:
-        """Objective and limits; the caller fills the equality rows.
+    def assemble(self, bounds: Bounds, damping: float = 0.0) -> None:
+        """Objective and limits, for which tasks and bounds are up to date.
+
+        The caller fills the equality rows.
 
         Args:
-            state: for which tasks and bounds are up to date.
             bounds: the limits.
-            extra_damping: beside what the tasks need.
+            damping: cost of |v|^2 beside the least one.
         """
         qp, n, J, wanted = self.qp, self._n, self.tasks.J, self.tasks.wanted
-        needed = self._damping.of(self.tasks.bend(state.v), state) + extra_damping
-        self.curvature = self._damping.least + needed
+        self.curvature = self._least + damping
         JW = J.T * self.tasks.weights
         qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
         qp.q[:n] = -JW.dot(wanted)
@@ -94,7 +95,7 @@ class Level:
         """Solve and verify."""
         self.qp.seal()
         self._solve()
-        self._verifier.curvature = min(self.curvature, SCALE_WEIGHT)
+        self._verifier.curvature = min(max(self.curvature, self.certified), SCALE_WEIGHT)
         self.solution.status = status = self._verifier.check()
         return status
 

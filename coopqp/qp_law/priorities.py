@@ -41,12 +41,13 @@ NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 
 
 
 def groups(problem: ControlProblem) -> list[list[Task]]:
-    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty."""
+    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty.
+
+    Where there are hard or scaled tasks the first level is theirs alone.
+    """
     soft = [task for task in problem.tasks if task.mode == "soft"]
-    found = [*(_by_priority(soft) or [[]]), *_by_priority(problem.secondary)]
-    # What a scaled task can do comes before all soft ones, whatever their weights.
-    scales = any(task.mode == "scaled" for task in problem.tasks)
-    return [[], *found] if scales else found
+    found = [*_by_priority(soft), *_by_priority(problem.secondary)]
+    return found if soft and len(soft) == len(problem.tasks) else [[], *found]
 
 
 def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
@@ -192,11 +193,12 @@ class LaterLevel:
         """
         level, A, b = self.level, self.level.qp.A, self.level.qp.b
         needed = self._damping.of(pull[0], state)
-        level.assemble(state, bounds, min(needed, MOST_DAMPING))
+        own = self._damping.of(level.tasks.bend(state.v), state)
+        level.assemble(bounds, own + min(needed, MOST_DAMPING))
         turns = self._decide(state, A)
         b[:] = A.dot(v)
-        own = level.solve()
-        if not own.usable:
+        found = level.solve()
+        if not found.usable:
             pull[0] = 0.0
             return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
@@ -206,7 +208,7 @@ class LaterLevel:
             v = v + self.share * (level.v - v)
         else:
             self.share, v = 1.0, level.v
-        return v, status if own is Status.OPTIMAL else own
+        return v, status if found is Status.OPTIMAL else found
 
     def _decide(self, state: State, Q: Array) -> Array:
         """Write the basis of what is decided, shape (rank, n); how fast its rows turn, L / sigma.

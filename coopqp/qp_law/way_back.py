@@ -80,7 +80,7 @@ class WayBack:
         self.bounds.update(state)
         if self.active:
             self._find(state, kappa)
-            self.tighten(self.bounds)
+            self._tighten()
             kappa = drift_gain(self._problem, state, self.share)
         return kappa
 
@@ -100,7 +100,7 @@ class WayBack:
         for level in (whole, slowed):
             if level is whole and state.corrected < ALL_OF_IT:
                 continue  # or it would go to and fro between all and a part
-            level.assemble(state, bounds, extra)
+            level.assemble(bounds, extra)
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
             level.qp.q[: len(wish)] = -wish * outside
             level.close_loops(state, kappa)
@@ -113,11 +113,17 @@ class WayBack:
                 pull[0] = np.abs(y).sum()
                 return
 
-    def tighten(self, bounds: Bounds) -> None:
+    def release(self, state: State) -> bool:
+        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the way back."""
+        released = self.bounds.release(state)
+        self._tighten()
+        return released
+
+    def _tighten(self) -> None:
         """Let nobody take the way back away."""
         if self.v is None:
             return
-        keep, lb, ub = KEPT * self.v, bounds.lb, bounds.ub
+        keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
         np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
         np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
 

@@ -22,7 +22,7 @@ from coopqp.tasks import PointOnPoint
 PROBLEMS, STATES, DT = 40, 25, 0.002
 KEPT = 1e-6  # [N]
 #: What a tick may say of itself when it did not do all that was asked.
-NAMED = {Status.TASKS_GIVEN_UP, Status.CONTACT_GIVEN_UP, Status.INFEASIBLE, Status.INACCURATE}
+NAMED = {Status.TASKS_RELAXED, Status.CONTACT_GIVEN_UP, Status.INFEASIBLE, Status.INACCURATE}
 
 
 def law_of(rng: np.random.Generator, chain: ClosedChain) -> TorqueQpLaw | None:

@@ -66,7 +66,7 @@ def test_other_threads_may_stop_it_and_let_it_go_on() -> None:
         done.set()
         other.join()
         sys.setswitchinterval(before)
-    assert seen <= {Status.OPTIMAL, Status.STOPPED, Status.TASKS_GIVEN_UP}
+    assert seen <= {Status.OPTIMAL, Status.STOPPED, Status.TASKS_RELAXED}
     loop.end("enough")
     loop.resume()
     go(loop, robot, 30)

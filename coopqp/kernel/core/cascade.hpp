@@ -92,6 +92,14 @@ class Cascade {
         return outcome.status;
     }
 
+    // Take the first level, of exact rows alone, as decided by a motion v, in lanes.
+    void accept(const double* v) {
+        write_rows(levels_[0]);
+        hierarchy_.append(levels_[0].rows, levels_[0].exact);
+        copy(v_, v, m_.blocks);
+        rows_.object_twist(v_, check_.V);
+    }
+
     // Make a share of the step of the level that was decided last.
     void shorten(double share) {
         if (share == 1.0) return;
@@ -106,7 +114,7 @@ class Cascade {
     const Shares& shares() const { return shares_; }
     Check& check() { return check_; }
     const Check& check() const { return check_; }
-    // What a level pulls at the rows before it, Outcome::pull.
+    // What a later level pulls at the rows before it, Outcome::pull.
     double pull(int l) const { return pulls_[std::size_t(l)]; }
 
   private:

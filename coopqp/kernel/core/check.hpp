@@ -21,7 +21,7 @@ constexpr double CLEARLY = 3.5e-7;   // [rad/s] by which all constraints may giv
 
 struct Outcome {
     Status status;
-    double pull;  // LaterLevel.pull, or the sum of the hard rows' multipliers
+    double pull;  // LaterLevel.pull
     double off;   // estimate of |v - v*|
     double gap;   // by how much rows that must hold do not
 };
@@ -42,12 +42,15 @@ class Check {
 
     void aim(const double* b) { b_ = b; }
 
+    // Judge by this curvature at least: of levels that decide what rows do, not all of v.
+    void certify(double least) { least_ = least; }
+
     // Judge v, which is clipped to its bounds on the way.
     //   first: how many coordinates of the hierarchy were decided when the level could choose.
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   const Constraints& c) {
-        const double mu = std::min(d, SCALE_WEIGHT);
+        const double mu = std::min(std::max(d, least_), SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
@@ -72,8 +75,6 @@ class Check {
             if (l == 0 && shares_.count()) off = std::sqrt(off * off + share_distance2(mu));
             if (off <= s_.budget.accuracy) break;
         }
-        if (l == 0)
-            for (int i = 0; i < levels_[0].exact; i++) outcome.pull += std::fabs(y_.of_exact(i));
         off += idle(mu);
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
@@ -308,7 +309,7 @@ class Check {
         double squares = dot(size, size, m_.blocks);
         if (l == 0) squares += share_rounding2();
         return std::min(EPSILON * std::sqrt(squares),
-                        ROUNDING * std::min(d, SCALE_WEIGHT));
+                        ROUNDING * std::min(std::max(d, least_), SCALE_WEIGHT));
     }
 
     double share_rounding2() const {
@@ -345,6 +346,7 @@ class Check {
     const std::vector<Level>& levels_;
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
+    double least_ = 0.0;
     double *t_, *moved_;
     std::vector<double> slack_;
     double* of_arms_;

@@ -8,9 +8,7 @@
 
 namespace coopqp {
 
-constexpr double MOST_HARD_DAMPING = 1.0;  // as coopqp.qp_law.law
-constexpr double MOST_DAMPING = 1e4;
-constexpr double LEAST_SPEED = 1e-4;       // as coopqp.qp_law.equations, these and the next
+constexpr double MOST_DAMPING = 1e4, LEAST_SPEED = 1e-4;  // as coopqp.qp_law.equations
 constexpr double GROWS = 1.5, MOST_GROWN = 4.0, FADES = 0.99;
 constexpr double SWINGS_AT = 0.02, AMONG_THE_FAST = 0.25;
 
@@ -18,7 +16,7 @@ class StepDamping {
   public:
     StepDamping(const Rows& rows, const Settings& settings, const std::vector<Level>& levels,
                 Arena& arena)
-        : rows_(rows), error_damping_(settings.error_damping), dt_(settings.dt), reach_(settings.reach),
+        : rows_(rows), error_damping_(settings.error_damping), dt_(settings.dt),
           V_(arena.take(TWIST)), asked2_(std::size_t(levels[0].shares)),
           wanted2_(std::size_t(levels[0].shares)) {
         for (const Level& level : levels)
@@ -45,8 +43,6 @@ class StepDamping {
         if (level.shares)
             extra = std::min(share_ * SCALE_WEIGHT * of_scaled(level, v_last, V, bound.missing),
                              MOST_DAMPING);
-        else if (level.exact)
-            extra = std::min(share_ * reach_ * bound.hard_pull[0], MOST_HARD_DAMPING);
         if (l > 0) extra = std::min(share_ * bound.later_pulls[l - 1], MOST_DAMPING);
         return share_ * bend + extra;
     }
@@ -101,7 +97,7 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double error_damping_, dt_, share_ = 0.0, reach_, *V_;
+    double error_damping_, dt_, share_ = 0.0, *V_;
     const double* v_last_ = nullptr;
     bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;

@@ -11,6 +11,7 @@
 #include "damping.hpp"
 #include "faults.hpp"
 #include "loops.hpp"
+#include "nearest.hpp"
 #include "problem.hpp"
 #include "rows.hpp"
 #include "way_back.hpp"
@@ -33,8 +34,11 @@ class Kernel {
           damping_(rows_, s_, levels, *arena_),
           limits(stride(), s_.inequalities, *arena_),
           tasks_(*m_, s_, rows_, *loops_, limits, kept_, levels, *arena_),
+          nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           way_back_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
+          wanted_(std::size_t(levels[0].exact)), missed_(wanted_.size()),
+          missing_(std::size_t(levels[0].shares)),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
           last_(arena_->take(std::size_t(stride()))),
@@ -76,25 +80,49 @@ class Kernel {
             const Status status = all_corrected ? find_way_back() : Status::Outside;
             if (status != Status::Optimal) return status;
         }
-        tasks_.begin(b_.data(), set_out_);
-        for (std::size_t l = 0; l < levels.size(); l++) {
+        Status status = decide_first();
+        if (status != Status::Optimal) return status;
+        for (std::size_t l = 1; l < levels.size(); l++) {
             levels[l].want();
             const double damping = s_.damping + damping_.of(int(l), levels[l], bound);
-            const Status status = tasks_.decide(int(l), damping);
+            status = tasks_.decide(int(l), damping);
             if (status != Status::Optimal) return status;
             tasks_.shorten(damping_.step_of(int(l), bound));
         }
-        const Status status = command(tasks_.v());
+        status = command(tasks_.v());
         if (status == Status::Opens) return status;
         for (std::size_t l = 1; l < levels.size(); l++) bound.later_pulls[l - 1] = tasks_.pull(int(l));
-        if (levels[0].exact) bound.hard_pull[0] = tasks_.pull(0);
         if (comes_back_) bound.recovery[0] = way_back_.pull();
-        for (int k = 0; k < levels[0].shares; k++) bound.missing[k] = 1.0 - tasks_.shares().share(k);
+        std::copy(missed_.begin(), missed_.end(), bound.missed);
+        std::copy(missing_.begin(), missing_.end(), bound.missing);
         return status;
     }
 
     // Whether joints were outside their limits when it was decided last.
     bool comes_back() const { return comes_back_; }
+
+    // Whether hard or scaled tasks lacked more than rounding when it was decided last.
+    bool relaxed() const {
+        double lacks2 = 0.0;
+        for (double x : missed_) lacks2 += x * x;
+        return lacks2 > s_.budget.equality * s_.budget.equality;
+    }
+
+    // The least share of its rate at which a hard or scaled task ran; 1 without such tasks.
+    double scale() const {
+        double least = 1.0;
+        const Level& level = levels[0];
+        for (double missing : missing_) least = std::min(least, 1.0 - missing);
+        for (std::size_t i = 0; i < level.task.size(); i++) {
+            double lacks2 = 0.0, wanted2 = 0.0;
+            for (int s = level.task[i]; s < (i + 1 < level.task.size() ? level.task[i + 1] : level.hard); s++) {
+                lacks2 += missed_[std::size_t(s)] * missed_[std::size_t(s)];
+                wanted2 += wanted_[std::size_t(s)] * wanted_[std::size_t(s)];
+            }
+            if (lacks2 > 0.0) least = std::min(least, 1.0 - std::sqrt(lacks2 / std::max(lacks2, wanted2)));
+        }
+        return least;
+    }
 
     // Where tasks leave no answer to joints that are outside: the way back alone. Opens where that
     // is to stand still.
@@ -136,6 +164,67 @@ class Kernel {
             for (int r : kept_[i]) b_[at++] = -kappa * bound.drift[6 * i + std::size_t(r)];
     }
 
+    // Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones.
+    Status decide_first() {
+        Level& level = levels[0];
+        level.want();
+        std::fill(missed_.begin(), missed_.end(), 0.0);
+        Status status = Status::Infeasible;
+        if (std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; })) {
+            status = decide_exactly();
+            if (status == Status::Optimal) return status;
+        }
+        const bool left = status == Status::Infeasible || status == Status::Unproven;
+        return left && level.exact && s_.relaxes ? come_near() : status;
+    }
+
+    Status decide_exactly() {
+        Level& level = levels[0];
+        tasks_.begin(b_.data(), set_out_);
+        const Status status = tasks_.decide(0, s_.damping + damping_.of(0, level, bound));
+        for (int k = 0; k < level.shares; k++)
+            missing_[std::size_t(k)] = 1.0 - tasks_.shares().share(k);
+        return status;
+    }
+
+    // The levels of hard and of scaled tasks where not all they ask can be done.
+    Status come_near() {
+        Level& level = levels[0];
+        const auto exact = level.wanted.begin() + level.exact;
+        std::copy(level.wanted.begin(), exact, wanted_.begin());
+        std::vector<double>& got = nearest_.got;
+        Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
+        if (status != Status::Optimal) return status;
+        bool scales = false;
+        if (level.shares) {
+            std::copy_n(got.begin(), level.hard, level.wanted.begin());
+            scales = decide_exactly() == Status::Optimal;
+            std::copy(wanted_.begin(), wanted_.end(), level.wanted.begin());
+            if (!scales) status = nearest_.of_scaled(damping_, bound.missed);
+            if (status != Status::Optimal) return status;
+        }
+        for (int s = 0; s < (scales ? level.hard : level.exact); s++) {
+            const double lacks = got[std::size_t(s)] - wanted_[std::size_t(s)];
+            missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
+        }
+        if (scales) return status;
+        for (int k = 0; k < level.shares; k++) missing_[std::size_t(k)] = 1.0 - share_got(k);
+        tasks_.begin(b_.data(), set_out_);
+        tasks_.accept(nearest_.v());
+        return status;
+    }
+
+    // How much of its rate a scaled task has got along its direction.
+    double share_got(int k) const {
+        double wanted2 = LEAST_SPEED * LEAST_SPEED, along = 0.0;
+        for (int s = levels[0].hard; s < levels[0].exact; s++) {
+            if (levels[0].share[std::size_t(s)] != k) continue;
+            wanted2 += wanted_[std::size_t(s)] * wanted_[std::size_t(s)];
+            along += wanted_[std::size_t(s)] * nearest_.got[std::size_t(s)];
+        }
+        return std::min(std::max(along / wanted2, 0.0), 1.0);
+    }
+
     Status find_way_back() {
         const double damping = damping_.of(s_.reach * bound.recovery[0]);
         const Status status = way_back_.find(bound.q, damping, b_.data(), set_out_);
@@ -167,8 +256,11 @@ class Kernel {
 
   private:
     Cascade tasks_;
+    Nearest nearest_;
     WayBack way_back_;
     std::vector<double> b_;
+    std::vector<double> wanted_, missed_;  // of hard and scaled rows
+    std::vector<double> missing_;          // of shares
     double *set_out_, *v_, *last_, *t_;
     bool comes_back_ = false;
 };

@@ -20,6 +20,7 @@ struct Level {
     int rows = 0, hard = 0, exact = 0;  // exact: hard and scaled
     std::vector<int> share;             // of each row which share it is scaled by; -1 if by none
     int shares = 0;
+    std::vector<int> task;              // the first row of each hard task
     std::vector<double> e, rate, gain, weight, lever, wanted;
     std::vector<char> asks_velocity, twist;
     // A row sees the object's twist (rows, 8) or, where `twist` is 0, all joints (rows, lanes).
@@ -40,6 +41,7 @@ struct Settings {
     std::vector<double> second_order;        // (L, n): how far v^2 opens each loop
     double steepest;                         // the largest of them
     int inequalities = 0;                    // rows of G
+    bool relaxes = false;                    // hard and scaled tasks that cannot hold come near
 
     // Whether a joint is outside its limits: 1 below them, -1 above, 0 inside.
     int outside(const double* q, int j) const {
@@ -65,7 +67,7 @@ struct Bound {
     double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
     double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;
-    double* hard_pull = nullptr;
+    double* missed = nullptr;   // what rows of hard and scaled tasks lack
     double* missing = nullptr;  // what each share lacks to 1
     double* recovery = nullptr;  // what the way back has pulled at the loops
     double* swing = nullptr;    // how much more damping there is, and whether a joint swung back

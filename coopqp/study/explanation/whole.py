@@ -169,7 +169,7 @@ def _opened(leg: Leg) -> str:
 def _reached(scenario: Scenario, run: Recording) -> str:
     """Of a run that got there, but perhaps not as it should."""
     phases = list(legs(scenario, run))
-    given_up = sum(Status.TASKS_GIVEN_UP in causes for leg in phases for causes in leg.causes)
+    given_up = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
     broken = words.broken(scenario.limits, phases)
     but = [f"in {given_up} ticks hard or scaled tasks were given up; --tick says why"]
     found = [*([broken] if broken else []), *(but if given_up else [])]
