@@ -159,7 +159,7 @@ def draw(seed: int) -> Draw:
     kind, mode = pick(rng, FIRM), pick(rng, ("hard", "hard", "scaled"))
     common = {**_common(rng, "firm"), "mode": mode, "weight": float(10.0 ** rng.uniform(-1.0, 1.0))}
     aim = goals.random_aim(rng, X)
-    aim = replace(aim, **_facing(kind, X.rotation.T @ away, aim))
+    aim = _facing(kind, X.rotation.T @ away, aim)
     soft = [_soft(rng, chain, X, i) for i in range(int(rng.integers(1, 4)))]
     secondary = (JointCentering(gain=0.5),) if rng.random() < 0.5 else ()
     wanted = float(rng.uniform(0.0, FARTHEST))
@@ -213,12 +213,12 @@ def _direction(rng: np.random.Generator, chain: ClosedChain) -> Array:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _facing(kind: str, away: Array, aim: Aim) -> dict[str, Array]:
-    """The aim's directions, turned so that the task feels a shift away, in the object frame."""
+def _facing(kind: str, away: Array, aim: Aim) -> Aim:
+    """The aim, its directions turned so that the task feels a shift away, in the object frame."""
     if kind in ("point_on_plane", "distance"):
-        return {"axis": away}
+        return replace(aim, axis=away)
     axis = aim.axis - (aim.axis @ away) * away
-    return {"axis": axis / np.linalg.norm(axis), "normal": away}
+    return replace(aim, axis=axis / np.linalg.norm(axis), normal=away)
 
 
 def _soft(rng: np.random.Generator, chain: ClosedChain, X: pin.SE3, i: int) -> Task:
