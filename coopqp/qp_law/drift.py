@@ -20,6 +20,9 @@ from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import TaskStack
 
+#: What of the largest share is done, so that the tick's levels have an answer to the last digit.
+INSIDE = 1.0 - 1e-4
+
 
 class DriftShare:
     """The largest share of the drift correction.
@@ -56,7 +59,7 @@ class DriftShare:
             status = self._solve(state)
         if not status.usable:
             return (status,)
-        self.share = self._level.scale
+        self.share = INSIDE * self._level.scale
         if self.share < ALL_OF_IT:
             causes = (*causes, Status.DRIFT_SLOWED)
         return causes or (Status.SOLVER_FAILED,)

@@ -34,7 +34,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.nearest import MET, Nearest
+from coopqp.qp_law.nearest import MET, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
@@ -95,7 +95,6 @@ class QPLaw(Law):
         names = [task.name for task in order.scaled]
         self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
-        self._shares = self.solution.v[problem.chain.n :]
         self._later = [
             LaterLevel(problem, order, level, bounds, cost) for level in range(1, len(self.stacks))
         ]
@@ -182,48 +181,68 @@ class QPLaw(Law):
 
     def _decide_first(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones."""
-        status, missed = Status.INFEASIBLE, state.memory["missed"]
-        if not missed[: self._hard].any():
+        relaxes = bool(self.exact.tasks) and self.problem.on_infeasible == "scale"
+        status = Status.INFEASIBLE
+        if not state.memory["missed"][: self._hard].any():
             status = self.first.solve()
-            if status.usable:
-                missed[:], state.memory["missing"][:] = 0.0, 1.0 - self._shares
-                self.command.scale = self.first.scale
+            if status.usable and not (relaxes and self._leaves_direction()):
+                self._remember(state, self.first.v, 0.0)
                 return self.first.v, (status,)
-        if not self.exact.tasks or self.problem.on_infeasible != "scale":
-            return self.first.v, (status,)
-        return self._come_near(state, kappa, status)
+        return self._come_near(state, kappa, status) if relaxes else (self.first.v, (status,))
 
     def _come_near(
-        self, state: State, kappa: float, failed: Status
+        self, state: State, kappa: float, whole: Status
     ) -> tuple[Array, tuple[Status, ...]]:
-        """The levels of hard and of scaled tasks where not all they ask can be done."""
-        exact, nearest, hard, memory = self.exact, self.nearest, self._hard, state.memory
-        got, v, status = exact.wanted.copy(), self.first.v, failed
-        if hard:
+        """The levels of hard and of scaled tasks where not all they ask can be done.
+
+        Args:
+            state: of the tick.
+            kappa: gain of the drift correction.
+            whole: of the first level; usable where no more is the matter than a blocked direction.
+        """
+        exact, nearest, hard = self.exact, self.nearest, self._hard
+        wanted, v, status = exact.wanted.copy(), self.first.v, whole
+        if hard and not whole.usable:
             status, v = nearest.of_hard(state, kappa), nearest.v
             if not status.usable:
                 return v, (status,)
-            got[:hard] = exact.J[:hard] @ v
-        if self._scaled:
-            self._assemble_first(state, kappa, got)
-            status, v = self.first.solve(), self.first.v
-            shares = self._shares
+            wanted[:hard] = exact.J[:hard] @ v
+            if self._scaled:
+                self._assemble_first(state, kappa, wanted)
+                status, v = self.first.solve(), self.first.v
+        leaves = self._leaves_direction() if status.usable else 1.0
+        if self._scaled and leaves:
+            status = nearest.of_scaled(state, kappa, wanted[:hard])
             if not status.usable:
-                status, v = nearest.of_scaled(state, kappa, got[:hard]), nearest.v
-                if not status.usable:
-                    return v, (status,)
-                got[hard:] = exact.J[hard:] @ v
-                shares = np.array([share_of(exact.wanted[p], got[p]) for p in self._scaled])
-            memory["missing"][:] = 1.0 - shares
-        missed = got - exact.wanted
-        memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
-        parts = exact.slices[: len(self.order.hard)]
-        met = [1.0 - norm(missed[p]) / max(norm(exact.wanted[p]), norm(missed[p])) for p in parts if missed[p].any()]
-        self.command.scale = min(1.0, *met, *(1.0 - memory["missing"]))
-        if norm(missed) <= self.problem.budget.equality:
-            return v, (status,) 
-        said = Status.TASKS_RELAXED if failed is Status.INFEASIBLE else Status.SOLVER_FAILED
-        return v, (said, status)
+                return nearest.v, (status,)
+            v = nearest.v if leaves == 1.0 else v + leaves * (nearest.v - v)
+        self._remember(state, v, leaves)
+        if not whole.usable and whole is not Status.INFEASIBLE:
+            return v, (Status.SOLVER_FAILED, status)
+        lacks = norm(state.memory["missed"][:hard])
+        relaxed = leaves > 0.0 or lacks > self.problem.budget.equality
+        return v, (Status.TASKS_RELAXED, status) if relaxed else (status,)
+
+    def _leaves_direction(self) -> float:
+        """How far scaled tasks may leave their directions, from 0 to 1."""
+        shares, wanted = self.solution.v[self.problem.chain.n :], self.exact.wanted
+        parts = zip(self._scaled, shares.tolist(), strict=True)
+        return max((blocked(share, wanted[part]) for part, share in parts), default=0.0)
+
+    def _remember(self, state: State, v: Array, leaves: float) -> None:
+        """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
+        exact, shares = self.exact, self.solution.v[self.problem.chain.n :]
+        if not exact.tasks:
+            return
+        missed = exact.J @ v - exact.wanted
+        state.memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
+        if leaves:
+            got = [share_of(exact.wanted[p], exact.J[p] @ v) for p in self._scaled]
+            shares = np.array(got, float)
+        state.memory["missing"][:] = 1.0 - shares
+        hard = exact.slices[: len(self.order.hard)]
+        met = (1.0 - norm(missed[p]) / max(norm(exact.wanted[p]), norm(missed[p]), MET) for p in hard)
+        self.command.scale = min([1.0, *met, *shares.tolist()])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""

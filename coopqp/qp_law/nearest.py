@@ -6,15 +6,16 @@ Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the 
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-then, with J_i v of these fixed, the scaled ones: the largest shares of what they want, and where no
-share of it can be had the motion that is nearest to it,
+then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want. A
+direction along which next to nothing can be had gives way: v_n is the nearest to the whole of what
+they want, a problem like that of the hard ones, and
 
-    minimise    sum_k w_k (|across_k|^2 + ALONG |along_k|^2) + d |v|^2
+    v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / SLOW)+ (1 - 2 s_k)+
 
-with J_k v - wanted_k split along and across wanted_k. Later levels keep what was got. The damping is
-that of a soft task (:class:`coopqp.qp_law.equations.Damping`), by what the rows lacked in the last
-tick, m_i, instead of what they ask for: d = damping + c dt sum_i w_i |m_i| L_i. So it is nothing as
-long as they hold, and grows from there as they cease to.
+which is inside the limits, as both are; r = 1 where no shares can be had at all. Later levels keep
+what was got. The damping is that of a soft task (:class:`coopqp.qp_law.equations.Damping`), by what
+the rows lacked in the last tick, m_i, instead of what they ask for: d = c dt sum_i w_i |m_i| L_i and
+a little. So it is nothing as long as they hold, and grows from there as they cease to.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import LEAST_SPEED, Damping
+from coopqp.qp_law.equations import Damping
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import Order
 from coopqp.row import Row
-from coopqp.solver import Status
+from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
 
-#: Weight of what a scaled task lacks along its direction, beside what it does across it.
-ALONG = 1e-3
+#: Speed along its direction below which a scaled task may leave it [m/s, rad/s].
+SLOW = 1e-3
 #: Their least damping, beside that of the soft tasks.
 LESS = 1e-3
 #: Rows that lack less than this are met [m/s, rad/s].
@@ -85,14 +86,7 @@ class Nearest:
             hard: what J v of the hard rows is, shape (rows of these,).
         """
         exact, level, rows = self._exact, self._scaled, slice(self._count, None)
-        J, wanted = level.tasks.J, level.tasks.wanted
-        J[:], wanted[:] = exact.J[rows], exact.wanted[rows]
-        for part in level.tasks.slices:
-            size = np.sqrt(wanted[part] @ wanted[part] + LEAST_SPEED**2)
-            along = wanted[part] / size
-            less = (1.0 - np.sqrt(ALONG)) * along
-            J[part] -= np.outer(less, along @ J[part])
-            wanted[part] -= less * (along @ wanted[part])
+        level.tasks.J[:], level.tasks.wanted[:] = exact.J[rows], exact.wanted[rows]
         A, b, m = level.qp.A, level.qp.b, len(state.e_loop)
         A[m:], b[m:] = exact.J[: self._count], hard
         return self._solve(level, state, kappa, rows)
@@ -104,3 +98,13 @@ class Nearest:
         level.close_loops(state, kappa)
         self.v = level.v
         return level.solve()
+
+
+def blocked(share: float, wanted: Array) -> float:
+    """How far a scaled task may leave its direction, r in [0, 1]: along it hardly anything is left.
+
+    Args:
+        share: of what it wants, along its direction.
+        wanted: shape (k,).
+    """
+    return max(1.0 - share * norm(wanted) / SLOW, 0.0) * max(1.0 - 2.0 * share, 0.0)

@@ -18,6 +18,8 @@
 
 namespace coopqp {
 
+constexpr double MET = 1e-9;  // as coopqp.qp_law.nearest
+
 class Kernel {
   public:
     Kernel(std::unique_ptr<Arena> arena, std::unique_ptr<Model> model,
@@ -37,11 +39,12 @@ class Kernel {
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           way_back_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
-          wanted_(std::size_t(levels[0].exact)), missed_(wanted_.size()),
+          wanted_(std::size_t(levels[0].hard)), missed_(std::size_t(levels[0].exact)),
           missing_(std::size_t(levels[0].shares)),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
           last_(arena_->take(std::size_t(stride()))),
+          near_(arena_->take(std::size_t(stride()))), V_(arena_->take(TWIST)),
           t_(arena_->take(std::size_t(stride()))) {}
 
     // Kinematics of q; what follows from them is written to the bound arrays.
@@ -101,25 +104,26 @@ class Kernel {
     // Whether joints were outside their limits when it was decided last.
     bool comes_back() const { return comes_back_; }
 
-    // Whether hard or scaled tasks lacked more than rounding when it was decided last.
+    // Whether hard or scaled tasks were not met in full when it was decided last.
     bool relaxed() const {
         double lacks2 = 0.0;
-        for (double x : missed_) lacks2 += x * x;
-        return lacks2 > s_.budget.equality * s_.budget.equality;
+        for (int s = 0; s < levels[0].hard; s++) lacks2 += missed_[std::size_t(s)] * missed_[std::size_t(s)];
+        return leaves_ > 0.0 || lacks2 > s_.budget.equality * s_.budget.equality;
     }
 
     // The least share of its rate at which a hard or scaled task ran; 1 without such tasks.
     double scale() const {
-        double least = 1.0;
         const Level& level = levels[0];
+        double least = 1.0;
         for (double missing : missing_) least = std::min(least, 1.0 - missing);
         for (std::size_t i = 0; i < level.task.size(); i++) {
-            double lacks2 = 0.0, wanted2 = 0.0;
-            for (int s = level.task[i]; s < (i + 1 < level.task.size() ? level.task[i + 1] : level.hard); s++) {
+            const int end = i + 1 < level.task.size() ? level.task[i + 1] : level.hard;
+            double lacks2 = 0.0, wanted2 = MET * MET;
+            for (int s = level.task[i]; s < end; s++) {
                 lacks2 += missed_[std::size_t(s)] * missed_[std::size_t(s)];
-                wanted2 += wanted_[std::size_t(s)] * wanted_[std::size_t(s)];
+                wanted2 += level.wanted[std::size_t(s)] * level.wanted[std::size_t(s)];
             }
-            if (lacks2 > 0.0) least = std::min(least, 1.0 - std::sqrt(lacks2 / std::max(lacks2, wanted2)));
+            least = std::min(least, 1.0 - std::sqrt(lacks2 / std::max(lacks2, wanted2)));
         }
         return least;
     }
@@ -168,61 +172,96 @@ class Kernel {
     Status decide_first() {
         Level& level = levels[0];
         level.want();
-        std::fill(missed_.begin(), missed_.end(), 0.0);
+        leaves_ = 0.0;
         Status status = Status::Infeasible;
         if (std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; })) {
             status = decide_exactly();
-            if (status == Status::Optimal) return status;
+            if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
         }
         const bool left = status == Status::Infeasible || status == Status::Unproven;
-        return left && level.exact && s_.relaxes ? come_near() : status;
+        if (level.exact && s_.relaxes && (left || leaves_ > 0.0)) status = come_near(status);
+        if (status == Status::Optimal && level.exact) note_missed();
+        return status;
     }
 
     Status decide_exactly() {
-        Level& level = levels[0];
         tasks_.begin(b_.data(), set_out_);
-        const Status status = tasks_.decide(0, s_.damping + damping_.of(0, level, bound));
-        for (int k = 0; k < level.shares; k++)
-            missing_[std::size_t(k)] = 1.0 - tasks_.shares().share(k);
-        return status;
+        return tasks_.decide(0, s_.damping + damping_.of(0, levels[0], bound));
     }
 
     // The levels of hard and of scaled tasks where not all they ask can be done.
-    Status come_near() {
+    //   whole: of the level with all they ask; Optimal where a direction is blocked.
+    Status come_near(Status whole) {
         Level& level = levels[0];
-        const auto exact = level.wanted.begin() + level.exact;
-        std::copy(level.wanted.begin(), exact, wanted_.begin());
-        std::vector<double>& got = nearest_.got;
-        Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
-        if (status != Status::Optimal) return status;
-        bool scales = false;
-        if (level.shares) {
-            std::copy_n(got.begin(), level.hard, level.wanted.begin());
-            scales = decide_exactly() == Status::Optimal;
-            std::copy(wanted_.begin(), wanted_.end(), level.wanted.begin());
-            if (!scales) status = nearest_.of_scaled(damping_, bound.missed);
+        const bool optimal = whole == Status::Optimal;
+        copy(near_, tasks_.v(), m_->blocks);
+        if (optimal) {
+            nearest_.accept_hard(b_.data(), near_);
+        } else {
+            const Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
+            copy(near_, nearest_.v(), m_->blocks);
+            leaves_ = level.shares ? scale_beside(near_) : 0.0;
         }
-        for (int s = 0; s < (scales ? level.hard : level.exact); s++) {
-            const double lacks = got[std::size_t(s)] - wanted_[std::size_t(s)];
-            missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
+        if (leaves_ > 0.0) {
+            const Status status = nearest_.of_scaled(damping_, bound.missed);
+            if (status != Status::Optimal) return status;
+            for (int b = 0; b < m_->blocks; b++)
+                lanes(near_)[b] += leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]);
         }
-        if (scales) return status;
-        for (int k = 0; k < level.shares; k++) missing_[std::size_t(k)] = 1.0 - share_got(k);
         tasks_.begin(b_.data(), set_out_);
-        tasks_.accept(nearest_.v());
-        return status;
+        tasks_.accept(near_);
+        return Status::Optimal;
     }
 
-    // How much of its rate a scaled task has got along its direction.
-    double share_got(int k) const {
-        double wanted2 = LEAST_SPEED * LEAST_SPEED, along = 0.0;
-        for (int s = levels[0].hard; s < levels[0].exact; s++) {
-            if (levels[0].share[std::size_t(s)] != k) continue;
-            wanted2 += wanted_[std::size_t(s)] * wanted_[std::size_t(s)];
-            along += wanted_[std::size_t(s)] * nearest_.got[std::size_t(s)];
+    // The largest shares that a motion of the hard tasks leaves, which v becomes; how far scaled
+    // tasks may leave their directions then.
+    double scale_beside(double* v) {
+        Level& level = levels[0];
+        rows_.object_twist(v, V_);
+        std::copy_n(level.wanted.begin(), level.hard, wanted_.begin());
+        for (int s = 0; s < level.hard; s++) level.wanted[std::size_t(s)] = rows_.times(level, s, v, V_);
+        const bool shared = decide_exactly() == Status::Optimal;
+        std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
+        if (!shared) return 1.0;
+        copy(v, tasks_.v(), m_->blocks);
+        return leaves_direction();
+    }
+
+    // As coopqp.qp_law.nearest.blocked.
+    double leaves_direction() {
+        double most = 0.0;
+        for (int k = 0; k < levels[0].shares; k++) {
+            const double share = tasks_.shares().share(k), size = std::sqrt(wanted2(k));
+            const double left = std::max(1.0 - share * size / SLOW, 0.0);
+            most = std::max(most, left * std::max(1.0 - 2.0 * share, 0.0));
         }
-        return std::min(std::max(along / wanted2, 0.0), 1.0);
+        return most;
+    }
+
+    double wanted2(int k) const {
+        double all = 0.0;
+        for (int s = levels[0].hard; s < levels[0].exact; s++)
+            if (levels[0].share[std::size_t(s)] == k)
+                all += levels[0].wanted[std::size_t(s)] * levels[0].wanted[std::size_t(s)];
+        return all;
+    }
+
+    // What rows of hard and scaled tasks lack of what they want, and shares to 1.
+    void note_missed() {
+        const Level& level = levels[0];
+        rows_.object_twist(tasks_.v(), V_);
+        for (int k = 0; k < level.shares; k++)
+            missing_[std::size_t(k)] = leaves_ > 0.0 ? 1.0 : 1.0 - tasks_.shares().share(k);
+        for (int s = 0; s < level.exact; s++) {
+            const std::size_t i = std::size_t(s);
+            const double got = rows_.times(level, s, tasks_.v(), V_), lacks = got - level.wanted[i];
+            missed_[i] = std::fabs(lacks) > MET ? lacks : 0.0;
+            const int k = level.share[i];
+            if (k >= 0 && leaves_ > 0.0)
+                missing_[std::size_t(k)] -= got * level.wanted[i] / (wanted2(k) + LEAST_SPEED * LEAST_SPEED);
+        }
+        for (double& missing : missing_) missing = std::min(std::max(missing, 0.0), 1.0);
     }
 
     Status find_way_back() {
@@ -259,9 +298,10 @@ class Kernel {
     Nearest nearest_;
     WayBack way_back_;
     std::vector<double> b_;
-    std::vector<double> wanted_, missed_;  // of hard and scaled rows
+    std::vector<double> wanted_, missed_;  // of hard rows, of hard and scaled ones
     std::vector<double> missing_;          // of shares
-    double *set_out_, *v_, *last_, *t_;
+    double leaves_ = 0.0;                  // how far scaled tasks leave their directions
+    double *set_out_, *v_, *last_, *near_, *V_, *t_;
     bool comes_back_ = false;
 };
 
