@@ -94,7 +94,10 @@ class Kernel {
         }
         status = command(tasks_.v());
         if (status == Status::Opens) return status;
-        for (std::size_t l = 1; l < levels.size(); l++) bound.later_pulls[l - 1] = tasks_.pull(int(l));
+        for (std::size_t l = 1; l < levels.size(); l++) {
+            double& pull = bound.later_pulls[l - 1];
+            pull = std::max(tasks_.pull(int(l)), tasks_.leaves_out() ? FADES * pull : 0.0);
+        }
         if (comes_back_) bound.recovery[0] = way_back_.pull();
         std::copy(missed_.begin(), missed_.end(), bound.missed);
         std::copy(missing_.begin(), missing_.end(), bound.missing);
