@@ -78,6 +78,7 @@ class StartSolution:
         margin: least distance of a joint to its limit [rad, m]; infinite without limits.
         tries: random configurations it took; none where a given start was closed.
         found: starts among which this has the largest margin (least of all groups of arms).
+        tightest: the joint with the least distance; empty without limits.
     """
 
     q: Array
@@ -86,6 +87,7 @@ class StartSolution:
     margin: float
     tries: int
     found: int
+    tightest: str = ""
 
 
 def solve_start(
@@ -185,6 +187,7 @@ def close_start(
         margin=float(room.min()),
         tries=0,
         found=1,
+        tightest=_tightest(chain.joint_names, room),
     )
 
 
@@ -192,6 +195,8 @@ def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
     inside = f"{solution.margin:.3g} rad or m inside the limits"
     room = inside if solution.margin < np.inf else "no limits"
+    if GRIPPERS.search(solution.tightest):
+        room += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
     if not solution.tries:
         remark = f"{room}, the nearest to the given one that closes the loops"
         return start_text(solution.start, remark, FINE_DIGITS)
@@ -243,7 +248,13 @@ def _solution(problem: StartProblem, q: Array, tries: int, found: int) -> StartS
         margin=problem.margin(q, range(len(q))),
         tries=tries,
         found=found,
+        tightest=_tightest(model.names[1:], np.minimum(q - problem.lower, problem.upper - q)),
     )
+
+
+def _tightest(names: Sequence[str], room: Array) -> str:
+    """The joint with the least distance to a limit; empty without limits."""
+    return str(names[int(room.argmin())]) if np.isfinite(room).any() else ""
 
 
 class _Search:
@@ -368,5 +379,5 @@ def _how_far(search: _Search) -> str:
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:
-        held_back += f" (of a gripper: lock them, robot.locked: [{', '.join(fingers)}])"
+        held_back += f" (of a gripper, it seems: lock {' and '.join(fingers)})"
     return f"the nearest of {search.tries} tries is off by {' and '.join(told)}{held_back}"
