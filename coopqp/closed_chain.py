@@ -327,16 +327,25 @@ class ClosedChain:
         A paradoxical linkage, such as Bennett's, moves although configurations in which it is
         grasped anew say that it cannot: where it is closed its rows depend on each other more.
         """
-        rng, q, rank = np.random.default_rng(0), self.q_start.copy(), 0
-        for _ in range(WALK):
+        jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
+        ranks = (int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)) for J in jacobians)
+        return max(ranks, default=0)
+
+    def closed_walk(self, steps: int) -> Iterator[Array]:
+        """Configurations with the loops closed, on a random walk from the start.
+
+        Args:
+            steps: at most so many; fewer where the loops cannot be closed any more.
+        """
+        rng, q = np.random.default_rng(0), self.q_start
+        for _ in range(steps):
             rows = np.linalg.svd(self.loop_jacobian(q))
             free = rows[2][np.sum(rows[1] > WALK_TOLERANCE * rows[1][0]) :]
             near = self._closed_near(q + WALK_STEP * free.T @ rng.normal(size=len(free)))
             if near is None:
-                break
-            q, J = near, self.loop_jacobian(near)
-            rank = max(rank, int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)))
-        return rank
+                return
+            q = near
+            yield q
 
     def _closed_near(self, q: Array) -> Array | None:
         """The configuration with the loops closed that Newton's method finds; None if none."""

@@ -47,6 +47,11 @@ def dotted(location: Location) -> str:
     return text.removeprefix(".")
 
 
+def counted(count: int, noun: str) -> str:
+    """``1 row``, ``2 rows``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def faults(
     error: ValidationError, data: Any, model: type, instead: Mapping[type, Any] | None = None
 ) -> list[tuple[Location, str]]:

@@ -113,6 +113,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     """Find joint values, inside the limits, with which every arm reaches its grasp.
 
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
+    Without object.pose the loops are closed near its own start, wherever that puts the object.
     """
     from coopqp.report import strict_json
     from coopqp.report.terminal import progress_bars

@@ -55,11 +55,19 @@ class Squeeze:
 
     @property
     def words(self) -> str:
-        """Such as "42 to 226 N (least by friction of left, most by motor joint6)"."""
+        """Such as "42 to 226 N (least by friction of left; most by motor joint6)"."""
         if self.least is None or self.most is None:
             return "none: the object cannot be carried"
-        ends = f"{_newtons(self.least.value)} to {_newtons(self.most.value)} N"
-        return f"{ends} (least by {self.least.words}; most by {self.most.words})"
+        least, most = self.least, self.most
+        match bool(np.isfinite(least.value)), bool(np.isfinite(most.value)):
+            case True, True:
+                ends = f"{least.value:.3g} to {most.value:.3g} N"
+                return f"{ends} (least by {least.words}; most by {most.words})"
+            case True, False:
+                return f"from {least.value:.3g} N (by {least.words}), unlimited above"
+            case False, True:
+                return f"up to {most.value:.3g} N (by {most.words}), unlimited below"
+        return "unlimited"
 
 
 @dataclass(frozen=True)
@@ -227,7 +235,3 @@ def overhang(hand: Hand, half: Array) -> tuple[float, float]:
     beyond = np.delete(np.abs(places) - half, axis, axis=1)
     outside = -np.sign(R[axis, 2]) * p[axis] - half[axis]
     return float(outside), max(0.0, float(beyond.max()))
-
-
-def _newtons(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "any"

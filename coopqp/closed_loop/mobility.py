@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from coopqp.checked import Array, seeded
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
+from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
 from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
 from coopqp.errors import InvalidValueError
 from coopqp.rank import matrix_rank, null_space
+from coopqp.wording import counted
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000
@@ -91,6 +93,7 @@ class Mobility:
         schemes: those that were tried, best first; all when ``schemes_complete``.
         schemes_complete: whether all were tried.
         asked: the scheme the user asked about.
+        hidden: the freedom that rounded values hide; None where they hide none.
     """
 
     joints: tuple[str, ...]
@@ -115,6 +118,7 @@ class Mobility:
     schemes: tuple[Scheme, ...]
     schemes_complete: bool
     asked: Scheme | None
+    hidden: HiddenFreedom | None = None
 
     @property
     def inadmissible(self) -> int:
@@ -174,7 +178,7 @@ def mobility(
     if samples < 1:
         raise InvalidValueError(f"samples: found {samples}, needs at least 1")
     rng = seeded(seed)
-    poses = [_pose(chain, q) for q in chain.sample(rng, samples)]
+    poses = _generic_poses(chain, chain.sample(rng, samples))
     start = _pose(chain, chain.q_start)
     active = [i for i in range(chain.n) if i not in chain.passive]
     ranks = [matrix_rank(pose.J_c) for pose in poses]
@@ -207,6 +211,7 @@ def mobility(
         schemes=schemes,
         schemes_complete=complete,
         asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
+        hidden=hidden_freedom(chain),
     )
 
 
@@ -227,6 +232,17 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
     J_c = (J_arms[1 : chain.holding] - J_arms[0]).reshape(-1, chain.n)
     J_o = np.tensordot(chain.alpha, J_arms, axes=1)
     return _Pose(J_c, J_o, null_space(J_c))
+
+
+def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
+    """Where the object is grasped anew; on a walk along closed loops where fewer rows count there.
+
+    Links of a paradoxical linkage are as long as it needs only where it is not grasped anew.
+    """
+    poses = [_pose(chain, q) for q in sampled]
+    if max(matrix_rank(pose.J_c) for pose in poses) <= chain.loops.rank:
+        return poses
+    return [_pose(chain, q) for q in chain.closed_walk(len(sampled))] or poses
 
 
 def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
@@ -341,17 +357,20 @@ def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
 
 def _sentences(m: Mobility) -> list[str]:
     said = [
-        f"{len(m.joints)} joints and loop rows of rank {m.rank} leave {m.freedom} degrees of "
-        f"freedom; the object can move in {m.object_freedom} of 6 directions."
+        f"{len(m.joints)} joints and loop rows of rank {m.rank} leave {_degrees(m.freedom)}; the "
+        f"object can move in {m.object_freedom} of 6 directions."
     ]
+    if m.hidden:
+        words = m.hidden.words()
+        said.append(f"{words[0].upper()}{words[1:]}.")
     if m.freedom > m.object_freedom:
-        said.append(
-            f"{m.freedom - m.object_freedom} degrees of freedom move the joints and not the object."
-        )
+        more = m.freedom - m.object_freedom
+        moves = "moves" if more == 1 else "move"
+        said.append(f"{_degrees(more)} {moves} the joints and not the object.")
     if (m.rank, m.object_freedom) != (m.rank_start, m.object_freedom_start):
         said.append(
-            f"The start is singular: rank {m.rank_start} there, {m.object_freedom_start} "
-            "directions."
+            f"The start is singular: rank {m.rank_start} there, "
+            f"{counted(m.object_freedom_start, 'direction')}."
         )
     for where, motors, all_motions in (
         ("", m.motor_freedom, m.object_freedom),
@@ -369,12 +388,17 @@ def _sentences(m: Mobility) -> list[str]:
     return said
 
 
+def _degrees(count: int) -> str:
+    return f"{counted(count, 'degree')} of freedom"
+
+
 def _about_tasks(m: Mobility) -> str:
     names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
-    said = f"The tasks {names} ask {m.tasks_rows} rows, of which only {m.tasks_rank} can be met."
+    rows = counted(m.tasks_rows, "row")
+    said = f"The tasks {names} ask {rows}, of which only {m.tasks_rank} can be met."
     if m.tasks_rank == m.tasks_rows:
-        left = f"{m.freedom_start - m.tasks_rows} degrees of freedom left"
-        said = f"The tasks {names} can all be met: {m.tasks_rows} rows, {left}."
+        left = _degrees(m.freedom_start - m.tasks_rows)
+        said = f"The tasks {names} can all be met: {rows}, {left} left."
     if m.tasks_weakest < WEAK:
         said += (
             f" One direction is weak: a unit of joint motion brings about {m.tasks_weakest:.2g} "

@@ -19,6 +19,7 @@ from rich.text import Text
 
 from coopqp import __version__
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.forces import Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
@@ -42,7 +43,8 @@ class Study:
         scenario: what was analysed.
         phase: name of the phase, if the scenario has phases.
         mobility: at generic poses and at the start.
-        forces: between the hands at the start; None where one arm alone holds the object.
+        forces: between the hands at the start; None where one arm alone holds the object, and
+            where hands that are in one place have no direction between them.
         t: shape (K,) [s].
         manipulability: of the tasks along the run of the scenario's first controller, shape (K,);
             at the start alone where that is refused.
@@ -109,8 +111,15 @@ def study(
     every = max(1, (last - first) // MOST_POINTS)
     kept = slice(first, last + 1, every)
     measure = _along(times[kept] - times[first], path[kept], tasks, state)
-    between = forces(chain) if chain.holding > 1 else None
+    between = _between(chain)
     return Study(scenario, phases[number], found, between, times[kept], measure, refused)
+
+
+def _between(chain: ClosedChain) -> Forces | None:
+    try:
+        return forces(chain) if chain.holding > 1 else None
+    except CoopqpError:  # hands in one place have no direction between them
+        return None
 
 
 def _way(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:

@@ -21,13 +21,14 @@ from coopqp.grasps import Rigid
 from coopqp.hold import grasp_of_each
 from coopqp.plant import Plant
 from coopqp.reading import absolute
+from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import built, check_start, placed_tasks
 from coopqp.scenario.form import SOLVE, check, chosen
 from coopqp.scenario.known import Known
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
-from coopqp.scenario.start_solver import Progress, StartSolution, solve_start
+from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.trial import blamed
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
@@ -129,9 +130,19 @@ def _solved(
 
     def solved() -> StartSolution:
         grasps, held = scenario.grasps, scenario.held
+        given = near or _given_start(file, robot, scenario)
+        if held.pose is None and given:
+            return close_start(robot, grasps, held, given)
         return solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
 
     return built(file, ["start"], solved)
+
+
+def _given_start(file: YamlFile, robot: RobotModel, scenario: Scenario) -> Start:
+    """The start that a file has, in radians; empty where it is to be solved."""
+    if file.data.get("start_deg") is not None:
+        return from_degrees(robot, scenario.grasps, scenario.start)
+    return {} if file.data.get("start") == SOLVE else scenario.start
 
 
 def shipped() -> dict[str, Path]:

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.forces import contact_notes
+from coopqp.closed_loop.hidden_freedom import hidden_freedom
 from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.closed_loop.wrench_stack import WrenchStack
@@ -19,7 +21,7 @@ from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.unit_hints import far_goals, far_inputs
+from coopqp.scenario.unit_hints import far_goals, far_hands, far_inputs
 from coopqp.state import State
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
@@ -37,7 +39,8 @@ def notes(
     """One sentence for each part of the scenario that not every controller reads.
 
     After it come that the kernel is not built, what limits cannot bound, pads that reach beyond
-    the object, what a tick is too long for, and goals that are far.
+    the object, hands that are far from it, a freedom that rounded values hide, what a tick is too
+    long for, and goals that are far.
 
     Args:
         scenario: what is to be run.
@@ -56,6 +59,8 @@ def notes(
         *_without_kernel(chosen),
         *of_limits,
         *contact_notes(scenario.chain),
+        *far_hands(scenario.chain),
+        *_hidden(scenario.chain),
         *_coarse_steps(scenario),
         *far_goals(scenario),
         *far_inputs(scenario),
@@ -70,6 +75,12 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
     """One line where ticks could be compiled, but are not."""
     asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
     return [native.MISSING] if asked and native.module() is None else []
+
+
+def _hidden(chain: ClosedChain) -> Iterator[str]:
+    """The freedom that rounded values hide."""
+    if found := hidden_freedom(chain):
+        yield found.words()
 
 
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:

@@ -13,24 +13,31 @@ and the start nearest to it wins. Passive joints are variables like all others, 
 without limits is at most half a turn from the middle.
 
 Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
+
+Where the object's pose is not given, a start that nearly closes the loops is closed by Newton's
+method: the object is where that puts it. Arms that reach few poses need this, for nobody can write
+a pose that they reach with all its digits.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from coopqp.checked import Array, seeded
+from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp
 from coopqp.held_object import HeldObject
-from coopqp.hold import grasp_of_each
+from coopqp.hold import CLOSED_POSITION, grasp_of_each
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
-from coopqp.scenario.scenario import by_arm
+from coopqp.scenario.scenario import Start, by_arm, start_of
 from coopqp.scenario.start_problem import StartProblem
 
 Progress = Callable[[int, int], None]
@@ -50,9 +57,14 @@ CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
 
 #: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m.
 DIGITS = 8
+#: The same of starts that were nearly closed: over-constrained loops move only where they close.
+FINE_DIGITS = 12
 
 #: A joint counts as at its limit within this [rad or m].
 AT_LIMIT = 1e-6
+
+#: What joints of grippers are called; they place no arm, and turn or slide into their limits.
+GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -64,8 +76,9 @@ class StartSolution:
         passive: of the grasps' passive joints, by name [rad, m].
         start: the same as a scenario has it, by arm and passive joint.
         margin: least distance of a joint to its limit [rad, m]; infinite without limits.
-        tries: random configurations it took.
+        tries: random configurations it took; none where a given start was closed.
         found: starts among which this has the largest margin (least of all groups of arms).
+        tightest: the joint with the least distance; empty without limits.
     """
 
     q: Array
@@ -74,6 +87,7 @@ class StartSolution:
     margin: float
     tries: int
     found: int
+    tightest: str = ""
 
 
 def solve_start(
@@ -109,6 +123,7 @@ def solve_start(
     tries, total = 0, TRIES * len(groups)
     found: list[int] = []
     failed: list[str] = []
+    off = 0.0
     for i, arms in enumerate(groups):
         before = i * TRIES
 
@@ -120,40 +135,105 @@ def solve_start(
         search.run(report)
         if search.best is None:
             failed += _cannot_reach(problem, search, rng)
+            off = max(off, search.gap)
         else:
             q[search.columns] = search.best[search.columns]
         tries, found = tries + search.tries, [*found, search.found]
         report(TRIES)
     if failed:
-        raise GraspError("; ".join([*failed, "move object.pose or change object_in_hand"]))
+        raise GraspError("; ".join([*failed, _cure(off)]))
     return _solution(problem, q, tries, min(found))
+
+
+def close_start(
+    robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], held: HeldObject, start: Start
+) -> StartSolution:
+    """Close the loops near a start that nearly closes them, wherever that puts the object.
+
+    Args:
+        robot: the robot.
+        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
+        held: the object.
+        start: by arm, joint and passive joint [rad, m].
+
+    Raises:
+        GraspError: object_in_hand is missing, the start is farther off than counts as closed, the
+            loops cannot be closed near it, or only outside the limits.
+        UnknownNameError: an arm or a joint that the robot does not have.
+    """
+    grasp_of = grasp_of_each(robot, grasps)
+    if unknown := _without_object(grasp_of):
+        raise GraspError(f"to close the loops near a start, give {unknown}")
+    own, passive = start_of(robot, start)
+    q = robot.configuration(own)
+    chain = ClosedChain.take_hold(robot, q, grasp_of, held, passive_start=passive)
+    q = closed_near(chain, chain.q_start)
+    if not np.abs(chain.loop_error(q)).max() < EXACT:
+        raise GraspError(
+            "no start near this one closes the loops exactly: the lengths and angles of the robot "
+            "or of object_in_hand are rounded; give more digits"
+        )
+    values = dict(zip(chain.joint_names, q.tolist(), strict=True))
+    room = np.minimum(q - chain.lower, chain.upper - q)
+    if room.min() < 0.0:
+        raise GraspError(
+            f"the start near this one that closes the loops has {chain.joint_names[room.argmin()]} "
+            "outside its limits; change the start"
+        )
+    return StartSolution(
+        q=np.array([values[name] for name in robot.joint_names]),
+        passive={name: x for name, x in values.items() if name not in robot.joint_names},
+        start=by_arm(robot, values),
+        margin=float(room.min()),
+        tries=0,
+        found=1,
+        tightest=_tightest(chain.joint_names, room),
+    )
 
 
 def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
     inside = f"{solution.margin:.3g} rad or m inside the limits"
     room = inside if solution.margin < np.inf else "no limits"
+    if GRIPPERS.search(solution.tightest):
+        room += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
+    if not solution.tries:
+        remark = f"{room}, the nearest to the given one that closes the loops"
+        return start_text(solution.start, remark, FINE_DIGITS)
     return start_text(solution.start, f"{room}, the best of {solution.found} found")
 
 
-def start_text(start: Mapping[str, float | list[float]], remark: str) -> str:
+def start_text(start: Mapping[str, float | list[float]], remark: str, digits: int = DIGITS) -> str:
     """A start as a scenario file has it, with a comment."""
     lines = [f"start:   # rad, m; {remark}"]
     for name, value in start.items():
-        rounded = np.round(np.atleast_1d(np.asarray(value)), DIGITS) + 0.0  # no minus zero
-        numbers = [f"{x:.{DIGITS}f}" for x in rounded]
+        rounded = np.round(np.atleast_1d(np.asarray(value)), digits) + 0.0  # no minus zero
+        numbers = [f"{x:.{digits}f}" for x in rounded]
         text = f"[{', '.join(numbers)}]" if isinstance(value, list) else numbers[0]
         lines.append(f"  {name}: {text}")
     return "\n".join([*lines, ""])
 
 
+def _cure(off: float) -> str:
+    """What to do where arms are off by so much [m]."""
+    if off < CLOSED_POSITION:
+        return (
+            "the pose is rounded: leave object.pose out and give a start (or start_near), near "
+            "which the loops are closed then"
+        )
+    return "move object.pose or change object_in_hand"
+
+
 def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
-    missing = [] if held.pose else ["object.pose"]
-    unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
-    if unknown:
-        missing.append(f"object_in_hand in the grasp of {' and '.join(unknown)}")
+    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasps)])]
     if missing:
         raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
+
+
+def _without_object(grasps: Mapping[str, Grasp]) -> str:
+    """Which grasps do not say where the object is in the hand; empty if all do."""
+    unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
+    return f"object_in_hand in the grasp of {' and '.join(unknown)}" if unknown else ""
 
 
 def _solution(problem: StartProblem, q: Array, tries: int, found: int) -> StartSolution:
@@ -168,7 +248,13 @@ def _solution(problem: StartProblem, q: Array, tries: int, found: int) -> StartS
         margin=problem.margin(q, range(len(q))),
         tries=tries,
         found=found,
+        tightest=_tightest(model.names[1:], np.minimum(q - problem.lower, problem.upper - q)),
     )
+
+
+def _tightest(names: Sequence[str], room: Array) -> str:
+    """The joint with the least distance to a limit; empty without limits."""
+    return str(names[int(room.argmin())]) if np.isfinite(room).any() else ""
 
 
 class _Search:
@@ -183,6 +269,7 @@ class _Search:
         columns: the joints that are searched.
         best: the best closed configuration, :meth:`StartProblem.worth`; None so far.
         nearest: where |r|^2 is least.
+        gap: the largest part of r there [m].
         tries, found: how many.
     """
 
@@ -194,7 +281,7 @@ class _Search:
         self.best: Array | None = None
         self.nearest = problem.middle.copy()
         self.tries = self.found = 0
-        self._worth, self._gap = -np.inf, np.inf
+        self._worth, self.gap = -np.inf, np.inf
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
@@ -206,8 +293,8 @@ class _Search:
                 q[self.columns] = self.problem.sample(self._rng)[self.columns]
             self.tries += 1
             gap = self._close(q)
-            if gap < self._gap:
-                self._gap, self.nearest = gap, q.copy()
+            if gap < self.gap:
+                self.gap, self.nearest = gap, q.copy()
             if gap < CLOSED:
                 self.found += 1
                 self._keep(q)
@@ -291,4 +378,6 @@ def _how_far(search: _Search) -> str:
     room = np.minimum(q - problem.lower, problem.upper - q)
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
+    if fingers := [name for name in names if GRIPPERS.search(name)]:
+        held_back += f" (of a gripper, it seems: lock {' and '.join(fingers)})"
     return f"the nearest of {search.tries} tries is off by {' and '.join(told)}{held_back}"

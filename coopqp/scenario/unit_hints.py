@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -28,6 +29,8 @@ from coopqp.table import read_table
 
 #: A goal this many times the arms' reach from where the object starts cannot be meant [-].
 FAR = 3.0
+#: A hand that is fastened to the object, this far from it, is worth a word [m].
+FAR_HAND = 0.1
 #: How many instants of a signal are looked at.
 LOOKS = 9
 #: An object whose longest edge is this many times the arms' reach cannot either [-].
@@ -57,6 +60,23 @@ def too_large(chain: ClosedChain) -> str:
         f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m; "
         "lengths are metres"
     )
+
+
+def far_hands(chain: ClosedChain) -> Iterator[str]:
+    """A sentence on each hand that is fastened to an object which it does not touch."""
+    model, X_WO = chain.model, chain.object_pose(chain.q_start)
+    data, half = model.createData(), 0.5 * np.array(chain.held.size)
+    pin.framesForwardKinematics(model, data, chain.q_start)
+    for arm in chain.arms[: chain.holding]:
+        if chain.grasps[arm.name].contact:
+            continue
+        p_OT = X_WO.actInv(data.oMf[model.getFrameId(arm.tip)]).translation
+        away = float(np.linalg.norm(np.maximum(np.abs(p_OT) - half, 0.0)))
+        if away > FAR_HAND:
+            yield (
+                f"the tip of {arm.name} is {1e3 * away:.0f} mm from the object's surface and holds "
+                "it as if a rigid link joined them; see object.size, object_in_hand and the start"
+            )
 
 
 def far_goals(scenario: Scenario) -> Iterator[str]:

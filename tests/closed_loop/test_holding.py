@@ -17,9 +17,9 @@ from scipy.optimize import linprog
 import coopqp
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.closed_loop.forces import contact_faults, contact_notes, forces
+from coopqp.closed_loop.forces import Squeeze, contact_faults, contact_notes, forces
 from coopqp.closed_loop.grasp_matrix import grasp_matrix, walker
-from coopqp.closed_loop.holding import StaticHold
+from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.closed_loop.section import section
 from coopqp.contact import Contact
 from coopqp.errors import ScenarioError
@@ -314,3 +314,17 @@ def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
     assert said in fingertips(aside, 0.0)
     assert "points 40 degrees away from the other hand" in fingertips(scenario, 40.0)
     assert "of 0.5 allows 27" in fingertips(scenario, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "words"),
+    [
+        (4.0, 12.0, "4 to 12 N (least by friction of left; most by motor a)"),
+        (4.0, np.inf, "from 4 N (by friction of left), unlimited above"),
+        (-np.inf, 12.0, "up to 12 N (by motor a), unlimited below"),
+        (-np.inf, np.inf, "unlimited"),
+    ],
+)
+def test_words_of_a_squeeze(least: float, most: float, words: str) -> None:
+    ends = Bound(least, ("friction of left",), np.zeros(0)), Bound(most, ("motor a",), np.zeros(0))
+    assert Squeeze(("right", "left"), *ends).words == words

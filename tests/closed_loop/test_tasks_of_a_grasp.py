@@ -45,7 +45,7 @@ def test_each_task_can_be_met_but_not_both(chain: ClosedChain) -> None:
 def test_tasks_that_can_be_met_say_what_is_left(chain: ClosedChain) -> None:
     found = mobility(chain, task_rows=[("reach", rows_of_object(chain)[:3])])
     assert (found.tasks_rows, found.tasks_rank) == (3, 3)
-    assert "can all be met: 3 rows, 1 degrees of freedom left" in found.verdict()
+    assert "can all be met: 3 rows, 1 degree of freedom left" in found.verdict()
 
 
 def test_tasks_rank_does_not_depend_on_the_unit_of_the_task(chain: ClosedChain) -> None:

@@ -64,6 +64,16 @@ def test_the_printed_start_has_no_minus_zero_and_stays_inside() -> None:
     ]
 
 
+def test_a_finger_that_is_nearest_to_its_limit_is_to_be_locked() -> None:
+    found = StartSolution(
+        q=np.zeros(1), passive={}, start={"arm": [0.0]}, margin=0.02, tries=1, found=1,
+        tightest="panda_finger_joint1",
+    )  # fmt: skip
+    assert "limits (at panda_finger_joint1, which seems to be a gripper's: lock it)" in yaml_text(
+        found
+    )
+
+
 def test_it_prints_json(to_solve: Path) -> None:
     data = json.loads(typed("solve-start", to_solve, "--json", "--seed", 5).stdout)
     assert set(data["start"]) == {"right", "left", "left.hinge"}

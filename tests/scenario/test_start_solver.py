@@ -56,15 +56,15 @@ def nao_start(robot: RobotModel) -> Array:
     )
 
 
-def torso_pair(wide: float = 0.3) -> RobotModel:
+def torso_pair(wide: float = 0.3, lift: str = "lift") -> RobotModel:
     """A slide that lifts two arms of three joints in the plane, on one base."""
     row, parameters = mdh.MdhRow, mdh.MdhParameters
     rows = [
-        row(name="lift", antecedent=None, parameters=parameters(), lower=0.0, upper=0.5,
+        row(name=lift, antecedent=None, parameters=parameters(), lower=0.0, upper=0.5,
             velocity=1.0, kind="prismatic"),
     ]  # fmt: skip
     for side, name in ((-1.0, "r"), (1.0, "l")):
-        before = "lift"
+        before = lift
         for i, p in enumerate(
             (
                 parameters(gamma=side * math.pi / 2, d=wide, theta=-side * math.pi / 2),
@@ -241,9 +241,13 @@ def test_it_says_which_arm_cannot_reach_and_how_far_it_gets() -> None:
     assert "arm right" not in str(caught.value)
 
 
-def test_the_distance_that_is_told_is_the_least() -> None:
+@pytest.mark.parametrize(
+    ("lift", "more"),
+    [("lift", ""), ("left_finger", " (of a gripper, it seems: lock left_finger)")],
+)
+def test_the_distance_that_is_told_is_the_least(lift: str, more: str) -> None:
     """A goal 20 cm beyond an arm that is stretched out towards it."""
-    robot = torso_pair()
+    robot = torso_pair(lift=lift)
     q = robot.configuration({"right": [0.2, 0.9, -1.2, 0.6], "left": [0.2, -0.9, 1.2, -0.6]})
     grasps, held = held_at(robot, q)
     assert held.pose is not None
@@ -254,7 +258,7 @@ def test_the_distance_that_is_told_is_the_least() -> None:
     text = str(caught.value)
     assert "arm right cannot reach" in text
     assert "arm left cannot reach" in text
-    assert text.count("off by 70.0 mm and 0.0 degrees, with lift at the limit") == 2
+    assert text.count(f"off by 70.0 mm and 0.0 degrees, with {lift} at the limit{more}") == 2
 
 
 def test_arms_that_need_their_torso_in_two_places_are_told_apart() -> None:

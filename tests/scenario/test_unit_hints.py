@@ -30,6 +30,19 @@ def in_degrees(text: str) -> str:
     return text
 
 
+def test_a_hand_that_is_far_from_the_object_is_a_note(tmp_path: Path) -> None:
+    """NAO's hands are 209 mm apart: half of that, less half of the object's width."""
+    assert not any(
+        "from the object's surface" in line for line in notes(load(write(tmp_path, TEXT)))
+    )
+    small = TEXT.replace("size: [0.08, 0.19, 0.08]", "size: [0.002, 0.002, 0.002]")
+    told = [line for line in notes(load(write(tmp_path, small))) if "object's surface" in line]
+    assert [line.split(" and holds")[0] for line in told] == [
+        "the tip of right is 103 mm from the object's surface",
+        "the tip of left is 103 mm from the object's surface",
+    ]
+
+
 def test_degrees_under_start_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
         load(write(tmp_path, in_degrees(TEXT)))
