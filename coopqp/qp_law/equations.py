@@ -20,12 +20,15 @@ LEAST_SPEED = 1e-4
 MOST_DAMPING = 1e4
 #: After two ticks on end in which a joint swings back damping is this many times what it was, up to
 #: the most,
-GROWS, MOST_GROWN = 1.5, 4.0
-#: and fades in the others.
-FADES = 0.99
+GROWS, MOST_GROWN = 1.5, 16.0
+#: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
+FADES_IN = 0.1
 #: A joint swings back that changes its sign at this speed [rad/s, m/s] or faster, and is among the
 #: fast ones: speeds before and after, times each other, over the same of the fastest.
-SWINGS_AT, AMONG_THE_FAST = 0.02, 0.25
+SWINGS_AT, AMONG_THE_FAST = 1e-3, 0.25
+#: What a later level pulls falls to no less than this share of what it was a tick before, while that
+#: is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
+LETS_GO, FIRM = 0.5, 100.0
 
 
 @dataclass(frozen=True)
@@ -73,23 +76,33 @@ class Damping:
         return 2.0 * self.dt * SCALE_WEIGHT * state.chain.reach / max(wanted, LEAST_SPEED)
 
 
-def note_swing(state: State, v: Array) -> None:
+def note_swing(state: State, v: Array, dt: float) -> None:
     """Remember whether joints swing back, for the damping of the next ticks.
 
-    In one tick they also do so where a reference turns, or a task is given up.
+    In one tick they also do so where a reference turns.
 
     Args:
         state: of the tick, with the last velocity; "swing" of its memory is how much more than its
             own the damping is, and whether a joint swung back in the last tick.
         v: what is commanded now, shape (n,).
+        dt: control period [s].
     """
     swing, before = state.memory["swing"], np.abs(state.v).max(initial=0.0)
-    fastest = before * np.abs(v).max(initial=0.0)
+    now = np.abs(v).max(initial=0.0)
     back = -(v * state.v).min(initial=0.0)
-    swings = back > max(AMONG_THE_FAST * fastest, SWINGS_AT * SWINGS_AT)
+    swings = back > max(AMONG_THE_FAST * before * now, SWINGS_AT * SWINGS_AT)
     grown = 1.0 + swing[0]
     again = bool(swings) and swing[1] > 0.0
-    swing[:] = (
-        (min(GROWS * grown, MOST_GROWN) if again else max(FADES * grown, 1.0)) - 1.0,
-        float(swings),
-    )
+    less = max(grown / (1.0 + dt * now / FADES_IN), 1.0)
+    swing[:] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0, float(swings)
+
+
+def held_pull(new: float, old: float) -> float:
+    """What a later level pulls at the rows decided before it, for the damping of the next tick.
+
+    Args:
+        new: in this tick.
+        old: as remembered from the last.
+    """
+    held = LETS_GO * old
+    return max(new, held) if held > FIRM else new

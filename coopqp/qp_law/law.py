@@ -134,7 +134,7 @@ class QPLaw(Law):
         command.v[:] = v
         command.say(*_said(causes))
         self.probe.shorten(state, command)
-        note_swing(state, command.v)
+        note_swing(state, command.v, self.problem.dt)
         return command
 
     def assemble(self, state: State) -> float:

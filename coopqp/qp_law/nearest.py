@@ -36,7 +36,7 @@ from coopqp.state import State
 from coopqp.task import TaskStack
 
 #: Speed along its direction below which a scaled task may leave it [m/s, rad/s].
-SLOW = 1e-3
+SLOW = 5e-3
 #: Their least damping, beside that of the soft tasks.
 LESS = 1e-3
 #: Rows that lack less than this are met [m/s, rad/s].

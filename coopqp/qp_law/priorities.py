@@ -28,7 +28,7 @@ from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import MOST_DAMPING, Damping
+from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
 from coopqp.qp_law.level import Level
 from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
 from coopqp.row import Row
@@ -202,7 +202,7 @@ class LaterLevel:
             pull[0] = 0.0
             return v, Status.INACCURATE
         # Damping pulls at the rows too; left in, it would feed itself.
-        pull[0] = np.abs(level.solution.y + level.curvature * b).dot(turns)
+        pull[0] = held_pull(np.abs(level.solution.y + level.curvature * b).dot(turns), pull[0])
         if needed > MOST_DAMPING:
             self.share = MOST_DAMPING / needed
             v = v + self.share * (level.v - v)

@@ -116,8 +116,6 @@ class Cascade {
     const Check& check() const { return check_; }
     // What a later level pulls at the rows before it, Outcome::pull.
     double pull(int l) const { return pulls_[std::size_t(l)]; }
-    // Whether rows were left out of a level's decided ones, as noise.
-    bool leaves_out() const { return hierarchy_.leaves_out(); }
 
   private:
     static int rows_in(const std::vector<Level>& levels) {

@@ -9,8 +9,9 @@
 namespace coopqp {
 
 constexpr double MOST_DAMPING = 1e4, LEAST_SPEED = 1e-4;  // as coopqp.qp_law.equations
-constexpr double GROWS = 1.5, MOST_GROWN = 4.0, FADES = 0.99;
-constexpr double SWINGS_AT = 0.02, AMONG_THE_FAST = 0.25;
+constexpr double GROWS = 1.5, MOST_GROWN = 16.0, FADES_IN = 0.1;
+constexpr double SWINGS_AT = 1e-3, AMONG_THE_FAST = 0.25;
+constexpr double LETS_GO = 0.5, FIRM = 100.0;
 
 class StepDamping {
   public:
@@ -59,13 +60,14 @@ class StepDamping {
         for (int b = 0; b < blocks; b++) back4 = larger(back4, -(lanes(v)[b] * lanes(v_last_)[b]));
         const double back = largest(back4), grown = 1.0 + swing[0];
         bool swings = back > SWINGS_AT * SWINGS_AT;
-        for (int b = 0; swings && b < blocks; b++) {
+        for (int b = 0; b < blocks; b++) {
             fastest4 = larger(fastest4, larger(lanes(v)[b], -lanes(v)[b]));
             before4 = larger(before4, larger(lanes(v_last_)[b], -lanes(v_last_)[b]));
         }
-        swings = swings && back > AMONG_THE_FAST * (largest(before4) * largest(fastest4));
+        const double fastest = largest(fastest4);
+        swings = swings && back > AMONG_THE_FAST * (largest(before4) * fastest);
         const bool again = swings && swing[1] > 0.0;
-        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(FADES * grown, 1.0)) - 1.0;
+        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / (1.0 + dt_ * fastest / FADES_IN), 1.0)) - 1.0;
         swing[1] = swings;
     }
 

@@ -95,8 +95,8 @@ class Kernel {
         status = command(tasks_.v());
         if (status == Status::Opens) return status;
         for (std::size_t l = 1; l < levels.size(); l++) {
-            double& pull = bound.later_pulls[l - 1];
-            pull = std::max(tasks_.pull(int(l)), tasks_.leaves_out() ? FADES * pull : 0.0);
+            const double held = LETS_GO * bound.later_pulls[l - 1], pull = tasks_.pull(int(l));
+            bound.later_pulls[l - 1] = held > FIRM ? std::max(pull, held) : pull;
         }
         if (comes_back_) bound.recovery[0] = way_back_.pull();
         std::copy(missed_.begin(), missed_.end(), bound.missed);
