@@ -71,17 +71,17 @@ def compare(name: str, problem: ControlProblem, ticks: int) -> Seen:
 
 def _judge(seen: Seen, where: str, plain: QPLaw, state: State, found: Array) -> None:
     command = plain.command
-    given_up = plainly(command.causes)
-    if given_up is None:
+    relaxed = plainly(command.causes)
+    if relaxed is None:
         seen.judged[f"not judged: {written(command.causes)}"] += 1
         return
     try:
-        best = optimum(plain, state, given_up)
+        best = optimum(plain, state, relaxed)
         off, plain_off = (float(np.abs(v - best).max()) for v in (found, command.v))
         if off < SAME:
             seen.judged["the plain law is off"] += 1
             return
-        moved = max(_moved(plain, state, given_up, best, k) for k in range(SAMPLES))
+        moved = max(_moved(plain, state, relaxed, best, k) for k in range(SAMPLES))
     except UndeterminedError:
         seen.judged["not judged: undetermined"] += 1
         return
@@ -92,18 +92,18 @@ def _judge(seen: Seen, where: str, plain: QPLaw, state: State, found: Array) -> 
     seen.kernel_off.append((where, off, moved))
 
 
-def _moved(plain: QPLaw, state: State, given_up: bool, best: Array, seed: int) -> float:
+def _moved(plain: QPLaw, state: State, relaxed: bool, best: Array, seed: int) -> float:
     """How far the optimum moves where all Jacobians move by their last digit."""
     rng = np.random.default_rng(seed)
-    stacks = [plain.fallback._tasks] if given_up else plain.stacks
-    blocks = [state.J_loop, plain.exact.J, *(s.J for s in stacks)]
-    levels = [plain.fallback._attempts[0].level] if given_up else plain.levels
-    blocks += [level.qp.A for level in levels[:1]]
+    first = plain.nearest._hard if relaxed else plain.first
+    blocks = [state.J_loop, plain.exact.J, *(s.J for s in plain.stacks), first.qp.A]
+    if relaxed:
+        blocks.append(first.tasks.J)
     kept = [block.copy() for block in blocks]
     try:
         for block in blocks:
             block *= 1.0 + np.finfo(float).eps * rng.uniform(-1.0, 1.0, block.shape)
-        return float(np.abs(optimum(plain, state, given_up) - best).max())
+        return float(np.abs(optimum(plain, state, relaxed) - best).max())
     finally:
         for block, was in zip(blocks, kept, strict=True):
             block[:] = was

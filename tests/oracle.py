@@ -43,19 +43,23 @@ class Program:
     h: Array
 
 
-def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
+def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
     """The velocity that the tick's levels have, one after the other, shape (n,).
 
     Args:
         law: after the tick.
         state: of it.
-        given_up: whether its hard tasks became soft.
+        relaxed: whether its hard tasks were not met in full.
 
     Raises:
-        UndeterminedError: it is not determined.
+        UndeterminedError: it is not determined, or scaled tasks were relaxed too.
     """
     n = len(state.q)
-    levels = [law.fallback._attempts[0].level] if given_up else list(law.levels)
+    if relaxed and law.order.scaled:
+        raise UndeterminedError
+    levels = list(law.levels)
+    if relaxed:
+        levels[0] = law.nearest._hard
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
     for before, level in enumerate(levels):
         A, b = level.qp.A, level.qp.b.astype(LONG)
@@ -178,5 +182,5 @@ def _least_squares(A: Array, b: Array) -> Array:
 
 
 def plainly(causes: tuple[Status, ...]) -> bool | None:
-    """Whether a tick gave its hard tasks up; None where more was done than to solve its levels."""
+    """Whether a tick relaxed its hard tasks; None where more was done than to solve its levels."""
     return {(Status.OPTIMAL,): False, (Status.TASKS_RELAXED,): True}.get(causes)

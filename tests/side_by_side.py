@@ -47,10 +47,7 @@ def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
 
 def why(law: KernelLaw) -> str:
     """What the kernel said last of a tick that it left to the plain law."""
-    whole = Outcome(law.whole.outcome).name
-    if law.softened is None or whole != "INFEASIBLE":
-        return whole
-    return f"{whole}, softened {Outcome(law.softened.outcome).name}"
+    return Outcome(law.whole.outcome).name
 
 
 def ask_alike(other: State, state: State) -> None:

@@ -216,10 +216,13 @@ class Check {
         }
         if (l == 0) return gap2;
         for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
+        // What rows see of it that were left out as noise is no fault.
+        const double noise = hierarchy_.leaves_out() ? NOISE * std::sqrt(dot(moved_, moved_, m_.blocks)) : 0.0;
         for (int b = 0; b < 2; b++) lanes(V_moved)[b] = lanes(V)[b] - lanes(V_before)[b];
         for (int k = 0; k < l; k++)
             for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
-                const double off = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
+                const double seen = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
+                const double off = std::max(std::fabs(seen) - noise, 0.0);
                 gap2 += off * off;
             }
         return gap2;

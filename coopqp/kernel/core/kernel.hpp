@@ -181,10 +181,12 @@ class Kernel {
             status = decide_exactly();
             if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
         }
-        const bool left = status == Status::Infeasible || status == Status::Unproven;
-        if (level.exact && s_.relaxes && (left || leaves_ > 0.0)) status = come_near(status);
+        const bool unproven = status == Status::Unproven || status == Status::Equality;
+        if (level.exact && (unproven || (s_.relaxes && status == Status::Infeasible) || leaves_ > 0.0))
+            status = come_near(status);
         if (status == Status::Optimal && level.exact) note_missed();
-        return status;
+        if (s_.relaxes || !unproven || status != Status::Optimal) return status;
+        return relaxed() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
     }
 
     Status decide_exactly() {
@@ -210,7 +212,9 @@ class Kernel {
             const Status status = nearest_.of_scaled(damping_, bound.missed);
             if (status != Status::Optimal) return status;
             for (int b = 0; b < m_->blocks; b++)
-                lanes(near_)[b] += leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]);
+                lanes(near_)[b] = smaller(
+                    larger(lanes(near_)[b] + leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]),
+                           lanes(limits.lb)[b]), lanes(limits.ub)[b]);
         }
         tasks_.begin(b_.data(), set_out_);
         tasks_.accept(near_);
