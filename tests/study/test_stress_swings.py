@@ -10,11 +10,12 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from laws import problem
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -38,7 +39,9 @@ T = DT * np.arange(round(LONGEST / DT) + 1)
 FREQUENCIES = (0.2, 0.5, 1.0, 3.0, 10.0, 50.0)  # [Hz]
 
 
-def record(*joints: Array, rest: int = 0, longest: float = math.inf, unit: str = "rad") -> Record:
+def record(
+    *joints: NDArray[np.floating[Any]], rest: int = 0, longest: float = math.inf, unit: str = "rad"
+) -> Record:
     """Joints that went this way."""
     q = np.stack(joints, axis=1)
     n, far = q.shape[1], np.full(q.shape[1], 1e3)
@@ -77,9 +80,10 @@ def test_who_may_swing_is_not_ended(frequency: float) -> None:
 
 
 def test_chatter_of_one_joint_on_its_way_is_seen() -> None:
-    """From tick to tick by 1 mrad, while it and others approach."""
-    chatter: Array = 5e-4 * np.where(np.arange(len(T)) % 2, 1.0, -1.0)
-    seen = swing(record(0.02 * T, 0.02 * T + chatter, np.exp(-T)))
+    """From tick to tick by 1 mrad, on a ramp of 20 mrad/s."""
+    chatter = np.where(np.arange(len(T)) % 2, 5e-4, -5e-4)
+    way = 0.02 * T
+    seen = swing(record(way, way + chatter, sine(0.0)))
     assert seen is not None
     assert seen.joint == 1
 
