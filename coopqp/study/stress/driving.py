@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from coopqp.checked import Array
@@ -16,19 +18,36 @@ from coopqp.state import State
 from coopqp.study.stress import signs
 from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.signs import Record
+from coopqp.study.stress.swing import turning
 
 FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
+LONGEST = 24.0  # who may swing goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
+#: Targets with a velocity turn by at most 0.35 rad in this time, and move by a fifth of the reach:
+#: joints that follow them do not go to and fro [s].
+FOLLOWED = 2.0
 
 
 def record_of(problem: ControlProblem) -> Record:
     """A record for a problem, of no ticks."""
     chain = problem.chain
     scale = min(k.scale for k in problem.limits if isinstance(k, JointVelocity))
-    limits = chain.lower, chain.upper, scale * chain.velocity
-    return Record(*limits, chain.joint_units, np.zeros((0, chain.n)), np.zeros((0, chain.n)))
+    dt, asked = problem.dt, (*problem.tasks, *problem.secondary)
+    return Record(
+        chain.lower,
+        chain.upper,
+        scale * chain.velocity,
+        chain.joint_units,
+        dt,
+        math.ceil(max((task.end for task in asked), default=0.0) / dt),
+        FOLLOWED / dt if any(task.asks_velocity for task in asked) else math.inf,
+        np.zeros((0, chain.n)),
+        np.zeros((0, chain.n)),
+    )
 
 
-def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None:
+def drive_on(
+    law: Law, state: State, record: Record, errors: PartErrors, *, patient: bool = False
+) -> None:
     """Run on joints that do as told, until it has ended, or its time is up.
 
     Args:
@@ -36,10 +55,11 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
         state: of its start; written.
         record: of no ticks; written.
         errors: of its tasks.
+        patient: whether all that has not ended goes on for :data:`LONGEST`.
     """
     problem = law.problem
-    record.q, arrived = state.q[None].copy(), max(task.end for task in problem.tasks)
-    while len(record.v) < MOST:
+    record.q = state.q[None].copy()
+    while _goes_on(state, record, errors, patient=patient):
         made = law.run(state, ROUND if len(record.v) else FEWEST)
         record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
         record.causes.extend(made.causes)
@@ -47,8 +67,6 @@ def drive_on(law: Law, state: State, record: Record, errors: PartErrors) -> None
         _note_loops(record, state)
         if not np.isfinite(made.v).all():
             return
-        if state.t >= arrived and _ended(state, record, errors):
-            break
     position, orientation = loop_errors(problem.chain, record.q)
     record.loop_position = max(record.loop_position, float(position.max()))
     record.loop_orientation = max(record.loop_orientation, float(orientation.max()))
@@ -92,6 +110,17 @@ def _note_loops(record: Record, state: State) -> None:
     """Keep how far the loops are open by pinocchio, of which the kernel knows nothing."""
     record.loop_position = max(record.loop_position, state.loop_position_error)
     record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
+
+
+def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool) -> bool:
+    """Whether the end is open: at first, on the way, and where joints may swing."""
+    ticks = len(record.v)
+    if ticks < max(FEWEST, record.rest):
+        return True
+    turns = turning(record)
+    if ticks >= MOST and not turns and not patient:
+        return False
+    return ticks * record.dt < LONGEST and (turns or not _ended(state, record, errors))
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

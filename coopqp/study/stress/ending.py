@@ -128,8 +128,7 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     if signs.held_up(record) and speed < signs.AT_REST:
         return Ending("at rest", said, frozen=True)
     if speed > signs.AT_REST and _nears(missed, errors.before(state, record)):
-        how = "trembling" if signs.trembles(record) > signs.RATTLING else "moving"
-        return Ending("moving", f"{how} at {speed:.2g} of the speed limits, {said}")
+        return Ending("moving", f"moving at {speed:.2g} of the speed limits, {said}")
     return _rest(law, state, record, errors)
 
 

@@ -12,6 +12,7 @@ from coopqp.study.stress import signs
 from coopqp.study.stress.draw import Draw
 from coopqp.study.stress.ending import Ending, PartErrors, ending
 from coopqp.study.stress.signs import Record
+from coopqp.study.stress.swing import Swing, swing
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,9 @@ class Rollout:
         outcome: how it ended; empty when it raised.
         reason: why there.
         broken: promises that were broken, in words.
-        frozen, rattling, never_back: signs that were seen; each is a broken promise too.
+        frozen, swinging, worse, never_back: signs that were seen; each is a broken promise too.
         saturated, squeezed: the same on plants with masses.
-        ringing: a joint flips in more than 2 % of the ticks; for information.
+        compared: hard tasks that it rests short of, and that were tried as soft ones.
         ticks: how many.
         position_excess: largest overrun of a position limit that held before [rad].
         velocity_excess: of a velocity limit [rad/s].
@@ -52,11 +53,12 @@ class Rollout:
     reason: str = ""
     broken: tuple[str, ...] = ()
     frozen: bool = False
-    rattling: bool = False
+    swinging: bool = False
+    worse: bool = False
     never_back: bool = False
     saturated: bool = False
     squeezed: bool = False
-    ringing: bool = False
+    compared: int = 0
     ticks: int = 0
     position_excess: float = 0.0
     velocity_excess: float = 0.0
@@ -70,7 +72,13 @@ class Rollout:
 
 
 def judged(
-    seed: int, drawn: Draw, law: Law, state: State, record: Record, errors: PartErrors
+    seed: int,
+    drawn: Draw,
+    law: Law,
+    state: State,
+    record: Record,
+    errors: PartErrors,
+    noise: float = 0.0,
 ) -> Rollout:
     """Judge a rollout whose time is up.
 
@@ -81,10 +89,10 @@ def judged(
         state: at the end.
         record: of all ticks.
         errors: of its tasks.
+        noise: standard deviation of the encoders' [rad].
     """
     end = ending(law, state, record, errors)
-    share = signs.flips(record)
-    rattling = share > signs.RATTLING
+    swings = swing(record, noise)
     return Rollout(
         seed=seed,
         robot=drawn.robot,
@@ -95,11 +103,10 @@ def judged(
         tasks=drawn.tasks,
         outcome=end.outcome,
         reason=end.reason,
-        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, rattling=rattling)),
+        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, drawn, swings)),
         frozen=end.frozen,
-        rattling=rattling,
+        swinging=swings is not None,
         never_back=end.never_back,
-        ringing=share > signs.RINGING,
         ticks=len(record.v),
         position_excess=signs.position_excess(record),
         velocity_excess=signs.velocity_excess(record),
@@ -111,11 +118,13 @@ def judged(
     )
 
 
-def _seen(end: Ending, *, rattling: bool) -> Iterator[str]:
+def _seen(end: Ending, drawn: Draw, swings: Swing | None) -> Iterator[str]:
     """The signs in words."""
+    chain = drawn.problem.chain
     if end.frozen:
         yield f"froze: {end.reason}"
-    if rattling:
-        yield "rattled"
+    if swings:
+        name, unit = chain.joint_names[swings.joint], chain.joint_units[swings.joint]
+        yield f"swings: {name} by {swings.size:.2g} {unit} at {swings.frequency:.2g} Hz"
     if end.never_back:
         yield f"never came back: {end.reason}"

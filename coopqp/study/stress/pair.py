@@ -101,7 +101,8 @@ def _run(drawn: DrawWithMasses, plant: Plant, seed: int, disturbance: Disturbanc
     law, record = LAW.build(problem), record_of(problem)
     state = law.start(q_measured=model.measured)
     drive_for(round(DURATION / problem.dt), law, model, state, record)
-    rollout = judged(seed, drawn, law, state, record, PartErrors(problem))
+    noise = disturbance.noise_position
+    rollout = judged(seed, drawn, law, state, record, PartErrors(problem), noise)
     last, limit = round(END / problem.dt), model.servo.effort
     found = squeeze(model, problem.dt)
     return _Run(

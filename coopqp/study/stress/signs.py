@@ -1,4 +1,4 @@
-"""What a recorded rollout shows: promises kept, joints that rattle, joints that stand still.
+"""What a recorded rollout shows: promises kept, joints that stand still.
 
 Letters: n joints, T ticks.
 """
@@ -17,8 +17,6 @@ from coopqp.checked import Array
 from coopqp.solver import Budget, Status
 
 EXCESS = 1e-9  # what a bound may be exceeded by, rounding [rad, rad/s]
-FLIP = 0.3  # a change of sign counts where both speeds are above this share of the limit
-RATTLING, RINGING = 0.1, 0.02  # share of the ticks of the second half in which one joint flips
 STILL = 1e-6  # a joint below this share of its speed limit does not move
 AT_REST = 1e-3  # ... and below this one it has arrived
 LATEST = 10  # ticks that tell how it ends
@@ -35,6 +33,9 @@ class Record:
         lower, upper: position limits, shape (n,) [rad, m].
         speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
         units: "rad" or "m" of each joint.
+        dt: control period [s].
+        rest: tick from which all references rest.
+        longest: time in which what still moves is as good as at rest, in ticks.
         q: configurations before each tick and at last, shape (T + 1, n).
         v: commands, shape (T, n).
         causes: of each tick.
@@ -49,6 +50,9 @@ class Record:
     upper: Array
     speed: Array
     units: tuple[str, ...]
+    dt: float
+    rest: int
+    longest: float
     q: Array
     v: Array
     causes: list[tuple[Status, ...]] = field(default_factory=list)
@@ -109,25 +113,6 @@ def position_excess(record: Record) -> float:
 def velocity_excess(record: Record) -> float:
     """Largest overrun of a velocity limit [rad/s, m/s]."""
     return max(0.0, float((np.abs(record.v) - record.speed).max(initial=0.0)))
-
-
-def flips(record: Record) -> float:
-    """Share of the ticks of the second half in which the worst joint changes its sign at speed."""
-    return float(_flips(record, FLIP).max(initial=0.0))
-
-
-def trembles(record: Record) -> float:
-    """The same at any speed that is not rest."""
-    return float(_flips(record, AT_REST).max(initial=0.0))
-
-
-def _flips(record: Record, least: float) -> Array:
-    """Share of sign changes of each joint, shape (n,)."""
-    v = record.v[len(record.v) // 2 :] / record.scale
-    before, after = v[:-1], v[1:]
-    turned = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > least)
-    shares: Array = turned.mean(axis=0) if len(turned) else np.zeros(v.shape[-1])
-    return shares
 
 
 def slowest(record: Record) -> float:

@@ -16,10 +16,10 @@ class Summary:
         kind: such as "baxter", "outside" or "all".
         count: of rollouts.
         outcomes: by name.
-        frozen, rattling, never_back, ringing: rollouts that showed these signs.
+        frozen, swinging, worse, never_back: rollouts that showed these signs.
         saturated, squeezed: the same on plants with masses.
         broken: rollouts that broke a promise.
-        ticks, fallbacks, inaccurate, plain: of all rollouts.
+        compared, ticks, fallbacks, inaccurate, plain: of all rollouts.
         position_excess, velocity_excess, loop_position, loop_orientation, force: the worst of them.
     """
 
@@ -27,12 +27,13 @@ class Summary:
     count: int
     outcomes: dict[str, int]
     frozen: int
-    rattling: int
+    swinging: int
+    worse: int
     never_back: int
     saturated: int
     squeezed: int
-    ringing: int
     broken: int
+    compared: int
     ticks: int
     fallbacks: int
     inaccurate: int
@@ -90,12 +91,13 @@ def _summary(kind: str, rollouts: list[Rollout]) -> Summary:
         len(rollouts),
         dict(sorted(Counter(r.outcome or "raised" for r in rollouts).items())),
         sum(r.frozen for r in rollouts),
-        sum(r.rattling for r in rollouts),
+        sum(r.swinging for r in rollouts),
+        sum(r.worse for r in rollouts),
         sum(r.never_back for r in rollouts),
         sum(r.saturated for r in rollouts),
         sum(r.squeezed for r in rollouts),
-        sum(r.ringing for r in rollouts),
         sum(bool(r.broken) for r in rollouts),
+        sum(r.compared for r in rollouts),
         sum(r.ticks for r in rollouts),
         sum(r.fallbacks for r in rollouts),
         sum(r.inaccurate for r in rollouts),

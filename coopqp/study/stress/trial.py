@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Protocol, TypeVar
 
@@ -16,12 +17,14 @@ from coopqp.study.engine import Engine, Lost
 from coopqp.study.stress.draw import DAQP, LAW, Draw, draw
 from coopqp.study.stress.driving import drive_on, record_of
 from coopqp.study.stress.ending import PartErrors
+from coopqp.study.stress.firmness import missed_hard_tasks, worse_than_soft
 from coopqp.study.stress.judgement import Rollout, judged
 from coopqp.study.stress.masses import draw_with_masses
 from coopqp.study.stress.pair import run_pair
 
 JOINTS = Kinematic()
 HERE = Engine()
+PATIENT = 10  # one in so many rollouts waits for swings that begin late
 COLLECTED = 50_000  # objects that are made before unused ones in cycles are looked for
 
 
@@ -124,5 +127,10 @@ def _run(drawn: Draw, seed: int) -> Rollout:
     law = LAW.unprepared(drawn.problem)
     state = law.start()
     record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
-    drive_on(law, state, record, errors)
-    return judged(seed, drawn, law, state, record, errors)
+    drive_on(law, state, record, errors, patient=seed % PATIENT == 0)
+    rollout = judged(seed, drawn, law, state, record, errors)
+    missed = [] if rollout.swinging else missed_hard_tasks(drawn.problem, state, record)
+    worse = tuple(words for i in missed for words in worse_than_soft(law, state, i))
+    return replace(
+        rollout, broken=(*rollout.broken, *worse), worse=bool(worse), compared=len(missed)
+    )

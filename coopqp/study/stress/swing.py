@@ -1,0 +1,101 @@
+"""Whether joints go to and fro for ever, at any frequency, while the references rest.
+
+A joint swings where its path is much longer than its range, and the range does not fade:
+
+    sum |q_k+1 - q_k| > RATIO (max q - min q),    range > LEAST,    range now > KEPT range before
+
+over blocks of W ticks, W = 8, 16, 32, ... and a third of the resting time. A ramp and an approach
+have a ratio of 1, a single way there and back has 2, a sine has 2 a period. The first third of the
+resting time is left to what settles; "before" is the second third, "now" the last. In each the
+median block counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.checked import Array
+from coopqp.study.stress.signs import Record
+
+RATIO = 2.5  # path over range of a swing: more than once there and back
+TURNS = 1.1  # ... and of what may become one
+KEPT = 0.7  # a swing whose range becomes less than this from one third to the next fades
+#: A range that nobody sees: 0.1 mm is what arms repeat, and what half a metre makes of 0.2 mrad.
+LEAST = {"rad": 2e-4, "m": 1e-4}
+NOISY = 5.0  # deviations of the encoders' noise that the range of commands may be wider
+SHORTEST = 8  # ticks of the shortest block
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A joint that swings.
+
+    Attributes:
+        joint: its index.
+        size: range [rad, m].
+        frequency: of it [Hz].
+    """
+
+    joint: int
+    size: float
+    frequency: float
+
+
+def swing(record: Record, noise: float = 0.0) -> Swing | None:
+    """The widest swing of a rollout; None where nothing swings.
+
+    Args:
+        record: of all ticks.
+        noise: standard deviation of the encoders' [rad].
+    """
+    q = record.q[record.rest :]
+    third = (len(q) - 1) // 3
+    if third < SHORTEST or not np.isfinite(q).all():
+        return None
+    least = _least(record) + NOISY * noise
+    before, now = q[-1 - 2 * third : -third], q[-1 - third :]
+    widest: Swing | None = None
+    for ticks in _lengths(third, record.longest):
+        (was, was_ratio), (size, ratio) = _blocks(before, ticks), _blocks(now, ticks)
+        swings = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > least)
+        over = np.where(swings, size / least, 0.0)
+        i = int(over.argmax())
+        if swings[i] and (widest is None or size[i] > widest.size):
+            # A range is crossed twice a period.
+            widest = Swing(i, float(size[i]), float(ratio[i]) / (2.0 * ticks * record.dt))
+    return widest
+
+
+def turning(record: Record) -> bool:
+    """Whether a joint turns round in the last half of the resting time, so that it may swing."""
+    rested = len(record.q) - record.rest
+    size, ratio = _extent(record.q[-max(rested // 2, 2) :])
+    return rested > SHORTEST and bool(((ratio > TURNS) & (size > _least(record))).any())
+
+
+def _lengths(third: int, longest: float) -> list[int]:
+    """Of blocks, in ticks."""
+    doubled = [SHORTEST << k for k in range((third // SHORTEST).bit_length())]
+    return [ticks for ticks in (*doubled, third) if ticks <= longest]
+
+
+def _least(record: Record) -> Array:
+    return np.array([LEAST[unit] for unit in record.units])
+
+
+def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
+    """Range and path over range of the median block, of all blocks of so many ticks."""
+    count = (len(q) - 1) // ticks
+    first = len(q) - 1 - count * ticks
+    inside = first + ticks * np.arange(count)[:, None] + np.arange(ticks + 1)
+    size, ratio = _extent(q[inside].swapaxes(0, 1))
+    return np.median(size, axis=0), np.median(ratio, axis=0)
+
+
+def _extent(q: Array) -> tuple[Array, Array]:
+    """Range along the first axis, and path over range; 0 where nothing moves."""
+    size = q.max(axis=0) - q.min(axis=0)
+    path = np.abs(np.diff(q, axis=0)).sum(axis=0)
+    return size, np.divide(path, size, out=np.zeros_like(size), where=size > 0.0)
