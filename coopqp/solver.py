@@ -159,6 +159,9 @@ class Budget:
 #: Most of a distance from the optimum that rounding excuses [rad/s].
 ROUNDING = 1e-4
 EPSILON = float(np.finfo(float).eps)
+#: By which rows may not hold from rounding alone, and the least singular value of rows, over the
+#: largest, that is not rounding itself.
+LAST_DIGITS, DEPENDENT = 1e-14, 1e-12
 #: An answer beyond this is as good as infinite: its products could overflow [rad/s].
 BEYOND = 1e150
 
@@ -176,6 +179,9 @@ class Verifier:
     counts as none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a
     problem whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
     multipliers, however large, excuse an answer that is off by more.
+
+    Rows that nearly depend on each other, or on active limits, hold almost as well far from the
+    optimum. So what they lack counts by how far v has to go to make it nothing.
 
     A NaN stays one, and all comparisons are written so that it fails them.
 
@@ -207,10 +213,11 @@ class Verifier:
         above = norm(np.minimum(slack, 0.0))
         gap = norm(qp.A.dot(solution.v) - qp.b)
         off = self._distance() + self._idle(slack)
+        astray = self._astray(slack, gap)
         solution.primal_residual = max(overrun, gap, above)
         solution.dual_residual = off * self.curvature
         held = overrun <= budget.bound and above <= budget.bound
-        if held and gap <= budget.equality and off <= budget.accuracy:
+        if held and gap <= budget.equality and max(off, astray) <= budget.accuracy:
             return Status.OPTIMAL
         if not gap + off < math.inf:
             return Status.NOT_FINITE
@@ -218,7 +225,7 @@ class Verifier:
             return Status.BOUND_RESIDUAL
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
-        near = off <= budget.accuracy + self._rounding()
+        near = astray <= budget.accuracy and off <= budget.accuracy + self._rounding()
         return Status.OPTIMAL if near else Status.INACCURATE
 
     def _lacks_numbers(self) -> bool:
@@ -234,8 +241,28 @@ class Verifier:
 
     def _idle(self, slack: Array) -> float:
         """How far z is from belonging to active rows only, those without slack."""
-        z = self.solution.z
-        return norm(np.maximum(np.minimum(slack, z / self.curvature), -np.abs(z)))
+        z, step = self.solution.z, self.solution.z / self.curvature
+        return norm(np.where(z < 0.0, step, np.maximum(np.minimum(slack, step), -z)))
+
+    def _astray(self, slack: Array, gap: float) -> float:
+        """Length of the cheapest step after which all equalities and active limits hold."""
+        qp, solution, mu = self.qp, self.solution, self.curvature
+        if gap <= LAST_DIGITS and not solution.multipliers[: qp.n + qp.p].any():
+            return 0.0
+        to_bound = np.where(solution.z_box > 0.0, qp.ub, qp.lb) - solution.v
+        bound = np.abs(to_bound) < np.abs(solution.z_box) / mu
+        row = np.abs(slack) < solution.z / mu
+        lacks = np.concatenate([to_bound[bound], slack[row], qp.b - qp.A.dot(solution.v)])
+        if norm(lacks) <= LAST_DIGITS:
+            return 0.0
+        C = np.concatenate([np.eye(qp.n)[bound], qp.G[row], qp.A])
+        if not math.isfinite(norm(C.ravel()) + norm(qp.P.ravel()) + norm(lacks)):
+            return math.inf
+        root = np.linalg.cholesky(qp.P)
+        C = np.linalg.solve(root, C.T).T  # over steps in which the cost bends by one
+        sizes = np.maximum(np.linalg.norm(C, axis=1), EPSILON)
+        step = np.linalg.lstsq(C / sizes[:, None], lacks / sizes, rcond=DEPENDENT)[0]
+        return norm(np.linalg.solve(root.T, step))
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""

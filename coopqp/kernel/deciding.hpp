@@ -225,7 +225,7 @@ class Engine {
 
     void forget_exact() {
         const auto& bound = kernel_->bound;
-        std::fill_n(bound.missed, kernel_->levels[0].exact, 0.0);
+        std::fill_n(bound.missed, kernel_->levels[0].hard, 0.0);
         std::fill_n(bound.missing, kernel_->levels[0].shares, 0.0);
     }
 

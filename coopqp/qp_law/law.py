@@ -183,7 +183,7 @@ class QPLaw(Law):
         """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones."""
         relaxes = bool(self.exact.tasks) and self.problem.on_infeasible == "scale"
         status = Status.INFEASIBLE
-        if not state.memory["missed"][: self._hard].any():
+        if not state.memory["missed"].any():
             status = self.first.solve()
             if status.usable and not (relaxes and self._leaves_direction()):
                 self._remember(state, self.first.v, 0.0)
@@ -219,7 +219,7 @@ class QPLaw(Law):
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
-        lacks = norm(state.memory["missed"][:hard])
+        lacks = norm(state.memory["missed"])
         relaxed = leaves > 0.0 or lacks > self.problem.budget.equality
         return v, (Status.TASKS_RELAXED, status) if relaxed else (status,)
 
@@ -231,18 +231,13 @@ class QPLaw(Law):
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
-        exact, shares = self.exact, self.solution.v[self.problem.chain.n :]
-        if not exact.tasks:
-            return
-        missed = exact.J @ v - exact.wanted
+        exact, shares, hard = self.exact, self.solution.v[self.problem.chain.n :], self._hard
+        missed = exact.J[:hard] @ v - exact.wanted[:hard]
         state.memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
-        if leaves:
-            got = [share_of(exact.wanted[p], exact.J[p] @ v) for p in self._scaled]
-            shares = np.array(got, float)
-        state.memory["missing"][:] = 1.0 - shares
-        hard = exact.slices[: len(self.order.hard)]
-        met = (1.0 - norm(missed[p]) / max(norm(exact.wanted[p]), norm(missed[p]), MET) for p in hard)
-        self.command.scale = min([1.0, *met, *shares.tolist()])
+        state.memory["missing"][:] = missing = 1.0 - (1.0 - leaves) * shares
+        parts = ((missed[p], exact.wanted[p]) for p in exact.slices[: len(self.order.hard)])
+        lacks = [norm(of) / max(norm(wanted), norm(of), MET) for of, wanted in parts]
+        self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""
@@ -277,11 +272,6 @@ def _said(causes: tuple[Status, ...]) -> tuple[Status, ...]:
     return others or (Status.OPTIMAL,)
 
 
-def share_of(wanted: Array, got: Array) -> float:
-    """How much of a wanted rate was got along its direction, from 0 to 1."""
-    return float(np.clip(wanted @ got / (wanted @ wanted + LEAST_SPEED**2), 0.0, 1.0))
-
-
 def memory_sizes(
     problem: ControlProblem, levels: int, squeezer: Squeezer | None = None
 ) -> dict[str, int]:
@@ -293,9 +283,9 @@ def memory_sizes(
         squeezer: who presses by measured forces, if anybody does.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
-    exact = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode != "soft")
+    hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")
     return {
-        "stopped": 1, "recovery": 1, "missed": exact, "missing": scaled, "later pulls": levels - 1,
+        "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled, "later pulls": levels - 1,
         **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
     }  # fmt: skip
 

@@ -13,9 +13,10 @@ they want, a problem like that of the hard ones, and
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / SLOW)+ (1 - 2 s_k)+
 
 which is inside the limits, as both are; r = 1 where no shares can be had at all. Later levels keep
-what was got. The damping is that of a soft task (:class:`coopqp.qp_law.equations.Damping`), by what
-the rows lacked in the last tick, m_i, instead of what they ask for: d = c dt sum_i w_i |m_i| L_i and
-a little. So it is nothing as long as they hold, and grows from there as they cease to.
+what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
+That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
+they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
+grows from there as they cease to.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ class Nearest:
         """Solve the level of the hard tasks; the exact stack is up to date."""
         exact, tasks, rows = self._exact, self._hard.tasks, slice(self._count)
         tasks.J[:], tasks.wanted[:] = exact.J[rows], exact.wanted[rows]
-        return self._solve(self._hard, state, kappa, rows)
+        lacks = np.abs(state.memory["missed"])
+        return self._solve(self._hard, state, kappa, lacks * tasks.levers)
 
     def of_scaled(self, state: State, kappa: float, hard: Array) -> Status:
         """Solve the level of the scaled tasks.
@@ -89,12 +91,10 @@ class Nearest:
         level.tasks.J[:], level.tasks.wanted[:] = exact.J[rows], exact.wanted[rows]
         A, b, m = level.qp.A, level.qp.b, len(state.e_loop)
         A[m:], b[m:] = exact.J[: self._count], hard
-        return self._solve(level, state, kappa, rows)
+        return self._solve(level, state, kappa, exact.bends(state.v)[rows])
 
-    def _solve(self, level: Level, state: State, kappa: float, rows: slice) -> Status:
-        missed = np.abs(state.memory["missed"][rows])
-        bend = float((self._exact.weights * self._exact.levers)[rows] @ missed)
-        level.assemble(self._bounds, self._damping.of(bend, state))
+    def _solve(self, level: Level, state: State, kappa: float, bends: Array) -> Status:
+        level.assemble(self._bounds, self._damping.of(float(level.tasks.weights @ bends), state))
         level.close_loops(state, kappa)
         self.v = level.v
         return level.solve()

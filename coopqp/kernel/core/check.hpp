@@ -10,6 +10,7 @@
 
 #include "constraints.hpp"
 #include "multipliers.hpp"
+#include "residuals.hpp"
 
 namespace coopqp {
 
@@ -35,6 +36,7 @@ class Check {
           levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
           moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
           of_arms_(arena.take(TWIST * model.arms.size())), V(arena.take(TWIST)),
+          r_(model, rows, loops, hierarchy, shares, levels, arena),
           y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
@@ -49,7 +51,7 @@ class Check {
     //   first: how many coordinates of the hierarchy were decided when the level could choose.
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
-                  const Constraints& c) {
+                  Constraints& c) {
         const double mu = std::min(std::max(d, least_), SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
@@ -76,18 +78,21 @@ class Check {
             if (off <= s_.budget.accuracy) break;
         }
         off += idle(mu);
+        const double astray = r_.distance(first, gap, v, c);
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
-        if (!(gap + off + above + overrun < std::numeric_limits<double>::infinity()))
+        if (!(gap + off + astray + above + overrun < std::numeric_limits<double>::infinity()))
             outcome.status = Status::NotFinite;
         else if (!(overrun <= s_.budget.bound && above <= s_.budget.bound))
             outcome.status = Status::Bound;
         else if (!(gap <= s_.budget.equality))
             outcome.status = Status::Equality;
+        else if (!(astray <= s_.budget.accuracy))
+            outcome.status = Status::Inaccurate;
         else if (!(off <= s_.budget.accuracy) &&
                  !(off <= s_.budget.accuracy + rounding(l, first, d, v, c.limits.G) / mu))
             outcome.status = Status::Inaccurate;
-        outcome.off = off;
+        outcome.off = off + astray;
         return outcome;
     }
 
@@ -191,21 +196,22 @@ class Check {
     }
 
     // How far the arms' twists are from closing the loops as they should, squared.
-    double loop_gap() const {
+    double loop_gap() {
         double gap2 = 0.0;
         std::size_t at = 0;
         for (int i = 1; i < m_.holding; i++) {
             const double* V_i = of_arms_ + TWIST * i;
             for (int r : kept_[std::size_t(i - 1)]) {
-                const double off = V_i[r] - of_arms_[r] - b_[at++];
+                const double off = V_i[r] - of_arms_[r] - b_[at];
                 gap2 += off * off;
+                r_.of_loops[at++] = -off;
             }
         }
         return gap2;
     }
 
     // What the level moves of what was decided before it.
-    double decided_gap(int l, const double* v, const double* before, const double* V_before) const {
+    double decided_gap(int l, const double* v, const double* before, const double* V_before) {
         double gap2 = 0.0;
         alignas(64) double V_moved[TWIST];
         for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
@@ -213,17 +219,20 @@ class Check {
             const double off = rows_.times(levels_[0], s, v, V) -
                                (k < 0 ? 1.0 : shares_.share(k)) * levels_[0].wanted[std::size_t(s)];
             gap2 += off * off;
+            r_.of_rows[std::size_t(s)] = -off;
         }
         if (l == 0) return gap2;
         for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
         // What rows see of it that were left out as noise is no fault.
         const double noise = hierarchy_.leaves_out() ? NOISE * std::sqrt(dot(moved_, moved_, m_.blocks)) : 0.0;
         for (int b = 0; b < 2; b++) lanes(V_moved)[b] = lanes(V)[b] - lanes(V_before)[b];
+        std::size_t at = 0;
         for (int k = 0; k < l; k++)
             for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
                 const double seen = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
-                const double off = std::max(std::fabs(seen) - noise, 0.0);
+                const double off = std::copysign(std::max(std::fabs(seen) - noise, 0.0), seen);
                 gap2 += off * off;
+                r_.of_rows[at++] = -off;
             }
         return gap2;
     }
@@ -358,6 +367,7 @@ class Check {
     double* V;  // the object's twist at the answer judged last, or where the first sets out
 
   private:
+    Residuals r_;
     Multipliers y_;
 };
 

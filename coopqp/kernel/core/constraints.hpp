@@ -90,10 +90,10 @@ class Constraints {
     // Which row keeps a share between 0 and 1.
     int share_row(int k) const { return lanes_ + padded(inequalities_) + k; }
 
-  private:
     // Which row keeps an exact one that depends on others.
     int spare_row(int s) const { return share_row(0) + padded(shares_.count()) + s; }
 
+  private:
     bool limits_hold(const double* v) {
         bool inside = true;
         const v4 *lo = coopqp::lanes(limits.lb), *hi = coopqp::lanes(limits.ub), *x = coopqp::lanes(v);

@@ -37,15 +37,19 @@ class StepDamping {
     // Of level l.
     double of(int l, const Level& level, const Bound& bound) {
         if (!(share_ > 0.0)) return 0.0;
-        const double *v_last = v_last_, *V = V_;
-        double bend = 0.0, extra = 0.0;
+        double pull = 0.0;
+        if (level.shares) pull = SCALE_WEIGHT * of_scaled(level, v_last_, V_, bound.missing);
+        if (l > 0) pull = bound.later_pulls[l - 1];
+        return of_soft(level) + std::min(share_ * pull, MOST_DAMPING);
+    }
+
+    // Of the soft tasks of a level.
+    double of_soft(const Level& level) const {
+        if (!(share_ > 0.0)) return 0.0;
+        double bend = 0.0;
         for (int s = level.exact; s < level.rows; s++)
-            bend += level.weight[std::size_t(s)] * of_row(level, s, v_last, V);
-        if (level.shares)
-            extra = std::min(share_ * SCALE_WEIGHT * of_scaled(level, v_last, V, bound.missing),
-                             MOST_DAMPING);
-        if (l > 0) extra = std::min(share_ * bound.later_pulls[l - 1], MOST_DAMPING);
-        return share_ * bend + extra;
+            bend += level.weight[std::size_t(s)] * of_row(level, s, v_last_, V_);
+        return share_ * bend;
     }
 
     // What of a later level's step is made where it needs more damping than it may have.

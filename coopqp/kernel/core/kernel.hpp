@@ -39,7 +39,7 @@ class Kernel {
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           way_back_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
-          wanted_(std::size_t(levels[0].hard)), missed_(std::size_t(levels[0].exact)),
+          wanted_(std::size_t(levels[0].hard)), missed_(wanted_.size()),
           missing_(std::size_t(levels[0].shares)),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
@@ -110,7 +110,7 @@ class Kernel {
     // Whether hard or scaled tasks were not met in full when it was decided last.
     bool relaxed() const {
         double lacks2 = 0.0;
-        for (int s = 0; s < levels[0].hard; s++) lacks2 += missed_[std::size_t(s)] * missed_[std::size_t(s)];
+        for (double lacks : missed_) lacks2 += lacks * lacks;
         return leaves_ > 0.0 || lacks2 > s_.budget.equality * s_.budget.equality;
     }
 
@@ -209,7 +209,7 @@ class Kernel {
             leaves_ = level.shares ? scale_beside(near_) : 0.0;
         }
         if (leaves_ > 0.0) {
-            const Status status = nearest_.of_scaled(damping_, bound.missed);
+            const Status status = nearest_.of_scaled(damping_);
             if (status != Status::Optimal) return status;
             for (int b = 0; b < m_->blocks; b++)
                 lanes(near_)[b] = smaller(
@@ -254,21 +254,16 @@ class Kernel {
         return all;
     }
 
-    // What rows of hard and scaled tasks lack of what they want, and shares to 1.
+    // What rows of hard tasks lack of what they want, and shares to 1.
     void note_missed() {
         const Level& level = levels[0];
-        rows_.object_twist(tasks_.v(), V_);
-        for (int k = 0; k < level.shares; k++)
-            missing_[std::size_t(k)] = leaves_ > 0.0 ? 1.0 : 1.0 - tasks_.shares().share(k);
-        for (int s = 0; s < level.exact; s++) {
-            const std::size_t i = std::size_t(s);
-            const double got = rows_.times(level, s, tasks_.v(), V_), lacks = got - level.wanted[i];
-            missed_[i] = std::fabs(lacks) > MET ? lacks : 0.0;
-            const int k = level.share[i];
-            if (k >= 0 && leaves_ > 0.0)
-                missing_[std::size_t(k)] -= got * level.wanted[i] / (wanted2(k) + LEAST_SPEED * LEAST_SPEED);
+        if (level.hard) rows_.object_twist(tasks_.v(), V_);
+        for (int s = 0; s < level.hard; s++) {
+            const double lacks = rows_.times(level, s, tasks_.v(), V_) - level.wanted[std::size_t(s)];
+            missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
         }
-        for (double& missing : missing_) missing = std::min(std::max(missing, 0.0), 1.0);
+        for (int k = 0; k < level.shares; k++)
+            missing_[std::size_t(k)] = 1.0 - (1.0 - leaves_) * tasks_.shares().share(k);
     }
 
     Status find_way_back() {
@@ -305,7 +300,7 @@ class Kernel {
     Nearest nearest_;
     WayBack way_back_;
     std::vector<double> b_;
-    std::vector<double> wanted_, missed_;  // of hard rows, of hard and scaled ones
+    std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
     double *set_out_, *v_, *last_, *near_, *V_, *t_;

@@ -62,6 +62,19 @@ class LeastDistance {
         }
     }
 
+    // At which of its sides an active row is, 1 or -1.
+    double side(int i) const { return side_[std::size_t(i)]; }
+
+    // How far all rows go in the shortest step that moves each active one, the i-th, by lacks(i).
+    template <class Lacks>
+    const double* restore(Lacks lacks) {
+        clear(u, blocks_);
+        clear(d_, blocks_);
+        approach(lacks);
+        evaluate();
+        return values_;
+    }
+
     // For tests of the check.
     void spoil() {
         if (active) multiplier_[0] = 1.5 * multiplier_[0] + 1e-6;
@@ -243,6 +256,17 @@ class LeastDistance {
         }
     }
 
+    // The same step, added to u; d_ has it along the active rows.
+    template <class Lacks>
+    void approach(Lacks lacks) {
+        for (int i = 0; i < active; i++) {
+            double rest = -side(i) * lacks(i);
+            for (int j = 0; j < i; j++) rest -= R(j, i) * d_[j];
+            d_[i] = rest / R(i, i);
+        }
+        add_rows(u, Q_, width_, active, d_, blocks_);
+    }
+
     // u and multipliers from the active set itself, without the rounding of the steps to it.
     Status polish() {
         if (!active) return Status::Optimal;
@@ -252,13 +276,7 @@ class LeastDistance {
         for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] = 0.0;
         for (int pass = 0; pass < 2; pass++) {
             if (pass) evaluate();
-            for (int i = 0; i < active; i++) {
-                const std::size_t at = std::size_t(i);
-                double rest = -side_[at] * (limit(row_[at], side_[at]) - values_[row_[at]]);
-                for (int j = 0; j < i; j++) rest -= R(j, i) * d_[j];
-                d_[i] = rest / R(i, i);
-            }
-            add_rows(u, Q_, width_, active, d_, blocks_);
+            approach([this](int i) { return limit(row(i), side(i)) - values_[row(i)]; });
             solve_triangular();
             for (int i = 0; i < active; i++) multiplier_[std::size_t(i)] += r_[std::size_t(i)];
         }

@@ -27,11 +27,16 @@ class Nearest {
     }
 
     // The level of the hard tasks.
-    //   missed: what the given level's rows lacked in the last tick.
+    //   missed: what their rows lacked in the last tick.
     //   b, v: as in Cascade::begin.
     Status of_hard(const StepDamping& damping, const double* missed, const double* b, const double* v) {
         cascade_.begin(b, v);
-        return decide(0, damping, missed);
+        Level& level = levels_[0];
+        double bend = 0.0;
+        for (int s = 0; s < level.rows; s++)
+            bend += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
+        std::copy_n(given_.wanted.begin(), level.rows, level.wanted.begin());
+        return cascade_.decide(0, LESS * s_.damping + damping.of(bend));
     }
 
     // Take the hard tasks as decided by a motion v, in lanes, that moves the loops by b.
@@ -41,8 +46,12 @@ class Nearest {
     }
 
     // The level of the scaled tasks, after either.
-    Status of_scaled(const StepDamping& damping, const double* missed) {
-        return decide(1, damping, missed + given_.hard);
+    Status of_scaled(const StepDamping& damping) {
+        Level& level = levels_[1];
+        std::copy_n(given_.wanted.begin() + given_.hard, level.rows, level.wanted.begin());
+        std::copy_n(given_.e.begin() + given_.hard, level.rows, level.e.begin());
+        std::copy_n(given_.rate.begin() + given_.hard, level.rows, level.rate.begin());
+        return cascade_.decide(1, LESS * s_.damping + damping.of_soft(level));
     }
 
     const double* v() const { return cascade_.v(); }  // in lanes
@@ -65,18 +74,6 @@ class Nearest {
         level.T = given.T + TWIST * from;
         level.J = given.J + stride * std::size_t(from);
         return level;
-    }
-
-    Status decide(int l, const StepDamping& damping, const double* missed) {
-        Level& level = levels_[std::size_t(l)];
-        const int from = l == 0 ? 0 : given_.hard;
-        double bend = 0.0;
-        for (int s = 0; s < level.rows; s++) {
-            const std::size_t i = std::size_t(s);
-            level.wanted[i] = given_.wanted[i + std::size_t(from)];
-            bend += level.weight[i] * std::fabs(missed[s]) * level.lever[i];
-        }
-        return cascade_.decide(l, LESS * s_.damping + damping.of(bend));
     }
 
     const Settings& s_;
