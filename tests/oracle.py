@@ -59,7 +59,7 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
         raise UndeterminedError
     levels = list(law.levels)
     if relaxed:
-        levels[0] = law.nearest._hard
+        levels[0] = law.nearest.hard
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
     for before, level in enumerate(levels):
         A, b = level.qp.A, level.qp.b.astype(LONG)

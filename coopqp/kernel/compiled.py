@@ -103,7 +103,7 @@ class Compiled:
 
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
-        names = "later pulls", "missed", "missing", "recovery", "swing", "stopped"
+        names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
         remembered = (memory[name] for name in names)
         self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
         before, self._heard = self._heard, []

@@ -55,7 +55,8 @@ class Engine {
                     const Written& p_WO, const Written& R_WO, const Written& loop_error,
                     const Written& drift, const Written& q_seen,
                     const Written& commanded, const Written& later_pulls, const Written& missed,
-                    const Written& missing, const Written& recovery, const Written& swing,
+                    const Written& missing, const Written& scaled_pull,
+                    const Written& recovery, const Written& swing,
                     const Written& stopped) {
         auto& b = kernel_->bound;
         b.q = q_now_ = q.data();
@@ -70,11 +71,12 @@ class Engine {
         b.later_pulls = later_pulls.data();
         b.missed = missed.data();
         b.missing = missing.data();
+        b.scaled_pull = scaled_pull.data();
         b.recovery = recovery.data();
         b.swing = swing.data();
         stopped_ = stopped.data();
         state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, missed, missing, recovery, swing, stopped);
+                                later_pulls, missed, missing, scaled_pull, recovery, swing, stopped);
     }
 
     void bind_command(const Written& v) {

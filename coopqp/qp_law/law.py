@@ -96,7 +96,8 @@ class QPLaw(Law):
         self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, order, level, bounds, cost) for level in range(1, len(self.stacks))
+            LaterLevel(problem, stack, order.before(i), order.decided(i), bounds, cost)
+            for i, stack in enumerate(self.stacks[1:], start=1)
         ]
         self.levels = (self.first, *(later.level for later in self._later))
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
@@ -200,22 +201,22 @@ class QPLaw(Law):
             kappa: gain of the drift correction.
             whole: of the first level; usable where no more is the matter than a blocked direction.
         """
-        exact, nearest, hard = self.exact, self.nearest, self._hard
-        wanted, v, status = exact.wanted.copy(), self.first.v, whole
-        if hard and not whole.usable:
-            status, v = nearest.of_hard(state, kappa), nearest.v
+        nearest, v, status = self.nearest, self.first.v, whole
+        if not whole.usable:
+            status, held = nearest.of_hard(state, kappa), nearest.v
             if not status.usable:
-                return v, (status,)
-            wanted[:hard] = exact.J[:hard] @ v
+                return held, (status,)
+            v = held
             if self._scaled:
-                self._assemble_first(state, kappa, wanted)
-                status, v = self.first.solve(), self.first.v
+                got = self.exact.wanted.copy()
+                got[: self._hard] = self.exact.J[: self._hard] @ held
+                self._assemble_first(state, kappa, got)
+                status = self.first.solve()
+                v = self.first.v if status.usable else held
         leaves = self._leaves_direction() if status.usable else 1.0
-        if self._scaled and leaves:
-            status = nearest.of_scaled(state, kappa, wanted[:hard])
-            if not status.usable:
-                return nearest.v, (status,)
-            v = nearest.v if leaves == 1.0 else v + leaves * (nearest.v - v)
+        if leaves:
+            near, status = nearest.of_scaled(state, v)
+            v = near if leaves == 1.0 else v + leaves * (near - v)
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
@@ -285,7 +286,8 @@ def memory_sizes(
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")
     return {
-        "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled, "later pulls": levels - 1,
+        "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled, "scaled pull": min(scaled, 1),
+        "later pulls": levels - 1,
         **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
     }  # fmt: skip
 

@@ -30,8 +30,7 @@ from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import Damping
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.priorities import Order
-from coopqp.row import Row
+from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -45,7 +44,7 @@ MET = 1e-9
 
 
 class Nearest:
-    """The nearest motion to what hard tasks, or scaled ones after them, want.
+    """The nearest motion to what hard tasks, and scaled ones after them, want.
 
     Args:
         problem: what to control.
@@ -54,50 +53,50 @@ class Nearest:
         damping: cost of |v|^2.
 
     Attributes:
-        v: the answer of the level that was solved last, shape (n,).
+        v: the answer of the level of the hard tasks, shape (n,).
     """
 
     def __init__(
         self, problem: ControlProblem, order: Order, bounds: Bounds, damping: Damping
     ) -> None:
         self._exact, self._bounds, self._damping = order.exact, bounds, damping
-        self._count = sum(order.exact.sizes[: len(order.hard)])
-        stacks = TaskStack(order.hard, order.start), TaskStack(order.scaled, order.start)
-        fixed = tuple(Row(name=f"nearest[{i}]", kind="decided") for i in range(self._count))
-        loops = tuple(problem.chain.loops.solver_rows)
+        self._count, loops = sum(order.exact.sizes[: len(order.hard)]), problem.chain.loops
+        hard, scaled = TaskStack(order.hard, order.start), TaskStack(order.scaled, order.start)
+        self._hard_tasks, self._scaled_tasks = hard, scaled
         less = replace(damping, least=LESS * damping.least)
-        self._hard = Level(problem, stacks[0], loops, bounds, less)
-        self._scaled = Level(problem, stacks[1], (*loops, *fixed), bounds, less)
-        for level in (self._hard, self._scaled):  # which decide what rows do, not all of v
-            level.certified = damping.least
-        self.v = self._hard.v
+        self.hard = Level(problem, hard, loops.solver_rows, bounds, less)
+        self.hard.certified = damping.least  # it decides what rows do, not all of v
+        decided = min(len(loops.solver_rows) + self._count, problem.chain.n)
+        self.scaled = LaterLevel(problem, scaled, [hard], decided, bounds, damping)
+        self.v = self.hard.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks; the exact stack is up to date."""
-        exact, tasks, rows = self._exact, self._hard.tasks, slice(self._count)
-        tasks.J[:], tasks.wanted[:] = exact.J[rows], exact.wanted[rows]
-        lacks = np.abs(state.memory["missed"])
-        return self._solve(self._hard, state, kappa, lacks * tasks.levers)
-
-    def of_scaled(self, state: State, kappa: float, hard: Array) -> Status:
-        """Solve the level of the scaled tasks.
+        """Solve the level of the hard tasks; the exact stack is up to date.
 
         Args:
             state: of the tick.
             kappa: gain of the drift correction.
-            hard: what J v of the hard rows is, shape (rows of these,).
         """
-        exact, level, rows = self._exact, self._scaled, slice(self._count, None)
-        level.tasks.J[:], level.tasks.wanted[:] = exact.J[rows], exact.wanted[rows]
-        A, b, m = level.qp.A, level.qp.b, len(state.e_loop)
-        A[m:], b[m:] = exact.J[: self._count], hard
-        return self._solve(level, state, kappa, exact.bends(state.v)[rows])
+        self._update()
+        lacks = np.abs(state.memory["missed"]) * self._hard_tasks.levers
+        bend = float(self._hard_tasks.weights @ lacks)
+        self.hard.assemble(self._bounds, self._damping.of(bend, state))
+        self.hard.close_loops(state, kappa)
+        return self.hard.solve()
 
-    def _solve(self, level: Level, state: State, kappa: float, bends: Array) -> Status:
-        level.assemble(self._bounds, self._damping.of(float(level.tasks.weights @ bends), state))
-        level.close_loops(state, kappa)
-        self.v = level.v
-        return level.solve()
+    def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
+        """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
+        self._update()
+        pull = state.memory["scaled pull"]
+        return self.scaled.improve(state, self._bounds, v, Status.OPTIMAL, pull)
+
+    def _update(self) -> None:
+        exact, hard = self._exact, self._count
+        for stack, rows in (
+            (self._hard_tasks, slice(hard)), (self._scaled_tasks, slice(hard, None))
+        ):  # fmt: skip
+            for name in ("e", "rate", "wanted", "J"):
+                getattr(stack, name)[:] = getattr(exact, name)[rows]
 
 
 def blocked(share: float, wanted: Array) -> float:

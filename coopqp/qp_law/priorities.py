@@ -154,8 +154,9 @@ class LaterLevel:
 
     Args:
         problem: what to control.
-        order: of its tasks.
-        number: of this level, from 1.
+        tasks: of this level; whoever owns the stack updates it, and those before.
+        before: what was decided before it.
+        decided: how many rows of that, loops included, are independent.
         bounds: the limits.
         damping: cost of |v|^2.
 
@@ -167,16 +168,16 @@ class LaterLevel:
     def __init__(
         self,
         problem: ControlProblem,
-        order: Order,
-        number: int,
+        tasks: TaskStack,
+        before: Sequence[TaskStack],
+        decided: int,
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        self._before, self._damping, self.share = order.before(number), damping, 1.0
-        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in self._before)
-        decided = range(order.decided(number))
-        rows = [Row(name=f"decided[{i}]", kind="decided") for i in decided]
-        self.level = Level(problem, order.stack(number), rows, bounds, damping)
+        self._before, self._damping, self.share = before, damping, 1.0
+        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
+        rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
+        self.level = Level(problem, tasks, rows, bounds, damping)
 
     def improve(
         self, state: State, bounds: Bounds, v: Array, status: Status, pull: Array

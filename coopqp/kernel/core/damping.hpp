@@ -40,7 +40,7 @@ class StepDamping {
         double pull = 0.0;
         if (level.shares) pull = SCALE_WEIGHT * of_scaled(level, v_last_, V_, bound.missing);
         if (l > 0) pull = bound.later_pulls[l - 1];
-        return of_soft(level) + std::min(share_ * pull, MOST_DAMPING);
+        return of_soft(level) + of_pull(pull);
     }
 
     // Of the soft tasks of a level.
@@ -52,10 +52,19 @@ class StepDamping {
         return share_ * bend;
     }
 
-    // What of a later level's step is made where it needs more damping than it may have.
-    double step_of(int l, const Bound& bound) const {
-        const double needed = l > 0 ? share_ * bound.later_pulls[l - 1] : 0.0;
+    // For a pull at rows decided before.
+    double of_pull(double pull) const { return std::min(share_ * pull, MOST_DAMPING); }
+
+    // What is made of a step that needs more damping than it may have.
+    double step_of(double pull) const {
+        const double needed = share_ * pull;
         return needed > MOST_DAMPING ? MOST_DAMPING / needed : 1.0;
+    }
+
+    // A pull to be remembered, as coopqp.qp_law.equations.held_pull.
+    static double held_pull(double pull, double old) {
+        const double held = LETS_GO * old;
+        return held > FIRM ? std::max(pull, held) : pull;
     }
 
     // Note how joints swing in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.

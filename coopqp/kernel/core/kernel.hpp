@@ -90,14 +90,16 @@ class Kernel {
             const double damping = s_.damping + damping_.of(int(l), levels[l], bound);
             status = tasks_.decide(int(l), damping);
             if (status != Status::Optimal) return status;
-            tasks_.shorten(damping_.step_of(int(l), bound));
+            tasks_.shorten(damping_.step_of(bound.later_pulls[l - 1]));
         }
         status = command(tasks_.v());
         if (status == Status::Opens) return status;
         for (std::size_t l = 1; l < levels.size(); l++) {
-            const double held = LETS_GO * bound.later_pulls[l - 1], pull = tasks_.pull(int(l));
-            bound.later_pulls[l - 1] = held > FIRM ? std::max(pull, held) : pull;
+            double& pull = bound.later_pulls[l - 1];
+            pull = StepDamping::held_pull(tasks_.pull(int(l)), pull);
         }
+        if (leaves_ > 0.0)
+            bound.scaled_pull[0] = StepDamping::held_pull(nearest_.pull(), bound.scaled_pull[0]);
         if (comes_back_) bound.recovery[0] = way_back_.pull();
         std::copy(missed_.begin(), missed_.end(), bound.missed);
         std::copy(missing_.begin(), missing_.end(), bound.missing);
@@ -209,7 +211,7 @@ class Kernel {
             leaves_ = level.shares ? scale_beside(near_) : 0.0;
         }
         if (leaves_ > 0.0) {
-            const Status status = nearest_.of_scaled(damping_);
+            const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
             if (status != Status::Optimal) return status;
             for (int b = 0; b < m_->blocks; b++)
                 lanes(near_)[b] = smaller(

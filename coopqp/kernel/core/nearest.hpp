@@ -46,13 +46,20 @@ class Nearest {
     }
 
     // The level of the scaled tasks, after either.
-    Status of_scaled(const StepDamping& damping) {
+    //   pulled: by them at the rows of the hard ones, in the last tick.
+    Status of_scaled(const StepDamping& damping, double pulled) {
         Level& level = levels_[1];
         std::copy_n(given_.wanted.begin() + given_.hard, level.rows, level.wanted.begin());
         std::copy_n(given_.e.begin() + given_.hard, level.rows, level.e.begin());
         std::copy_n(given_.rate.begin() + given_.hard, level.rows, level.rate.begin());
-        return cascade_.decide(1, LESS * s_.damping + damping.of_soft(level));
+        const double d = s_.damping + damping.of_soft(level) + damping.of_pull(pulled);
+        const Status status = cascade_.decide(1, d);
+        cascade_.shorten(damping.step_of(pulled));
+        return status;
     }
+
+    // What the scaled tasks pulled at the rows of the hard ones.
+    double pull() const { return cascade_.pull(1); }
 
     const double* v() const { return cascade_.v(); }  // in lanes
 

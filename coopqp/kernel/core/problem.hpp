@@ -67,7 +67,8 @@ struct Bound {
     double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
     double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;
-    double* missed = nullptr;   // what rows of hard and scaled tasks lack
+    double* missed = nullptr;   // what rows of hard tasks lack
+    double* scaled_pull = nullptr;  // of scaled tasks at hard ones
     double* missing = nullptr;  // what each share lacks to 1
     double* recovery = nullptr;  // what the way back has pulled at the loops
     double* swing = nullptr;    // how much more damping there is, and whether a joint swung back
