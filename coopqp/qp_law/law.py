@@ -34,7 +34,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.nearest import MET, Nearest, blocked
+from coopqp.qp_law.nearest import MET, SLOW, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
@@ -202,18 +202,13 @@ class QPLaw(Law):
             whole: of the first level; usable where no more is the matter than a blocked direction.
         """
         nearest, v, status = self.nearest, self.first.v, whole
-        if not whole.usable:
-            status, held = nearest.of_hard(state, kappa), nearest.v
+        if whole.usable:
+            leaves = self._leaves_direction()
+        else:
+            status, v = nearest.of_hard(state, kappa), nearest.v
             if not status.usable:
-                return held, (status,)
-            v = held
-            if self._scaled:
-                got = self.exact.wanted.copy()
-                got[: self._hard] = self.exact.J[: self._hard] @ held
-                self._assemble_first(state, kappa, got)
-                status = self.first.solve()
-                v = self.first.v if status.usable else held
-        leaves = self._leaves_direction() if status.usable else 1.0
+                return v, (status,)
+            v, leaves = self._scale_beside(state, kappa, v) if self._scaled else (v, 0.0)
         if leaves:
             near, status = nearest.of_scaled(state, v)
             v = near if leaves == 1.0 else v + leaves * (near - v)
@@ -223,6 +218,18 @@ class QPLaw(Law):
         lacks = norm(state.memory["missed"])
         relaxed = leaves > 0.0 or lacks > self.problem.budget.equality
         return v, (Status.TASKS_RELAXED, status) if relaxed else (status,)
+
+    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
+        """The largest shares that the motion v of hard tasks leaves; how far these may be left."""
+        wanted, hard = self.exact.wanted, slice(self._hard)
+        got = wanted.copy()
+        got[hard] = self.exact.J[hard] @ v
+        leaves = min(norm(got - wanted) / SLOW, 1.0)
+        if leaves < 1.0:
+            self._assemble_first(state, kappa, got)
+            if self.first.solve().usable:
+                return self.first.v, max(leaves, self._leaves_direction())
+        return v, 1.0
 
     def _leaves_direction(self) -> float:
         """How far scaled tasks may leave their directions, from 0 to 1."""
@@ -235,7 +242,8 @@ class QPLaw(Law):
         exact, shares, hard = self.exact, self.solution.v[self.problem.chain.n :], self._hard
         missed = exact.J[:hard] @ v - exact.wanted[:hard]
         state.memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
-        state.memory["missing"][:] = missing = 1.0 - (1.0 - leaves) * shares
+        missing = state.memory["missing"]
+        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * shares
         parts = ((missed[p], exact.wanted[p]) for p in exact.slices[: len(self.order.hard)])
         lacks = [norm(of) / max(norm(wanted), norm(of), MET) for of, wanted in parts]
         self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])

@@ -12,8 +12,8 @@ they want, a problem like that of the hard ones, and
 
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / SLOW)+ (1 - 2 s_k)+
 
-which is inside the limits, as both are; r = 1 where no shares can be had at all. Later levels keep
-what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
+which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
+up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
 That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
 they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
 grows from there as they cease to.

@@ -11,7 +11,7 @@ namespace coopqp {
 constexpr double MOST_DAMPING = 1e4, LEAST_SPEED = 1e-4;  // as coopqp.qp_law.equations
 constexpr double GROWS = 1.5, MOST_GROWN = 16.0, FADES_IN = 0.1;
 constexpr double SWINGS_AT = 1e-3, AMONG_THE_FAST = 0.25;
-constexpr double LETS_GO = 0.5, FIRM = 100.0;
+constexpr double LETS_GO = 0.9, FIRM = 100.0;
 
 class StepDamping {
   public:

@@ -183,12 +183,13 @@ class Kernel {
             status = decide_exactly();
             if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
         }
-        const bool unproven = status == Status::Unproven || status == Status::Equality;
-        if (level.exact && (unproven || (s_.relaxes && status == Status::Infeasible) || leaves_ > 0.0))
-            status = come_near(status);
-        if (status == Status::Optimal && level.exact) note_missed();
-        if (s_.relaxes || !unproven || status != Status::Optimal) return status;
-        return relaxed() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
+        // What has no proof has one by the nearest motion, that it cannot hold or that it can.
+        const bool proved = status == Status::Optimal || (status == Status::Infeasible && !s_.relaxes);
+        if (level.exact && (!proved || leaves_ > 0.0)) status = come_near(status);
+        if (status != Status::Optimal || !level.exact) return status;
+        note_missed();
+        if (proved || s_.relaxes) return status;
+        return relaxed() ? Status::Infeasible : Status::Unproven;
     }
 
     Status decide_exactly() {
@@ -223,18 +224,24 @@ class Kernel {
         return Status::Optimal;
     }
 
-    // The largest shares that a motion of the hard tasks leaves, which v becomes; how far scaled
-    // tasks may leave their directions then.
+    // The largest shares that a motion v of hard tasks leaves, which v becomes; how far these may be
+    // left.
     double scale_beside(double* v) {
         Level& level = levels[0];
         rows_.object_twist(v, V_);
         std::copy_n(level.wanted.begin(), level.hard, wanted_.begin());
-        for (int s = 0; s < level.hard; s++) level.wanted[std::size_t(s)] = rows_.times(level, s, v, V_);
-        const bool shared = decide_exactly() == Status::Optimal;
+        double lacks2 = 0.0;
+        for (int s = 0; s < level.hard; s++) {
+            const double got = rows_.times(level, s, v, V_), lacks = got - level.wanted[std::size_t(s)];
+            lacks2 += lacks * lacks;
+            level.wanted[std::size_t(s)] = got;
+        }
+        const double leaves = std::min(std::sqrt(lacks2) / SLOW, 1.0);
+        const bool shared = leaves < 1.0 && decide_exactly() == Status::Optimal;
         std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
         if (!shared) return 1.0;
         copy(v, tasks_.v(), m_->blocks);
-        return leaves_direction();
+        return std::max(leaves, leaves_direction());
     }
 
     // As coopqp.qp_law.nearest.blocked.
@@ -265,7 +272,7 @@ class Kernel {
             missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
         }
         for (int k = 0; k < level.shares; k++)
-            missing_[std::size_t(k)] = 1.0 - (1.0 - leaves_) * tasks_.shares().share(k);
+            missing_[std::size_t(k)] = leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * tasks_.shares().share(k);
     }
 
     Status find_way_back() {
