@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import quadprog
-from oracle import LONG, Program, UndeterminedError, _solved
+from oracle import LONG, Program, UndeterminedError, solved
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
@@ -30,6 +30,8 @@ from coopqp.task import Task, TaskStack
 LEAST_RELAXED = 1e-9  # cost of |v|^2 where hard or scaled tasks are met as nearly as possible
 ALONG = 1e-3  # cost of a scaled task's missing share beside what is across its direction
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
+EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
+NOISE, CLEAR = 1e-7, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
 
 
@@ -78,8 +80,9 @@ class Cascade:
         G = np.vstack([unit, -unit, self._moved(bounds.G)])
         h = np.concatenate([bounds.ub, -bounds.lb, bounds.h])
         self._G, self._h = G[np.isfinite(h)], h[np.isfinite(h)]
-        self._C = self._moved(state.J_loop)
-        self._c = (-drift_gain(problem, state) * state.e_loop).astype(LONG)
+        wanted = (-drift_gain(problem, state) * state.e_loop).astype(LONG)
+        nothing = np.zeros((0, self._n), LONG), np.zeros(0, LONG)
+        self._C, self._c = _added(*nothing, self._moved(state.J_loop), wanted)
         self._v = np.zeros(self._n, LONG)
 
     def optimum(self) -> Optimum:
@@ -168,17 +171,17 @@ class Cascade:
         n, wide = self._n, self._n + shares
         C, c = _widened(self._C, shares), self._c
         if held is not None:
-            C, c = np.vstack([C, held]), np.concatenate([c, np.zeros(len(held))])
+            C, c = _added(C, c, held, np.zeros(len(held), LONG))
         ends = np.eye(wide)[n:]
         G = np.vstack([_widened(self._G, shares), ends, -ends])
         h = np.concatenate([self._h, np.ones(shares), np.zeros(shares)])
         program = Program(M, m, C.astype(LONG), c.astype(LONG), G.astype(LONG), h.astype(LONG))
-        return _solved(program, self._near(program))
+        return solved(program, self._near(program), EXCESS)
 
     def _near(self, program: Program) -> Array:
         """The optimum by quadprog; its active limits are where the exact search begins."""
         M, m = program.M.astype(float), program.m.astype(float)
-        C, c = _independent(program.C.astype(float), program.c.astype(float))
+        C, c = program.C.astype(float), program.c.astype(float)
         P = M.T @ M + 1e-12 * np.eye(M.shape[1])
         try:
             x, *_ = quadprog.solve_qp(
@@ -190,7 +193,7 @@ class Cascade:
         return np.asarray(x)
 
     def _keep(self, J: Array, w: Array) -> None:
-        self._C, self._c = np.vstack([self._C, J]), np.concatenate([self._c, w])
+        self._C, self._c = _added(self._C, self._c, J, w)
 
     def _stack(self, tasks: list[Task]) -> TaskStack:
         stack = TaskStack(tasks, self._start)
@@ -233,8 +236,23 @@ def _widened(rows: Array, shares: int) -> Array:
     return np.hstack([rows, np.zeros((len(rows), shares))])
 
 
-def _independent(rows: Array, sides: Array) -> tuple[Array, Array]:
-    """As many orthonormal rows that say the same."""
-    U, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    kept = values > 1e-9
-    return Vt[kept], (U.T @ sides)[kept] / values[kept]
+def _added(C: Array, c: Array, rows: Array, sides: Array) -> tuple[Array, Array]:
+    """Orthonormal C x = c and what rows x = sides add to them.
+
+    Raises:
+        UndeterminedError: what they add is next to nothing, but not noise.
+    """
+    left = rows - (rows @ C.T) @ C
+    U, values, Vt = np.linalg.svd(left.astype(float), full_matrices=False)
+    if ((values > NOISE) & (values < CLEAR)).any():
+        raise UndeterminedError
+    U, Q = U[:, values >= CLEAR].astype(LONG), Vt[values >= CLEAR].astype(LONG)
+    for i, row in enumerate(Q):
+        for _ in range(2):
+            row -= (C @ row) @ C + (Q[:i] @ row) @ Q[:i]
+        row /= np.sqrt(row @ row)
+    seen, wanted = U.T @ left @ Q.T, U.T @ (sides - rows @ (c @ C))
+    b = np.zeros(len(Q), LONG)
+    for _ in range(3):  # refined: the factorisation has 53 bits
+        b += np.linalg.solve(seen.astype(float), (wanted - seen @ b).astype(float))
+    return np.vstack([C, Q]), np.concatenate([c, b])

@@ -63,7 +63,7 @@ def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
             A = np.vstack([state.J_loop, decided])
             b = A.astype(LONG) @ v
         share = law._later[before - 1].share if before else 1.0  # of the step that is made
-        v = v + share * (_solved(_program(level, A, b), level.solution.v)[:n] - v)
+        v = v + share * (solved(_program(level, A, b), level.solution.v)[:n] - v)
         decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
     return v
 
@@ -85,8 +85,17 @@ def _program(level: Level, A: Array, b: Array) -> Program:
     return Program(M, m, A.astype(LONG), b.astype(LONG), G[kept].astype(LONG), h[kept].astype(LONG))
 
 
-def _solved(program: Program, near: Array) -> Array:
-    """The optimum, by changes of the active set from that of a point near it."""
+def solved(program: Program, near: Array, excess: float = 1e-17) -> Array:
+    """The optimum, by changes of the active set from that of a point near it.
+
+    Args:
+        program: what is to be solved.
+        near: where the search begins.
+        excess: by which a limit may be exceeded [rad/s].
+
+    Raises:
+        UndeterminedError: rows nearly depend on each other, or no set of limits settles.
+    """
     G, h = program.G, program.h
     active = list(np.flatnonzero(h - G @ near < ACTIVE))
     for _ in range(ROUNDS):
@@ -98,7 +107,7 @@ def _solved(program: Program, near: Array) -> Array:
         slack = h - G @ x
         slack[active] = 0.0
         worst = int(np.argmin(slack)) if len(slack) else -1
-        if worst < 0 or slack[worst] >= -LONG(1e-17):
+        if worst < 0 or slack[worst] >= -LONG(excess):
             return x
         active.append(worst)
     raise UndeterminedError

@@ -13,7 +13,7 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -24,9 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 from laws import WIDE
 from lexicographic import Cascade, Optimum
 from oracle import UndeterminedError
-from out_of_reach import chain_of, robots, OTHERS
+from out_of_reach import OTHERS, chain_of, robots
 
-from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
@@ -39,7 +38,6 @@ from coopqp.study.engine import Engine, Lost
 from coopqp.study.stress import arrangements, goals
 from coopqp.study.stress.draw import walk
 from coopqp.study.stress.goals import pick
-from coopqp.task import Task
 from coopqp.tasks import JointCentering
 
 SAME = 1e-7  # [rad/s, m/s]
