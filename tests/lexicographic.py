@@ -3,7 +3,8 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  J_h v = w_h of the hard tasks; where that cannot hold  min sum weight |J_h v - w_h|^2 + d |v|^2
+    1  J_h v = w_h of the hard tasks; where that cannot hold
+       min sum weight |J_h v - w_h|^2 + d |v|^2
     2  J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2; where
        that cannot hold  min sum weight (|across|^2 + 1e-3 |along|^2) of J_k v - w_k, + d |v|^2
     3  soft tasks and secondary objectives, min sum weight |J v - w|^2 + d |v|^2 by priority
@@ -31,6 +32,7 @@ LEAST_RELAXED = 1e-9  # cost of |v|^2 where hard or scaled tasks are met as near
 ALONG = 1e-3  # cost of a scaled task's missing share beside what is across its direction
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
 EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
+ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
 NOISE, CLEAR = 1e-7, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
 
@@ -176,21 +178,7 @@ class Cascade:
         G = np.vstack([_widened(self._G, shares), ends, -ends])
         h = np.concatenate([self._h, np.ones(shares), np.zeros(shares)])
         program = Program(M, m, C.astype(LONG), c.astype(LONG), G.astype(LONG), h.astype(LONG))
-        return solved(program, self._near(program), EXCESS)
-
-    def _near(self, program: Program) -> Array:
-        """The optimum by quadprog; its active limits are where the exact search begins."""
-        M, m = program.M.astype(float), program.m.astype(float)
-        C, c = program.C.astype(float), program.c.astype(float)
-        P = M.T @ M + 1e-12 * np.eye(M.shape[1])
-        try:
-            x, *_ = quadprog.solve_qp(
-                P, M.T @ m, np.vstack([C, -program.G.astype(float)]).T,
-                np.concatenate([c, -program.h.astype(float)]), len(C)
-            )  # fmt: skip
-        except ValueError:  # next to nothing is left: what was decided is all there is
-            x = np.concatenate([self._v.astype(float), np.zeros(M.shape[1] - self._n)])
-        return np.asarray(x)
+        return solved(program, _active(program), EXCESS)
 
     def _keep(self, J: Array, w: Array) -> None:
         self._C, self._c = _added(self._C, self._c, J, w)
@@ -230,6 +218,23 @@ def _block_diagonal(blocks: list[Array]) -> Array:
         whole[at : at + len(block), at : at + len(block)] = block
         at += len(block)
     return whole
+
+
+def _active(program: Program) -> list[int]:
+    """The limits that are active by quadprog, with a little room so that some motion is left."""
+    M, C, G = (rows.astype(float) for rows in (program.M, program.C, program.G))
+    P = M.T @ M
+    P += 1e-14 * np.trace(P) * np.eye(len(P))
+    rows, sides = np.vstack([C, -G]), np.concatenate([program.c, -program.h - ROOM])
+    try:
+        found = quadprog.solve_qp(
+            P, M.T @ program.m.astype(float), rows.T, sides.astype(float), len(C)
+        )
+    except ValueError as error:
+        raise UndeterminedError from error
+    multipliers, numbers = found[4][len(C) :], found[5] - 1 - len(C)
+    active = [int(i) for i in numbers if i >= 0]
+    return sorted(active, key=lambda i: -float(multipliers[i]))
 
 
 def _widened(rows: Array, shares: int) -> Array:

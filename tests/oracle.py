@@ -10,6 +10,7 @@ on numbers of 64 bits of mantissa. Which limits are active is settled here, from
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +64,9 @@ def optimum(law: QPLaw, state: State, given_up: bool) -> Array:
             A = np.vstack([state.J_loop, decided])
             b = A.astype(LONG) @ v
         share = law._later[before - 1].share if before else 1.0  # of the step that is made
-        v = v + share * (solved(_program(level, A, b), level.solution.v)[:n] - v)
+        program = _program(level, A, b)
+        at_limits = np.flatnonzero(program.h - program.G @ level.solution.v < ACTIVE).tolist()
+        v = v + share * (solved(program, at_limits)[:n] - v)
         decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
     return v
 
@@ -85,19 +88,18 @@ def _program(level: Level, A: Array, b: Array) -> Program:
     return Program(M, m, A.astype(LONG), b.astype(LONG), G[kept].astype(LONG), h[kept].astype(LONG))
 
 
-def solved(program: Program, near: Array, excess: float = 1e-17) -> Array:
-    """The optimum, by changes of the active set from that of a point near it.
+def solved(program: Program, active: Sequence[int], excess: float = 1e-17) -> Array:
+    """The optimum, by changes of the active set.
 
     Args:
         program: what is to be solved.
-        near: where the search begins.
+        active: limits with which the search begins; of those that depend on each other the first.
         excess: by which a limit may be exceeded [rad/s].
 
     Raises:
         UndeterminedError: rows nearly depend on each other, or no set of limits settles.
     """
-    G, h = program.G, program.h
-    active = list(np.flatnonzero(h - G @ near < ACTIVE))
+    G, h, active = program.G, program.h, list(active)
     for _ in range(ROUNDS):
         active = _independent(program, active)
         x, z = _on(program, active)
