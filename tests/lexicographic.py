@@ -3,33 +3,35 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  J_h v = w_h of the hard tasks; where that cannot hold
+    1  J_h v = w_h of the hard tasks; where that cannot hold, or rows lacked something a tick ago,
        min sum weight |J_h v - w_h|^2 + d |v|^2
-    2  J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2; where
-       that cannot hold  min sum weight (|across|^2 + 1e-3 |along|^2) of J_k v - w_k, + d |v|^2
+    2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2
+       v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
+       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, 1 without v_s
     3  soft tasks and secondary objectives, min sum weight |J v - w|^2 + d |v|^2 by priority
 
-Each level keeps J v of the tasks before it. The dampings d belong to the definition.
+Each level keeps J v of the tasks before it. The dampings d belong to the definition: they are made
+of the state's memory.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import quadprog
+from coopqp.qp_law.nearest import LESS, blocked
 from oracle import LONG, Program, UndeterminedError, solved
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.safety import drift_gain
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
-LEAST_RELAXED = 1e-9  # cost of |v|^2 where hard or scaled tasks are met as nearly as possible
-ALONG = 1e-3  # cost of a scaled task's missing share beside what is across its direction
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
 EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
 ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
@@ -43,7 +45,7 @@ class Optimum:
 
     Attributes:
         v: velocity, shape (n,) [rad/s, m/s].
-        hard, scaled: whether these tasks can hold; True without such tasks.
+        hard, scaled: whether these tasks are relaxed.
     """
 
     v: Array
@@ -56,10 +58,8 @@ class Cascade:
 
     Args:
         problem: whose tick it is.
-        state: of the tick, up to date.
-        damping: cost of |v|^2 of soft levels and of scaled tasks that hold.
-        missed: what each hard, then each scaled row lacked in the last tick, shape (k,) [m/s,
-            rad/s]; for their level's damping where they do not hold.
+        state: of the tick, up to date, with the memory that the law has before it.
+        damping: cost of |v|^2.
         jitter: by how much numbers are moved, in units of their last digit.
         seed: of the jitter.
     """
@@ -69,12 +69,11 @@ class Cascade:
         problem: ControlProblem,
         state: State,
         damping: Damping,
-        missed: Array | None = None,
         jitter: float = 0.0,
         seed: int = 0,
     ) -> None:
         self._problem, self._state, self._damping = problem, state, damping
-        self._rng, self._jitter, self._missed = np.random.default_rng(seed), jitter, missed
+        self._rng, self._jitter = np.random.default_rng(seed), jitter
         self._start, self._n = State(problem.chain), problem.chain.n
         bounds = Bounds(problem.chain, problem.limits, self._start, problem.dt)
         bounds.update(state)
@@ -93,56 +92,72 @@ class Cascade:
         Raises:
             UndeterminedError: rows nearly depend on each other, or just hold or just do not.
         """
-        by_mode = {
-            mode: [task for task in self._problem.tasks if task.mode == mode]
-            for mode in ("hard", "scaled")
-        }
-        hard = self._hard(self._stack(by_mode["hard"])) if by_mode["hard"] else True
-        scaled = self._scaled(self._stack(by_mode["scaled"])) if by_mode["scaled"] else True
-        for group in _levels(self._problem):
-            self._soft(self._stack(group))
-        return Optimum(self._v.astype(float), hard, scaled)
+        tasks, memory = self._problem.tasks, self._state.memory
+        hard = self._stack([task for task in tasks if task.mode == "hard"])
+        scaled = self._stack([task for task in tasks if task.mode == "scaled"])
+        rows = len(hard.wanted)
+        relaxed = [
+            bool(hard.tasks) and self._hard(hard, memory["missed"][:rows]),
+            bool(scaled.tasks) and self._scaled(scaled, memory["missed"][rows:]),
+        ]
+        alone = not (hard.tasks or scaled.tasks)  # the first soft level is then the first of all
+        pulls = [0.0] * alone + memory["later pulls"].tolist()
+        groups = _levels(self._problem)  # of which the law leaves out those with no motion left
+        for group, pull in zip(groups, itertools.chain(pulls, itertools.repeat(0.0)), strict=False):
+            self._soft(self._stack(group), pull)
+        return Optimum(self._v.astype(float), *relaxed)
 
-    def _hard(self, tasks: TaskStack) -> bool:
+    def _hard(self, tasks: TaskStack, missed: Array) -> bool:
+        """Decide the hard tasks; whether they are relaxed."""
         J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
-        holds = self._can_hold(J, w)
-        if holds:
-            self._keep(J, w)
-        else:
-            rows = slice(0, len(w))
-            self._minimise(J, w, tasks.weights, self._relaxed(tasks, rows))
-            self._keep(J, J @ self._v)
-        return holds
+        relaxed = missed.any() or not self._can_hold(J, w)
+        if relaxed:
+            self._v = self._nearest(J, w, tasks.weights, self._relaxed(tasks, missed))
+            w = J @ self._v
+        self._keep(J, w)
+        if not relaxed:  # no more than that is wanted of v by now
+            self._v = self._nearest(J, w, tasks.weights, self._damping.least)
+        return bool(relaxed)
 
-    def _scaled(self, tasks: TaskStack) -> bool:
+    def _scaled(self, tasks: TaskStack, missed: Array) -> bool:
+        """Decide the scaled tasks; whether they leave their directions."""
         J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
         ways = np.zeros((len(w), len(tasks.slices)), LONG)  # of each task in a column
         for k, part in enumerate(tasks.slices):
             ways[part, k] = w[part]
-        holds = self._can_hold(np.hstack([J, -ways]), np.zeros_like(w))
-        if holds:
-            self._share(J, ways)
-        else:
-            across = [_across(w[part]) for part in tasks.slices]
-            turned = _block_diagonal(across)
-            rows = slice(-len(w), None)
-            self._minimise(turned @ J, turned @ w, tasks.weights, self._relaxed(tasks, rows))
-        self._keep(J, J @ self._v)
-        return holds
+        v, leaves = self._v, 1.0
+        if self._can_hold(np.hstack([J, -ways]), np.zeros_like(w)):
+            v, shares = self._share(J, ways, self._damping.least + self._pulled(tasks))
+            parts = zip(shares.astype(float), tasks.slices, strict=True)
+            leaves = max(blocked(share, tasks.wanted[part]) for share, part in parts)
+        if leaves:
+            nearest = self._nearest(J, w, tasks.weights, self._relaxed(tasks, missed))
+            v = v + LONG(leaves) * (nearest - v)
+        self._v = v
+        self._keep(J, J @ v)
+        return leaves > 0.0
 
-    def _soft(self, tasks: TaskStack) -> None:
+    def _soft(self, tasks: TaskStack, pull: float) -> None:
         J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
-        bend = tasks.bend(self._state.v)
-        d = self._damping.least + self._damping.of(bend, self._state)
-        self._minimise(J, w, tasks.weights, d)
+        d = self._damping.least + self._damping.of(tasks.bend(self._state.v), self._state)
+        needed = self._damping.of(pull, self._state)
+        share = MOST_DAMPING / max(needed, MOST_DAMPING)  # of the step that is made
+        v = self._nearest(J, w, tasks.weights, d + min(needed, MOST_DAMPING))
+        self._v = self._v + LONG(share) * (v - self._v)
         self._keep(J, J @ self._v)
 
-    def _relaxed(self, tasks: TaskStack, rows: slice) -> float:
+    def _relaxed(self, tasks: TaskStack, missed: Array) -> float:
         """Damping of tasks that are met as nearly as possible."""
-        if self._missed is None:
-            return LEAST_RELAXED
-        bend = float((tasks.weights * tasks.levers) @ np.abs(self._missed[rows]))
-        return LEAST_RELAXED + self._damping.of(bend, self._state)
+        bend = float((tasks.weights * tasks.levers) @ np.abs(missed))
+        return LESS * self._damping.least + self._damping.of(bend, self._state)
+
+    def _pulled(self, tasks: TaskStack) -> float:
+        """Damping of scaled tasks for what their shares lacked in the last tick."""
+        bends, pull = tasks.bends(self._state.v), 0.0
+        for part, lacked in zip(tasks.slices, self._state.memory["missing"], strict=True):
+            rate = tasks.wanted[part] @ tasks.wanted[part] + LEAST_SPEED**2
+            pull += float(lacked * np.linalg.norm(bends[part]) / rate)
+        return min(self._damping.of(SCALE_WEIGHT * pull, self._state), MOST_DAMPING)
 
     def _can_hold(self, J: Array, w: Array) -> bool:
         """Whether J x = w can hold within all that is kept; x may have shares after v."""
@@ -154,19 +169,20 @@ class Cascade:
             raise UndeterminedError
         return missed <= HOLDS
 
-    def _share(self, J: Array, ways: Array) -> None:
-        """The largest shares s with J v = ways s."""
+    def _share(self, J: Array, ways: Array, d: float) -> tuple[Array, Array]:
+        """The v with J v = ways s of the largest shares s, and these."""
         n, shares = self._n, ways.shape[1]
-        damping = np.sqrt(LONG(self._damping.least))
-        M = np.diag(np.concatenate([np.full(n, damping), np.full(shares, np.sqrt(SCALE_WEIGHT))]))
-        m = np.concatenate([np.zeros(n, LONG), np.full(shares, np.sqrt(LONG(SCALE_WEIGHT)))])
-        rows = np.hstack([J, -ways])
-        self._v = self._solve(M.astype(LONG), m, shares, rows)[:n]
+        root = np.sqrt(LONG(SCALE_WEIGHT))
+        M = np.diag(np.concatenate([np.full(n, np.sqrt(LONG(d))), np.full(shares, root)]))
+        m = np.concatenate([np.zeros(n, LONG), np.full(shares, root)])
+        x = self._solve(M, m, shares, np.hstack([J, -ways]))
+        return x[:n], x[n:]
 
-    def _minimise(self, J: Array, w: Array, weights: Array, d: float) -> None:
+    def _nearest(self, J: Array, w: Array, weights: Array, d: float) -> Array:
+        """The v of least sum weight |J v - w|^2 + d |v|^2."""
         roots = np.sqrt(weights.astype(LONG))
         M = np.vstack([roots[:, None] * J, np.sqrt(LONG(d)) * np.eye(self._n)])
-        self._v = self._solve(M, np.concatenate([roots * w, np.zeros(self._n)]), 0)
+        return self._solve(M, np.concatenate([roots * w, np.zeros(self._n)]), 0)
 
     def _solve(self, M: Array, m: Array, shares: int, held: Array | None = None) -> Array:
         """Least squares within all that is kept, with shares from 0 to 1, and more rows at zero."""
@@ -200,24 +216,6 @@ def _levels(problem: ControlProblem) -> list[list[Task]]:
         for priority in sorted({task.priority for task in tasks}):
             groups.append([task for task in tasks if task.priority == priority])
     return groups
-
-
-def _across(w: Array) -> Array:
-    """Square root of the weights of what is across and along w, shape (k, k)."""
-    size = np.sqrt(w @ w)
-    if not size:
-        return np.eye(len(w), dtype=LONG)
-    u = w / size
-    return np.eye(len(w), dtype=LONG) + (np.sqrt(LONG(ALONG)) - 1.0) * np.outer(u, u)
-
-
-def _block_diagonal(blocks: list[Array]) -> Array:
-    size = sum(map(len, blocks))
-    whole, at = np.zeros((size, size), LONG), 0
-    for block in blocks:
-        whole[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return whole
 
 
 def _active(program: Program) -> list[int]:

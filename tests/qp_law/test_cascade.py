@@ -8,7 +8,7 @@ import pytest
 
 from .cascade import compare
 
-TICKS = 60
+TICKS = 40
 
 
 @pytest.mark.parametrize("engine", ["python", "auto"])
