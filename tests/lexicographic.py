@@ -35,7 +35,7 @@ from coopqp.task import Task, TaskStack
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
 EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
 ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
-NOISE, CLEAR = 1e-7, 1e-5  # singular values that add nothing to the rows before, or something
+NOISE, CLEAR = 1e-10, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
 
 

@@ -27,7 +27,8 @@ def changed(problem: ControlProblem, mode: str) -> ControlProblem | None:
     first, *others = problem.tasks
     if first.of_forces or first.impedance is not None:
         return None
-    return replace(problem, tasks=(replace(first, mode=mode), *others))
+    changed_first = replace(first, mode=mode)  # type: ignore[arg-type]
+    return replace(problem, tasks=(changed_first, *others))
 
 
 def drive(name: str, mode: str, engine: str, most: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -57,7 +58,7 @@ def main(out: str, most: str) -> None:
                     continue
                 if ran is not None:
                     found[f"{run}|v"], found[f"{run}|optimal"] = ran
-    np.savez(Path(out), **found)
+    np.savez(Path(out), **found)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":
