@@ -95,10 +95,9 @@ class Cascade:
         tasks, memory = self._problem.tasks, self._state.memory
         hard = self._stack([task for task in tasks if task.mode == "hard"])
         scaled = self._stack([task for task in tasks if task.mode == "scaled"])
-        rows = len(hard.wanted)
         relaxed = [
-            bool(hard.tasks) and self._hard(hard, memory["missed"][:rows]),
-            bool(scaled.tasks) and self._scaled(scaled, memory["missed"][rows:]),
+            bool(hard.tasks) and self._hard(hard, memory["missed"]),
+            bool(scaled.tasks) and self._scaled(scaled),
         ]
         alone = not (hard.tasks or scaled.tasks)  # the first soft level is then the first of all
         pulls = [0.0] * alone + memory["later pulls"].tolist()
@@ -112,14 +111,15 @@ class Cascade:
         J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
         relaxed = missed.any() or not self._can_hold(J, w)
         if relaxed:
-            self._v = self._nearest(J, w, tasks.weights, self._relaxed(tasks, missed))
+            d = self._relaxed(tasks, np.abs(missed) * tasks.levers)
+            self._v = self._nearest(J, w, tasks.weights, d)
             w = J @ self._v
         self._keep(J, w)
         if not relaxed:  # no more than that is wanted of v by now
             self._v = self._nearest(J, w, tasks.weights, self._damping.least)
         return bool(relaxed)
 
-    def _scaled(self, tasks: TaskStack, missed: Array) -> bool:
+    def _scaled(self, tasks: TaskStack) -> bool:
         """Decide the scaled tasks; whether they leave their directions."""
         J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
         ways = np.zeros((len(w), len(tasks.slices)), LONG)  # of each task in a column
@@ -131,7 +131,8 @@ class Cascade:
             parts = zip(shares.astype(float), tasks.slices, strict=True)
             leaves = max(blocked(share, tasks.wanted[part]) for share, part in parts)
         if leaves:
-            nearest = self._nearest(J, w, tasks.weights, self._relaxed(tasks, missed))
+            d = self._relaxed(tasks, tasks.bends(self._state.v))
+            nearest = self._nearest(J, w, tasks.weights, d)
             v = v + LONG(leaves) * (nearest - v)
         self._v = v
         self._keep(J, J @ v)
@@ -146,9 +147,9 @@ class Cascade:
         self._v = self._v + LONG(share) * (v - self._v)
         self._keep(J, J @ self._v)
 
-    def _relaxed(self, tasks: TaskStack, missed: Array) -> float:
+    def _relaxed(self, tasks: TaskStack, bends: Array) -> float:
         """Damping of tasks that are met as nearly as possible."""
-        bend = float((tasks.weights * tasks.levers) @ np.abs(missed))
+        bend = float(tasks.weights @ bends)
         return LESS * self._damping.least + self._damping.of(bend, self._state)
 
     def _pulled(self, tasks: TaskStack) -> float:

@@ -26,7 +26,7 @@ from lexicographic import Cascade, Optimum
 from oracle import UndeterminedError
 from out_of_reach import OTHERS, chain_of, robots
 
-from coopqp.controller import ControlProblem, Law
+from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.profile import Profile
@@ -58,6 +58,7 @@ class Tick:
         kind: modes of its tasks, and which of them cannot hold.
         outcome: "within", "not determined", "off", or why it was not compared.
         off: difference from the optimum [rad/s, m/s]. moved: of the optimum by last digits.
+        said: what the command says. compiled: whether the kernel decided it.
     """
 
     seed: int
@@ -66,6 +67,7 @@ class Tick:
     off: float = 0.0
     moved: float = 0.0
     said: str = ""
+    compiled: bool = False
 
 
 def draw(seed: int) -> tuple[ControlProblem, State]:
@@ -124,28 +126,29 @@ def compare(seed: int, engine: str) -> Tick:
     at.memory = law.start().memory
     at.memory.numbers[:] = state.memory.numbers  # as it is before the tick
     at.update()
-    modes = "+".join(sorted({task.mode for task in problem.tasks}))
-    command = law.tick(state).v.copy()
-    said = law.command.causes
-    if said not in COMPARED:
-        return Tick(seed, modes, f"not compared: {written(said)}")
+    command = law.tick(state)
+    return replace(_judged(seed, problem, at, command), compiled=law.compiled)
+
+
+def _judged(seed: int, problem: ControlProblem, at: State, command: Command) -> Tick:
+    """What a command has come to, at a state as it was before the tick."""
+    kind, said = "+".join(sorted({task.mode for task in problem.tasks})), written(command.causes)
+    if command.causes not in COMPARED:
+        return Tick(seed, kind, f"not compared: {said}")
     try:
         best = _optimum(problem, at)
-    except UndeterminedError:
-        return Tick(seed, modes, "not determined")
-    names = {"hard": best.hard, "scaled": best.scaled}
-    lacking = [mode for mode, relaxed in names.items() if relaxed]
-    kind = f"{modes}, {' and '.join(lacking) or 'none'} relaxed"
-    off = float(np.abs(command - best.v).max())
-    agrees = (said == (RELAXED,)) == bool(lacking)
-    if off <= SAME:
-        return Tick(seed, kind, "within" if agrees else f"within, but says {written(said)}")
-    try:
+        names = {"hard": best.hard, "scaled": best.scaled}
+        lacking = [mode for mode, relaxed in names.items() if relaxed]
+        kind += f", {' and '.join(lacking) or 'none'} relaxed"
+        off = float(np.abs(command.v - best.v).max())
+        if off <= SAME:
+            agrees = (command.causes == (RELAXED,)) == bool(lacking)
+            return Tick(seed, kind, "within" if agrees else f"within, but says {said}")
         moved = max(_moved(problem, at, best, k) for k in range(SAMPLES))
     except UndeterminedError:
         return Tick(seed, kind, "not determined")
     outcome = "not determined" if off <= FACTOR * moved else "off"
-    return Tick(seed, kind, outcome, off, moved, written(said))
+    return Tick(seed, kind, outcome, off, moved, said)
 
 
 def _remember(state: State, rng: np.random.Generator) -> None:
@@ -197,7 +200,8 @@ def tell(ticks: Sequence[Tick], shown: int) -> None:
         words = ", ".join(f"{count} {outcome}" for outcome, count in counts.most_common())
         click.echo(f"{kind}: {words}")
     every = Counter(tick.outcome for tick in ticks)
-    click.echo(f"all {len(ticks)}: {dict(every.most_common())}")
+    compiled = sum(tick.compiled for tick in ticks)
+    click.echo(f"all {len(ticks)}: {dict(every.most_common())}; {compiled} by the kernel")
     off = sorted((tick for tick in ticks if tick.outcome == "off"), key=lambda tick: tick.seed)
     for tick in off[:shown]:
         click.echo(
