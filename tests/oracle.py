@@ -10,6 +10,7 @@ on numbers of 64 bits of mantissa. Which limits are active is settled here, from
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,9 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
             A = np.vstack([state.J_loop, decided])
             b = A.astype(LONG) @ v
         share = law._later[before - 1].share if before else 1.0  # of the step that is made
-        v = v + share * (_solved(_program(level, A, b), level.solution.v)[:n] - v)
+        program = _program(level, A, b)
+        at_limits = np.flatnonzero(program.h - program.G @ level.solution.v < ACTIVE).tolist()
+        v = v + share * (solved(program, at_limits)[:n] - v)
         decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
     return v
 
@@ -89,10 +92,18 @@ def _program(level: Level, A: Array, b: Array) -> Program:
     return Program(M, m, A.astype(LONG), b.astype(LONG), G[kept].astype(LONG), h[kept].astype(LONG))
 
 
-def _solved(program: Program, near: Array) -> Array:
-    """The optimum, by changes of the active set from that of a point near it."""
-    G, h = program.G, program.h
-    active = list(np.flatnonzero(h - G @ near < ACTIVE))
+def solved(program: Program, active: Sequence[int], excess: float = 1e-17) -> Array:
+    """The optimum, by changes of the active set.
+
+    Args:
+        program: what is to be solved.
+        active: limits with which the search begins; of those that depend on each other the first.
+        excess: by which a limit may be exceeded [rad/s].
+
+    Raises:
+        UndeterminedError: rows nearly depend on each other, or no set of limits settles.
+    """
+    G, h, active = program.G, program.h, list(active)
     for _ in range(ROUNDS):
         active = _independent(program, active)
         x, z = _on(program, active)
@@ -102,7 +113,7 @@ def _solved(program: Program, near: Array) -> Array:
         slack = h - G @ x
         slack[active] = 0.0
         worst = int(np.argmin(slack)) if len(slack) else -1
-        if worst < 0 or slack[worst] >= -LONG(1e-17):
+        if worst < 0 or slack[worst] >= -LONG(excess):
             return x
         active.append(worst)
     raise UndeterminedError

@@ -188,21 +188,21 @@ def draw(seed: int) -> Draw:
 
 
 def _chain(rng: np.random.Generator) -> tuple[str, str, ClosedChain]:
-    robot = pick(rng, _robots())
-    if robot in OTHERS:
-        return robot, "its own", _scenario_chain(robot)
-    grasp = pick(rng, arrangements.grasps_of(robot))
-    return robot, grasp, arrangements.chain(robot, grasp)
+    robot = pick(rng, robots())
+    grasp = "its own" if robot in OTHERS else pick(rng, arrangements.grasps_of(robot))
+    return robot, grasp, chain_of(robot, grasp)
 
 
-def _robots() -> tuple[str, ...]:
+def robots() -> tuple[str, ...]:
+    """The arrangements that the stress test draws, and the other robots of shipped scenarios."""
     names = arrangements.names()
     return (*names, *OTHERS) if len(names) > len(arrangements.OWN) else names
 
 
 @cache
-def _scenario_chain(name: str) -> ClosedChain:
-    return load(name).chain
+def chain_of(robot: str, grasp: str) -> ClosedChain:
+    """The chain of one of them; the others are held as in their scenario."""
+    return load(robot).chain if robot in OTHERS else arrangements.chain(robot, grasp)
 
 
 def _direction(rng: np.random.Generator, chain: ClosedChain) -> Array:

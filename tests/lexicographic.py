@@ -1,0 +1,262 @@
+"""The lexicographic optimum of a tick, computed apart from the law, on 64 bits of mantissa.
+
+From the state, the tasks and the limits, never from the law's programs:
+
+    0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
+    1  J_h v = w_h of the hard tasks; where that cannot hold, or rows lacked something a tick ago,
+       min sum weight |J_h v - w_h|^2 + d |v|^2
+    2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2
+       v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
+       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, 1 without v_s
+    3  soft tasks and secondary objectives, min sum weight |J v - w|^2 + d |v|^2 by priority
+
+Each level keeps J v of the tasks before it. The dampings d belong to the definition: they are made
+of the state's memory.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import quadprog
+from coopqp.qp_law.nearest import LESS, blocked
+from oracle import LONG, Program, UndeterminedError, solved
+
+from coopqp.checked import Array
+from coopqp.controller import ControlProblem
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
+from coopqp.qp_law.safety import drift_gain
+from coopqp.state import State
+from coopqp.task import Task, TaskStack
+
+PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
+EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
+ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
+NOISE, CLEAR = 1e-10, 1e-5  # singular values that add nothing to the rows before, or something
+HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """What a tick's levels want.
+
+    Attributes:
+        v: velocity, shape (n,) [rad/s, m/s].
+        hard, scaled: whether these tasks are relaxed.
+    """
+
+    v: Array
+    hard: bool
+    scaled: bool
+
+
+class Cascade:
+    """The levels of one problem at one state.
+
+    Args:
+        problem: whose tick it is.
+        state: of the tick, up to date, with the memory that the law has before it.
+        damping: cost of |v|^2.
+        jitter: by how much numbers are moved, in units of their last digit.
+        seed: of the jitter.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        state: State,
+        damping: Damping,
+        jitter: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._problem, self._state, self._damping = problem, state, damping
+        self._rng, self._jitter = np.random.default_rng(seed), jitter
+        self._start, self._n = State(problem.chain), problem.chain.n
+        bounds = Bounds(problem.chain, problem.limits, self._start, problem.dt)
+        bounds.update(state)
+        unit = np.eye(self._n)
+        G = np.vstack([unit, -unit, self._moved(bounds.G)])
+        h = np.concatenate([bounds.ub, -bounds.lb, bounds.h])
+        self._G, self._h = G[np.isfinite(h)], h[np.isfinite(h)]
+        wanted = (-drift_gain(problem, state) * state.e_loop).astype(LONG)
+        nothing = np.zeros((0, self._n), LONG), np.zeros(0, LONG)
+        self._C, self._c = _added(*nothing, self._moved(state.J_loop), wanted)
+        self._v = np.zeros(self._n, LONG)
+
+    def optimum(self) -> Optimum:
+        """Level by level.
+
+        Raises:
+            UndeterminedError: rows nearly depend on each other, or just hold or just do not.
+        """
+        tasks, memory = self._problem.tasks, self._state.memory
+        hard = self._stack([task for task in tasks if task.mode == "hard"])
+        scaled = self._stack([task for task in tasks if task.mode == "scaled"])
+        relaxed = [
+            bool(hard.tasks) and self._hard(hard, memory["missed"]),
+            bool(scaled.tasks) and self._scaled(scaled),
+        ]
+        alone = not (hard.tasks or scaled.tasks)  # the first soft level is then the first of all
+        pulls = [0.0] * alone + memory["later pulls"].tolist()
+        groups = _levels(self._problem)  # of which the law leaves out those with no motion left
+        for group, pull in zip(groups, itertools.chain(pulls, itertools.repeat(0.0)), strict=False):
+            self._soft(self._stack(group), pull)
+        return Optimum(self._v.astype(float), *relaxed)
+
+    def _hard(self, tasks: TaskStack, missed: Array) -> bool:
+        """Decide the hard tasks; whether they are relaxed."""
+        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
+        relaxed = missed.any() or not self._can_hold(J, w)
+        if relaxed:
+            d = self._relaxed(tasks, np.abs(missed) * tasks.levers)
+            self._v = self._nearest(J, w, tasks.weights, d)
+            w = J @ self._v
+        self._keep(J, w)
+        if not relaxed:  # no more than that is wanted of v by now
+            self._v = self._nearest(J, w, tasks.weights, self._damping.least)
+        return bool(relaxed)
+
+    def _scaled(self, tasks: TaskStack) -> bool:
+        """Decide the scaled tasks; whether they leave their directions."""
+        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
+        ways = np.zeros((len(w), len(tasks.slices)), LONG)  # of each task in a column
+        for k, part in enumerate(tasks.slices):
+            ways[part, k] = w[part]
+        v, leaves = self._v, 1.0
+        if self._can_hold(np.hstack([J, -ways]), np.zeros_like(w)):
+            v, shares = self._share(J, ways, self._damping.least + self._pulled(tasks))
+            parts = zip(shares.astype(float), tasks.slices, strict=True)
+            leaves = max(blocked(share, tasks.wanted[part]) for share, part in parts)
+        if leaves:
+            d = self._relaxed(tasks, tasks.bends(self._state.v))
+            nearest = self._nearest(J, w, tasks.weights, d)
+            v = v + LONG(leaves) * (nearest - v)
+        self._v = v
+        self._keep(J, J @ v)
+        return leaves > 0.0
+
+    def _soft(self, tasks: TaskStack, pull: float) -> None:
+        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
+        d = self._damping.least + self._damping.of(tasks.bend(self._state.v), self._state)
+        needed = self._damping.of(pull, self._state)
+        share = MOST_DAMPING / max(needed, MOST_DAMPING)  # of the step that is made
+        v = self._nearest(J, w, tasks.weights, d + min(needed, MOST_DAMPING))
+        self._v = self._v + LONG(share) * (v - self._v)
+        self._keep(J, J @ self._v)
+
+    def _relaxed(self, tasks: TaskStack, bends: Array) -> float:
+        """Damping of tasks that are met as nearly as possible."""
+        bend = float(tasks.weights @ bends)
+        return LESS * self._damping.least + self._damping.of(bend, self._state)
+
+    def _pulled(self, tasks: TaskStack) -> float:
+        """Damping of scaled tasks for what their shares lacked in the last tick."""
+        bends, pull = tasks.bends(self._state.v), 0.0
+        for part, lacked in zip(tasks.slices, self._state.memory["missing"], strict=True):
+            rate = tasks.wanted[part] @ tasks.wanted[part] + LEAST_SPEED**2
+            pull += float(lacked * np.linalg.norm(bends[part]) / rate)
+        return min(self._damping.of(SCALE_WEIGHT * pull, self._state), MOST_DAMPING)
+
+    def _can_hold(self, J: Array, w: Array) -> bool:
+        """Whether J x = w can hold within all that is kept; x may have shares after v."""
+        shares = J.shape[1] - self._n
+        x = self._solve(np.vstack([J, np.sqrt(LONG(PROBE)) * np.eye(J.shape[1])]),
+                        np.concatenate([w, np.zeros(J.shape[1])]), shares)  # fmt: skip
+        missed = float(np.abs(J @ x - w).max())
+        if HOLDS < missed < FAILS:
+            raise UndeterminedError
+        return missed <= HOLDS
+
+    def _share(self, J: Array, ways: Array, d: float) -> tuple[Array, Array]:
+        """The v with J v = ways s of the largest shares s, and these."""
+        n, shares = self._n, ways.shape[1]
+        root = np.sqrt(LONG(SCALE_WEIGHT))
+        M = np.diag(np.concatenate([np.full(n, np.sqrt(LONG(d))), np.full(shares, root)]))
+        m = np.concatenate([np.zeros(n, LONG), np.full(shares, root)])
+        x = self._solve(M, m, shares, np.hstack([J, -ways]))
+        return x[:n], x[n:]
+
+    def _nearest(self, J: Array, w: Array, weights: Array, d: float) -> Array:
+        """The v of least sum weight |J v - w|^2 + d |v|^2."""
+        roots = np.sqrt(weights.astype(LONG))
+        M = np.vstack([roots[:, None] * J, np.sqrt(LONG(d)) * np.eye(self._n)])
+        return self._solve(M, np.concatenate([roots * w, np.zeros(self._n)]), 0)
+
+    def _solve(self, M: Array, m: Array, shares: int, held: Array | None = None) -> Array:
+        """Least squares within all that is kept, with shares from 0 to 1, and more rows at zero."""
+        n, wide = self._n, self._n + shares
+        C, c = _widened(self._C, shares), self._c
+        if held is not None:
+            C, c = _added(C, c, held, np.zeros(len(held), LONG))
+        ends = np.eye(wide)[n:]
+        G = np.vstack([_widened(self._G, shares), ends, -ends])
+        h = np.concatenate([self._h, np.ones(shares), np.zeros(shares)])
+        program = Program(M, m, C.astype(LONG), c.astype(LONG), G.astype(LONG), h.astype(LONG))
+        return solved(program, _active(program), EXCESS)
+
+    def _keep(self, J: Array, w: Array) -> None:
+        self._C, self._c = _added(self._C, self._c, J, w)
+
+    def _stack(self, tasks: list[Task]) -> TaskStack:
+        stack = TaskStack(tasks, self._start)
+        stack.update(self._state)
+        return stack
+
+    def _moved(self, rows: Array) -> Array:
+        size = self._jitter * np.finfo(float).eps
+        return rows.astype(LONG) * (1.0 + size * self._rng.uniform(-1.0, 1.0, rows.shape))
+
+
+def _levels(problem: ControlProblem) -> list[list[Task]]:
+    """Soft tasks by priority, then the secondary objectives by theirs."""
+    groups = []
+    for tasks in ([t for t in problem.tasks if t.mode == "soft"], list(problem.secondary)):
+        for priority in sorted({task.priority for task in tasks}):
+            groups.append([task for task in tasks if task.priority == priority])
+    return groups
+
+
+def _active(program: Program) -> list[int]:
+    """The limits that are active by quadprog, with a little room so that some motion is left."""
+    M, C, G = (rows.astype(float) for rows in (program.M, program.C, program.G))
+    P = M.T @ M
+    P += 1e-14 * np.trace(P) * np.eye(len(P))
+    rows, sides = np.vstack([C, -G]), np.concatenate([program.c, -program.h - ROOM])
+    try:
+        found = quadprog.solve_qp(
+            P, M.T @ program.m.astype(float), rows.T, sides.astype(float), len(C)
+        )
+    except ValueError as error:
+        raise UndeterminedError from error
+    multipliers, numbers = found[4][len(C) :], found[5] - 1 - len(C)
+    active = [int(i) for i in numbers if i >= 0]
+    return sorted(active, key=lambda i: -float(multipliers[i]))
+
+
+def _widened(rows: Array, shares: int) -> Array:
+    return np.hstack([rows, np.zeros((len(rows), shares))])
+
+
+def _added(C: Array, c: Array, rows: Array, sides: Array) -> tuple[Array, Array]:
+    """Orthonormal C x = c and what rows x = sides add to them.
+
+    Raises:
+        UndeterminedError: what they add is next to nothing, but not noise.
+    """
+    left = rows - (rows @ C.T) @ C
+    U, values, Vt = np.linalg.svd(left.astype(float), full_matrices=False)
+    if ((values > NOISE) & (values < CLEAR)).any():
+        raise UndeterminedError
+    U, Q = U[:, values >= CLEAR].astype(LONG), Vt[values >= CLEAR].astype(LONG)
+    for i, row in enumerate(Q):
+        for _ in range(2):
+            row -= (C @ row) @ C + (Q[:i] @ row) @ Q[:i]
+        row /= np.sqrt(row @ row)
+    seen, wanted = U.T @ left @ Q.T, U.T @ (sides - rows @ (c @ C))
+    b = np.zeros(len(Q), LONG)
+    for _ in range(3):  # refined: the factorisation has 53 bits
+        b += np.linalg.solve(seen.astype(float), (wanted - seen @ b).astype(float))
+    return np.vstack([C, Q]), np.concatenate([c, b])

@@ -1,0 +1,32 @@
+"""The command is a continuous function of the state while tasks pass the border of reach."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from crossing import LEFT, Jump, Mode, jump, problem
+from out_of_reach import chain_of, robots
+
+from coopqp.controllers import QPController
+from coopqp.study.stress import arrangements
+
+
+@cache
+def driven(robot: str, mode: Mode) -> Jump:
+    """How continuous the law is as it drives round a circle about the border."""
+    grasp = arrangements.grasps_of(robot)[0] if robot in arrangements.names() else "its own"
+    return jump(QPController().build(problem(chain_of(robot, grasp), mode)))
+
+
+@pytest.mark.parametrize("robot", robots())
+@pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
+def test_no_command_jumps_while_a_task_passes_the_border_of_reach(robot: str, mode: Mode) -> None:
+    found = driven(robot, mode)
+    assert found.left <= LEFT, found
+
+
+def test_hard_tasks_pass_the_border() -> None:
+    """In most of the runs some ticks hold all and others do not; else nothing would be tested."""
+    passed = [robot for robot in robots() if driven(robot, "hard").crossings >= 2]
+    assert 2 * len(passed) > len(robots())
