@@ -183,13 +183,20 @@ class QPLaw(Law):
     def _decide_first(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones."""
         relaxes = bool(self.exact.tasks) and self.problem.on_infeasible == "scale"
-        status = Status.INFEASIBLE
-        if not state.memory["missed"].any():
+        tried, status = not state.memory["missed"].any(), Status.INFEASIBLE
+        if tried:
             status = self.first.solve()
             if status.usable and not (relaxes and self._leaves_direction()):
                 self._remember(state, self.first.v, 0.0)
                 return self.first.v, (status,)
-        return self._come_near(state, kappa, status) if relaxes else (self.first.v, (status,))
+        if not relaxes:
+            return self.first.v, (status,)
+        v, causes = self._come_near(state, kappa, status)
+        if tried or not causes[0].usable or state.memory["missed"].any():
+            return v, causes
+        self._assemble_first(state, kappa, self.exact.wanted)  # hard tasks can hold again
+        status = self.first.solve()
+        return (self.first.v, (status,)) if status.usable else (v, causes)
 
     def _come_near(
         self, state: State, kappa: float, whole: Status
@@ -215,8 +222,7 @@ class QPLaw(Law):
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
-        lacks = norm(state.memory["missed"])
-        relaxed = leaves > 0.0 or lacks > self.problem.budget.equality
+        relaxed = leaves > 0.0 or state.memory["missed"].any()
         return v, (Status.TASKS_RELAXED, status) if relaxed else (status,)
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:

@@ -39,8 +39,8 @@ from coopqp.task import TaskStack
 SLOW = 5e-3
 #: Their least damping, beside that of the soft tasks.
 LESS = 1e-3
-#: Rows that lack less than this are met [m/s, rad/s].
-MET = 1e-9
+#: Rows that lack less than this are met, as those of the loops are [m/s, rad/s].
+MET = 1e-6
 
 
 class Nearest:

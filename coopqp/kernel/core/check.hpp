@@ -44,15 +44,12 @@ class Check {
 
     void aim(const double* b) { b_ = b; }
 
-    // Judge by this curvature at least: of levels that decide what rows do, not all of v.
-    void certify(double least) { least_ = least; }
-
     // Judge v, which is clipped to its bounds on the way.
     //   first: how many coordinates of the hierarchy were decided when the level could choose.
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   Constraints& c) {
-        const double mu = std::min(std::max(d, least_), SCALE_WEIGHT);
+        const double mu = std::min(d, SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
@@ -223,14 +220,11 @@ class Check {
         }
         if (l == 0) return gap2;
         for (int b = 0; b < m_.blocks; b++) lanes(moved_)[b] = lanes(v)[b] - lanes(before)[b];
-        // What rows see of it that were left out as noise is no fault.
-        const double noise = hierarchy_.leaves_out() ? NOISE * std::sqrt(dot(moved_, moved_, m_.blocks)) : 0.0;
         for (int b = 0; b < 2; b++) lanes(V_moved)[b] = lanes(V)[b] - lanes(V_before)[b];
         std::size_t at = 0;
         for (int k = 0; k < l; k++)
             for (int s = 0; s < levels_[std::size_t(k)].rows; s++) {
-                const double seen = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
-                const double off = std::copysign(std::max(std::fabs(seen) - noise, 0.0), seen);
+                const double off = rows_.times(levels_[std::size_t(k)], s, moved_, V_moved);
                 gap2 += off * off;
                 r_.of_rows[at++] = -off;
             }
@@ -321,7 +315,7 @@ class Check {
         double squares = dot(size, size, m_.blocks);
         if (l == 0) squares += share_rounding2();
         return std::min(EPSILON * std::sqrt(squares),
-                        ROUNDING * std::min(std::max(d, least_), SCALE_WEIGHT));
+                        ROUNDING * std::min(d, SCALE_WEIGHT));
     }
 
     double share_rounding2() const {
@@ -358,7 +352,6 @@ class Check {
     const std::vector<Level>& levels_;
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
-    double least_ = 0.0;
     double *t_, *moved_;
     std::vector<double> slack_;
     double* of_arms_;

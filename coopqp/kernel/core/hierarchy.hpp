@@ -44,7 +44,6 @@ class Hierarchy {
 
     // Take up all rows again that were left out.
     void forget() { left_out_.clear(); }
-    bool leaves_out() const { return !left_out_.empty(); }
 
     // From the next begin on, decide nothing by the row that adds least to those before it.
     void leave_out_smallest() {

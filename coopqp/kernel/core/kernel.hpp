@@ -18,7 +18,7 @@
 
 namespace coopqp {
 
-constexpr double MET = 1e-9;  // as coopqp.qp_law.nearest
+constexpr double MET = 1e-6;  // as coopqp.qp_law.nearest
 
 class Kernel {
   public:
@@ -110,11 +110,8 @@ class Kernel {
     bool comes_back() const { return comes_back_; }
 
     // Whether hard or scaled tasks were not met in full when it was decided last.
-    bool relaxed() const {
-        double lacks2 = 0.0;
-        for (double lacks : missed_) lacks2 += lacks * lacks;
-        return leaves_ > 0.0 || lacks2 > s_.budget.equality * s_.budget.equality;
-    }
+    bool relaxed() const { return leaves_ > 0.0 || lacks(); }
+    double leaves() const { return leaves_; }  // how far scaled tasks left their directions
 
     // The least share of its rate at which a hard or scaled task ran; 1 without such tasks.
     double scale() const {
@@ -178,18 +175,28 @@ class Kernel {
         Level& level = levels[0];
         level.want();
         leaves_ = 0.0;
-        Status status = Status::Infeasible;
-        if (std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; })) {
-            status = decide_exactly();
-            if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
+        const bool tried =
+            std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
+        Status status = tried ? decide_exactly() : Status::Infeasible;
+        if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
+        const bool proved = !s_.relaxes && status != Status::Unproven;
+        if (!level.exact || proved || (status == Status::Optimal && leaves_ == 0.0)) {
+            if (status == Status::Optimal) note_missed();
+            return status;
         }
-        // What has no proof has one by the nearest motion, that it cannot hold or that it can.
-        const bool proved = status == Status::Optimal || (status == Status::Infeasible && !s_.relaxes);
-        if (level.exact && (!proved || leaves_ > 0.0)) status = come_near(status);
-        if (status != Status::Optimal || !level.exact) return status;
+        const Status near = come_near(status);
+        if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
-        if (proved || s_.relaxes) return status;
-        return relaxed() ? Status::Infeasible : Status::Unproven;
+        if (s_.relaxes && relaxed()) return near;
+        if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
+        status = decide_exactly();
+        if (status == Status::Optimal) note_missed();
+        return status;
+    }
+
+    // Whether hard tasks lack something.
+    bool lacks() const {
+        return std::any_of(missed_.begin(), missed_.end(), [](double x) { return x != 0.0; });
     }
 
     Status decide_exactly() {
@@ -209,7 +216,10 @@ class Kernel {
             const Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
             copy(near_, nearest_.v(), m_->blocks);
-            leaves_ = level.shares ? scale_beside(near_) : 0.0;
+            if (level.shares) {
+                const Status shared = scale_beside(near_);
+                if (shared != Status::Optimal) return shared;
+            }
         }
         if (leaves_ > 0.0) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
@@ -224,9 +234,9 @@ class Kernel {
         return Status::Optimal;
     }
 
-    // The largest shares that a motion v of hard tasks leaves, which v becomes; how far these may be
-    // left.
-    double scale_beside(double* v) {
+    // The largest shares that a motion v of hard tasks leaves, which v becomes, and how far these
+    // may be left.
+    Status scale_beside(double* v) {
         Level& level = levels[0];
         rows_.object_twist(v, V_);
         std::copy_n(level.wanted.begin(), level.hard, wanted_.begin());
@@ -236,12 +246,18 @@ class Kernel {
             lacks2 += lacks * lacks;
             level.wanted[std::size_t(s)] = got;
         }
-        const double leaves = std::min(std::sqrt(lacks2) / SLOW, 1.0);
-        const bool shared = leaves < 1.0 && decide_exactly() == Status::Optimal;
+        leaves_ = std::min(std::sqrt(lacks2) / SLOW, 1.0);
+        const Status shared = leaves_ < 1.0 ? decide_exactly() : Status::Infeasible;
         std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
-        if (!shared) return 1.0;
+        // Also where no share is sure to the declared accuracy: the nearest is as safe.
+        if (shared == Status::Infeasible || shared == Status::Unproven || shared == Status::Inaccurate) {
+            leaves_ = 1.0;
+            return Status::Optimal;
+        }
+        if (shared != Status::Optimal) return shared;
         copy(v, tasks_.v(), m_->blocks);
-        return std::max(leaves, leaves_direction());
+        leaves_ = std::max(leaves_, leaves_direction());
+        return shared;
     }
 
     // As coopqp.qp_law.nearest.blocked.

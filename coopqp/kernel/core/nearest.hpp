@@ -22,9 +22,7 @@ class Nearest {
         : s_(settings), given_(given),
           levels_{part(given, 0, given.hard, rows.stride()),
                   part(given, given.hard, given.exact, rows.stride())},
-          cascade_(model, settings, rows, loops, limits, kept, levels_, arena) {
-        cascade_.check().certify(settings.damping);
-    }
+          cascade_(model, settings, rows, loops, limits, kept, levels_, arena) {}
 
     // The level of the hard tasks.
     //   missed: what their rows lacked in the last tick.
