@@ -52,9 +52,10 @@ class ControlProblem:
             removes the linearisation error of each step in the next; 0 is the paper's law.
         solver: for the controllers that solve a QP.
         budget: what a solution may be off by.
-        on_infeasible: what to do in a tick in which not everything can hold: "scale" gives up, in
-            this order, hard and scaled tasks, acceleration limits, the drift correction; "hold"
-            stands still for the tick; "stop" stands still from then on.
+        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets
+            hard and scaled tasks as nearly as possible, and where loops and limits alone clash
+            corrects drift in part, then gives up acceleration limits; "hold" stands still for the
+            tick, but for joints outside their limits, which come back; "stop" from the next on.
 
     Raises:
         InvalidValueError: with everything that cannot be asked, see :func:`problem_faults`.
@@ -131,9 +132,9 @@ class Command:
     Attributes:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
         tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
-        causes: what became of the tick, and what else was given up in it. Where the first, the
+        causes: what became of the tick, and what else was relaxed in it. Where the first, the
             status, is not usable, v = 0, or torques only hold.
-        scale: least share of its speed at which a scaled task runs; 1 without scaled tasks.
+        scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
         drift: share of the drift correction that is done.
         note: what else is to be said of a tick that stood still, such as what a task raised.
     """

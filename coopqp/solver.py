@@ -19,7 +19,7 @@ class Status(enum.Enum):
 
     Attributes:
         usable: whether the velocity may be used.
-        fallback: whether something was given up to have an answer.
+        fallback: whether something was relaxed to have an answer.
     """
 
     usable: bool
@@ -42,7 +42,7 @@ class Status(enum.Enum):
     EQUALITY_RESIDUAL = "the answer breaks the loop closure"
     BOUND_RESIDUAL = "the answer breaks a limit"
     TASKS_RELAXED = (
-        "hard or scaled tasks are not met in full, but as nearly as limits and loops allow",
+        "hard or scaled tasks are not met in full: limits and loops leave no motion that does so",
         True,
         True,
     )

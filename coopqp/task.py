@@ -132,9 +132,10 @@ class Task(ABC):
     tolerance: Positive = 5e-4
     """Error at the end that still counts as reached [unit]."""
     mode: Literal["soft", "hard", "scaled"] = "soft"
-    """soft: as well as it can; hard: exactly; scaled: in its direction, as fast as it can."""
+    """soft: as well as it can; hard: exactly; scaled: in its direction, as fast as it can.
+    Where the last two cannot hold they are met as nearly as limits and loops allow."""
     priority: Annotated[int, Field(ge=0, le=9)] = 0
-    """Strict level of a soft task, 0 first; weights count within a level."""
+    """Strict level of a soft task, 0 first, after hard and scaled ones; weights count within it."""
 
     @field_validator("name")
     @classmethod

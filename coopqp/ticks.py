@@ -20,7 +20,7 @@ class Ticks:
         v: of each command, shape (T, n) [rad/s, m/s].
         causes: what became of each.
         compiled: whether the kernel decided it, shape (T,).
-        scale: least share of its speed at which a scaled task ran, shape (T,).
+        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         memory: what the law remembered when each began, shape (T, .).
         notes: what else is to be said of a tick that stood still, by tick.
     """

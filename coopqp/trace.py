@@ -259,7 +259,7 @@ class Trace:
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
         status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
-        scale: least share of its speed at which a scaled task ran, shape (T,).
+        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).

@@ -169,10 +169,10 @@ def _opened(leg: Leg) -> str:
 def _reached(scenario: Scenario, run: Recording) -> str:
     """Of a run that got there, but perhaps not as it should."""
     phases = list(legs(scenario, run))
-    given_up = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
+    relaxed = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
     broken = words.broken(scenario.limits, phases)
-    but = [f"in {given_up} ticks hard or scaled tasks were given up; --tick says why"]
-    found = [*([broken] if broken else []), *(but if given_up else [])]
+    but = [f"in {relaxed} ticks hard or scaled tasks were not met in full; --tick says why"]
+    found = [*([broken] if broken else []), *(but if relaxed else [])]
     return f"every goal is reached{', but ' if found else ''}{'; '.join(found)}"
 
 
