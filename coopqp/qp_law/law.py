@@ -270,6 +270,8 @@ class QPLaw(Law):
         self._assemble_first(state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
+            if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver
+                return v, (failed,)
             v, causes = self.drift.v, ()
         if failed is not Status.INFEASIBLE:
             relaxed = (Status.SOLVER_FAILED,)

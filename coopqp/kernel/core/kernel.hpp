@@ -19,7 +19,6 @@
 namespace coopqp {
 
 constexpr double MET = 1e-6;  // as coopqp.qp_law.nearest
-constexpr double SAME = 1e-10;  // of a hard row that holds as exactly as numbers allow [m/s, rad/s]
 
 class Kernel {
   public:
@@ -189,8 +188,7 @@ class Kernel {
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
         if (s_.relaxes && relaxed()) return near;
-        if (tried && lacks()) return Status::Infeasible;  // the nearest is the proof
-        if (tried) return lacks_ <= SAME ? near : Status::Unproven;
+        if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
         status = decide_exactly();
         if (status == Status::Optimal) note_missed();
         return status;
@@ -285,10 +283,8 @@ class Kernel {
     void note_missed() {
         const Level& level = levels[0];
         if (level.hard) rows_.object_twist(tasks_.v(), V_);
-        lacks_ = 0.0;
         for (int s = 0; s < level.hard; s++) {
             const double lacks = rows_.times(level, s, tasks_.v(), V_) - level.wanted[std::size_t(s)];
-            lacks_ = std::max(lacks_, std::fabs(lacks));
             missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
         }
         for (int k = 0; k < level.shares; k++)
@@ -332,7 +328,6 @@ class Kernel {
     std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
-    double lacks_ = 0.0;                   // most that a hard row lacks
     double *set_out_, *v_, *last_, *near_, *V_, *t_;
     bool comes_back_ = false;
 };
