@@ -21,7 +21,7 @@ WORTH_SAYING = (1e-3, 5e-3)
 WORTH_CALIBRATING = (5e-3, 20e-3)
 #: What a run that gave something up has done, by cause.
 GIVEN_UP = {
-    "TASKS_RELAXED": "gives up hard or scaled tasks",
+    "TASKS_RELAXED": "does not meet hard or scaled tasks in full",
     "CONTACT_GIVEN_UP": "asks for more than friction can bear",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
     "SQUEEZE_GIVEN_UP": "stands at most_way without the squeeze",
