@@ -132,15 +132,15 @@ def explain_run(
     ended = any(Status.OBJECT_LOST in causes for causes in leg.causes)
     if (leg.missed or opened or ended) and (gone := lost(held, run.controller, leg)):
         return replace(base, kind="lost", sentence=gone.sentence, tried=gone.tried, time=gone.time)
-    gone_by = list(legs(held, run)) if not leg.missed else [leg]
-    base = replace(base, relaxed=_relaxed(held, run.controller, gone_by))
     if opened:
         return replace(base, kind="open", sentence=opened)
-    if not leg.missed:
-        return replace(base, kind="reached", sentence=_reached(held, gone_by, base.relaxed))
-    failed = _failed(leg)
+    failed = _failed(leg) if leg.missed else ""
     if failed:
         return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
+    phases = [leg] if leg.missed else list(legs(held, run))
+    base = replace(base, relaxed=_relaxed(held, run.controller, phases))
+    if not leg.missed:
+        return replace(base, kind="reached", sentence=_reached(held, phases, base.relaxed))
     found = _Whole(held, run, leg, base, report).explained()
     said = "; ".join([found.sentence, *(task.words for task in base.relaxed)])
     return replace(found, sentence=said)
