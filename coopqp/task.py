@@ -30,6 +30,8 @@ from coopqp.row import Row
 from coopqp.signal import Instant
 from coopqp.state import State
 
+Mode = Literal["soft", "hard", "scaled"]
+
 
 @dataclass(frozen=True)
 class TaskRows:
@@ -131,7 +133,7 @@ class Task(ABC):
     """Cost of a squared error in J v [s2/unit2]."""
     tolerance: Positive = 5e-4
     """Error at the end that still counts as reached [unit]."""
-    mode: Literal["soft", "hard", "scaled"] = "soft"
+    mode: Mode = "soft"
     """soft: as well as it can; hard: exactly; scaled: in its direction, as fast as it can.
     Where the last two cannot hold they are met as nearly as limits and loops allow."""
     priority: Annotated[int, Field(ge=0, le=9)] = 0

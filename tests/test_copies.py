@@ -50,7 +50,7 @@ def test_a_copied_state_keeps_the_loops_closed_when_it_is_driven(
 def test_a_copied_memory_is_one_array(chain: ClosedChain, how: str) -> None:
     law = QPController().build(problem(chain, PointOnPoint(name="reach", goal=NEAR)))
     memory = COPIES[how](law.start().memory)
-    memory["soft"][0] = 5.0
+    memory["stopped"][0] = 5.0
     assert 5.0 in memory.numbers
 
 

@@ -18,11 +18,12 @@ from coopqp.limit import bound_rows
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
+from coopqp.qp_law.level import Level
 from coopqp.reading import line_in_json, read_text
 from coopqp.row import Row, Side
 from coopqp.solver import Budget, Status, written
 from coopqp.state import State
-from coopqp.task import TaskStack
+from coopqp.task import Mode, TaskStack
 from coopqp.wording import Location, dotted
 
 MOST_BYTES = 64 << 20  # of a file
@@ -41,11 +42,14 @@ class TickRecord:
         dt: control period [s].
         damping: least curvature of the cost.
         budget: what an answer may be off by.
-        P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`.
+        P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`: hard and scaled
+            tasks as equality rows, or, where hard ones cannot hold, as the cost
+            (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks.
         inequalities: number of rows of G in C.
         variables, inequality_rows, equality_rows: what they are.
         lb_rows, ub_rows: the limit that each bound on v comes from.
         J, wanted, task_rows: rows of all tasks.
+        modes: soft, hard or scaled, by the task's name.
         answer, status: what the controller made of it, all levels included.
         first_answer: what its solver made of this QP.
     """
@@ -74,6 +78,7 @@ class TickRecord:
     J: list[list[float]]
     wanted: list[float]
     task_rows: list[Row]
+    modes: dict[str, Mode]
     answer: list[float]
     first_answer: list[float]
     status: str
@@ -107,6 +112,9 @@ class TickRecord:
         """Where and how it is no tick; None if it is one."""
         if wrong := self._misfit():
             return wrong
+        unknown = [row.owner for row in self.task_rows if row.owner not in self.modes]
+        if unknown:
+            return ("modes",), f"has no task '{one_line(unknown[0])}', which has rows"
         for key in ("dt", "damping"):
             if not getattr(self, key) > 0.0:
                 return (key,), f"found {getattr(self, key):g}, needs more than 0"
@@ -187,10 +195,9 @@ def record_tick(
     command = law.tick(state)
     if command.status is Status.RAISED:
         raise InvalidValueError(f"tick {tick} of '{controller}' has no QP: {command.note}")
-    first_answer = law.solution.v.tolist()
     state.memory.numbers[:] = memory  # as the tick had it
-    law.assemble(state)
-    qp, problem = law.first.qp, law.problem
+    level, problem = _first_level(law, state), law.problem
+    qp = level.qp
     shares = qp.rows.variables[problem.chain.n :]
     pad = ((0, 0), (0, len(shares)))
     below, above = (
@@ -208,7 +215,7 @@ def record_tick(
         v=state.v.tolist(),
         memory=memory,
         dt=problem.dt,
-        damping=law.first.curvature,
+        damping=max(level.curvature, level.certified),
         budget=problem.budget,
         P=qp.P.tolist(),
         q_cost=qp.q.tolist(),
@@ -224,10 +231,20 @@ def record_tick(
         J=np.pad(tasks.J, pad).tolist(),
         wanted=tasks.wanted.tolist(),
         task_rows=list(tasks.rows),
+        modes={task.name: task.mode for task in problem.tasks},
         answer=command.v.tolist() + [command.scale] * len(shares),
-        first_answer=first_answer,
+        first_answer=level.solution.v.tolist(),
         status=written(command.causes),
     )
+
+
+def _first_level(law: QPLaw, state: State) -> Level:
+    """The level that decides first in a tick, solved: where hard tasks cannot hold, theirs."""
+    kappa, relaxes = law.assemble(state), law.problem.on_infeasible == "scale"
+    holds = law.first.solve().usable and not state.memory["missed"].any()
+    if not holds and relaxes and law.nearest.of_hard(state, kappa).usable:
+        return law.nearest.hard
+    return law.first
 
 
 def bounding(problem: ControlProblem, state: State) -> tuple[list[Row], list[Row]]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from example_limits import by_name
-from kept_ticks import POSE, WIDE, at, first_tick, record
-from laws import DT, LIMITS, NEAR, STEP, ticks
+from kept_ticks import POSE, WIDE, at, first_tick, problem, record
+from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, ticks
 from scipy.optimize import linprog
 
 import coopqp
@@ -24,7 +24,7 @@ from coopqp.state import State
 from coopqp.study.explanation import Explanation, Relaxation, asked_now, explain, explain_asked
 from coopqp.study.stress.draw import LAW, draw
 from coopqp.task import TaskStack
-from coopqp.tasks import PointOnPlane, PointOnPoint
+from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint
 
 LATE = (150, 220, 299)
 GOAL, GAIN, DURATION = np.array([0.10, -0.05, 0.04]), 5.0, 2.0  # of joint_limit_stress
@@ -167,8 +167,7 @@ def test_law_with_the_relaxed_limits_meets_the_task(
     physics = Physics(state)
     np.testing.assert_allclose(physics.A @ command.v, physics.b, atol=1e-6)
     assert (
-        QPController().build(replace(given, chain=chain)).tick(state).status
-        is Status.TASKS_RELAXED
+        QPController().build(replace(given, chain=chain)).tick(state).status is Status.TASKS_RELAXED
     )
 
 
@@ -248,7 +247,7 @@ def test_rows_that_firm_hands_rule_out_are_said_to_be_impossible(
     rows = [f"task[carry].{axis}" for axis in ("x", "y", "z", "rot_x", "rot_y", "rot_z")]
     kept = [i for i, name in enumerate(rows) if name not in found.impossible]
     assert np.linalg.matrix_rank(state.J_task[kept] @ free.T, tol=1e-9) == 4
-    assert found.sentence.startswith("the loops alone leave no motion along task[carry].")
+    assert "the loops alone leave no motion along task[carry]." in found.sentence
     for name in found.impossible:
         assert name in found.sentence
 
@@ -307,6 +306,69 @@ def test_relaxations_are_listed_from_the_largest(compared: Comparison, law: QPLa
     found = explain(record(law, at(compared, law, 250), 250)).relaxations
     assert isinstance(found[0], Relaxation)
     assert [r.amount for r in found] == sorted((r.amount for r in found), reverse=True)
+
+
+# Hard and scaled tasks that are not met in full
+
+
+def blocked(chain: ClosedChain, mode: str) -> tuple[QPLaw, State]:
+    """Two seconds after a task out of reach, beside soft ones that pull elsewhere."""
+    far = PointOnPoint(name="far", goal=UNREACHABLE, mode=mode)  # type: ignore[arg-type]
+    near = PointOnPoint(name="near", goal=NEAR)
+    law = QPController().plain(
+        problem(chain, near, far, Orientation(name="turn", rpy_deg=(20, 0, 20)))
+    )
+    state = law.start()
+    for _ in ticks(law, state, 200):
+        pass
+    return law, state
+
+
+@pytest.mark.parametrize("mode", ["hard", "scaled"])
+def test_a_task_that_is_not_met_in_full_is_named_first_with_its_share(
+    mode: str, chain: ClosedChain
+) -> None:
+    """The soft ones are missed as well, and are neither named nor blamed."""
+    law, state = blocked(chain, mode)
+    kept = record(law, state, 200)
+    found = explain(kept)
+    rows = [i for i, row in enumerate(kept.task_rows) if row.owner == "far"]
+    got, wanted = (np.array(kept.J) @ kept.answer)[rows], np.array(kept.wanted)[rows]
+    share = 1.0 - np.linalg.norm(got - wanted) / np.linalg.norm(wanted)
+    assert kept.status == "TASKS_RELAXED"
+    assert [(task.task, task.mode) for task in found.unmet] == [("far", mode)]
+    assert found.unmet[0].share == pytest.approx(max(share, 0.0), abs=1e-9)
+    assert found.sentence.startswith(f"{mode} task 'far' gets ")
+    assert found.contradicting == ()
+    assert {name.split("[")[1].split("]")[0] for name in found.missed} == {"near", "far", "turn"}
+    assert "near" not in found.sentence
+    assert "turn" not in found.sentence
+
+
+def test_what_holds_a_hard_task_back_does_so_without_the_soft_ones(chain: ClosedChain) -> None:
+    """The same is said of the same tick where nobody asks for them."""
+    law, state = blocked(chain, "hard")
+    kept = record(law, state, 200)
+    hard = [i for i, row in enumerate(kept.task_rows) if row.owner == "far"]
+    alone = replace(
+        kept,
+        J=[kept.J[i] for i in hard],
+        wanted=[kept.wanted[i] for i in hard],
+        task_rows=[kept.task_rows[i] for i in hard],
+    )
+    assert explain(kept).sentence == explain(alone).sentence
+    assert explain(kept).holding == explain(alone).holding
+
+
+@pytest.mark.parametrize("mode", ["hard", "scaled"])
+def test_a_tick_in_which_hard_and_scaled_tasks_hold_speaks_of_the_soft_ones(
+    mode: str, chain: ClosedChain
+) -> None:
+    task = PointOnPoint(name="reach", goal=NEAR, profile=STEP, mode=mode)  # type: ignore[arg-type]
+    other = PointOnPoint(name="there", goal=(0.18, -0.01, 0.04), profile=STEP)
+    found = explain(first_tick(chain, task, other))
+    assert found.unmet == ()
+    assert set(found.contradicting) == {"reach", "there"}
 
 
 # Tasks against each other; what comes now and what next

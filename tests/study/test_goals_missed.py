@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from explained import HIGH, LOW, REACH, advice, explained, nao, nearest, of_case
+from laws import UNREACHABLE
 from scenario_files import needs_robots
 
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
-from coopqp.limits import JointPosition
+from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.loader import load
 from coopqp.study.explanation.late import _rests
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pose, Twist
@@ -91,6 +92,33 @@ def test_hard_tasks_that_conflict_are_named(modes: tuple[str, str]) -> None:
     found = explained(nao(low, beside, high))
     assert found.kind == "contradiction"
     assert set(found.tasks) == {"low", "high"}
+
+
+@pytest.mark.parametrize("mode", ["hard", "scaled"])
+def test_a_task_that_is_not_met_in_full_is_named_and_not_one_beside_it(mode: str) -> None:
+    """The soft one ends farther from its goal, as told by its tolerance."""
+    far = replace(REACH, name="far", goal=UNREACHABLE, mode=mode)  # type: ignore[arg-type]
+    scenario = nao(Orientation(name="turn", rpy_deg=(20, 0, 20), tolerance=1e-6), far)
+    trace = run(scenario, controller="qp")
+    found = explained(scenario)
+    ticks = sum("TASKS_RELAXED" in status for status in trace.status)
+    assert ticks > 50
+    assert (found.kind, found.tasks) == ("reach", ("far",))
+    assert [part.task for part in found.missed] == ["far", "turn"]
+    assert [(task.task, task.mode, task.ticks) for task in found.relaxed] == [("far", mode, ticks)]
+    assert 0.0 < found.relaxed[0].missing <= 1.0
+    assert f"{mode} task 'far' is not met in full in {ticks} ticks and lacks " in found.sentence
+
+
+def test_a_goal_that_is_reached_in_the_end_says_who_was_not_met_on_the_way() -> None:
+    """At so little speed a hard task cannot follow its reference all the time."""
+    slow = (JointPosition(), JointVelocity(scale=0.03))
+    found = explained(nao(replace(REACH, mode="hard"), limits=slow, duration=12.0))
+    assert found.kind == "reached"
+    assert [(task.task, task.missing) for task in found.relaxed] == [("reach", 0.0)]
+    count = found.relaxed[0].ticks
+    assert f", but hard task 'reach' is not met in full in {count} tick" in found.sentence
+    assert found.sentence.endswith("and is met at the end; --tick says why")
 
 
 def test_of_tasks_with_priorities_it_is_said_who_comes_first() -> None:

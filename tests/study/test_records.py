@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import qpsolvers
 from kept_ticks import POSE, at, first_tick, problem, record
-from laws import LIMITS, NEAR, STEP
+from laws import LIMITS, NEAR, STEP, UNREACHABLE, ticks
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.comparison import Comparison
@@ -26,7 +26,22 @@ from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.study.explanation import explain
 from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
-from coopqp.tasks import PointOnPoint
+from coopqp.tasks import Orientation, PointOnPoint
+
+HARD_AND_SOFT = (
+    PointOnPoint(name="far", goal=UNREACHABLE, mode="hard"),
+    Orientation(name="turn", rpy_deg=(10.0, 0.0, 20.0)),
+)
+SCALED = PointOnPoint(name="beside", goal=NEAR, profile=STEP, mode="scaled")
+
+
+def relaxed(chain: ClosedChain) -> TickRecord:
+    """A second after a hard task was asked for more than limits and loops leave."""
+    law = QPController().plain(problem(chain, *HARD_AND_SOFT))
+    state = law.start()
+    for _ in ticks(law, state, 100):
+        pass
+    return record(law, state, 100)
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +56,11 @@ def records(compared: Comparison, law: QPLaw, chain: ClosedChain) -> dict[str, T
         "hard": first_tick(chain, replace(point, mode="hard")),
         "scaled": first_tick(chain, replace(point, mode="scaled"), limits=everything),
         "impossible": first_tick(chain, POSE),
+        "relaxed": relaxed(chain),
     }
 
 
-KINDS = ("late", "early", "every limit", "no limit", "hard", "scaled", "impossible")
+KINDS = ("late", "early", "every limit", "no limit", "hard", "scaled", "impossible", "relaxed")
 each_kind = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -127,10 +143,46 @@ def test_replay_repeats_a_tick_with_a_secondary(compared: Comparison, law: QPLaw
 
 
 def test_replay_of_an_impossible_tick_reports_the_failure(chain: ClosedChain) -> None:
-    kept = first_tick(chain, replace(POSE, mode="hard"))
-    assert kept.status == "TASKS_RELAXED"
+    kept = first_tick(chain, replace(POSE, mode="hard"), on_infeasible="hold")
+    assert kept.status == "INFEASIBLE"
     for solver in SOLVERS.values():
         assert not replay(kept, solver).status.usable
+
+
+@pytest.mark.parametrize("beside", [(), (SCALED,)], ids=["alone", "scaled"])
+def test_a_relaxed_tick_is_kept_as_the_least_squares_that_were_solved(
+    beside: tuple[PointOnPoint, ...], chain: ClosedChain
+) -> None:
+    """What the rows of the hard task do is decided there; every later level keeps it."""
+    kept = first_tick(chain, replace(POSE, mode="hard"), *beside)
+    assert kept.status == "TASKS_RELAXED"
+    assert {row.kind for row in kept.equality_rows} == {"loop"}
+    rows = [i for i, row in enumerate(kept.task_rows) if row.owner == "carry"]
+    J, wanted = np.array(kept.J)[rows], np.array(kept.wanted)[rows]
+    A, b = kept.qp().A, kept.qp().b
+    free = np.linalg.svd(A)[2][np.linalg.matrix_rank(A) :].T
+    closing = np.linalg.lstsq(A, b)[0]
+    best = closing + free @ np.linalg.lstsq(J @ free, wanted - J @ closing, rcond=1e-9)[0]
+    np.testing.assert_allclose(J @ np.array(kept.first_answer), J @ best, atol=1e-6)
+    np.testing.assert_allclose(J @ np.array(kept.answer), J @ best, atol=1e-6)
+    for solver in SOLVERS.values():
+        again = replay(kept, solver)
+        assert again.status.usable
+        assert again.difference < 1e-6
+
+
+def test_a_tick_that_remembers_what_it_missed_is_kept_as_it_was_solved(
+    records: dict[str, TickRecord],
+) -> None:
+    """Its damping grows by what the rows lacked in the tick before."""
+    kept = records["relaxed"]
+    assert kept.status == "TASKS_RELAXED"
+    assert any(kept.memory)
+    assert replay(kept, Daqp()).difference == 0.0
+    J, hard = np.array(kept.J), [row.owner == "far" for row in kept.task_rows]
+    first, last = (J[hard] @ np.array(v) for v in (kept.first_answer, kept.answer))
+    np.testing.assert_allclose(first, last, atol=1e-9)
+    assert np.abs(last - np.array(kept.wanted)[hard]).max() > 1e-2
 
 
 def test_replay_checks_against_the_budget_of_the_run(chain: ClosedChain) -> None:
@@ -228,6 +280,7 @@ def test_record_with_rubbish_in_a_field_is_refused(field: str, value: Any, saved
         ("C", "C[2]", [1.0]),
         ("J", "J[0][1]", "one"),
         ("variables", "variables[3].kind", "bone"),
+        ("modes", "modes.reach", "fast"),
         ("dt", "dt", 0.0),
         ("inequalities", "inequalities", 99),
     ],

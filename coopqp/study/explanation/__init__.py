@@ -15,6 +15,7 @@ motion, late   what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
 asked          one tick: what was asked, and the answer
+unmet          hard and scaled tasks that are not met in full
 tick           the same tick: what leaves it no motion
 standing       arms at rest now: what keeps them from their goals
 """

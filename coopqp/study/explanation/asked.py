@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from coopqp.row import Row
 from coopqp.solver import Status, causes_of
 from coopqp.state import State
 from coopqp.study.tick_record import TickRecord, bounding
-from coopqp.task import TaskStack
+from coopqp.task import Mode, TaskStack
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +29,7 @@ class Asked:
         A, b: rows of the closed loops, A v = b.
         lb, ub, G, h: the limits, lb <= v <= ub and G v <= h.
         J, wanted, task_rows: rows of all tasks, J v = wanted.
+        modes: soft, hard or scaled, by the task's name.
         v: the answer; beside velocities it may have the shares of scaled tasks.
         name_limits: finds ``limit_rows``, which few need.
     """
@@ -44,6 +45,7 @@ class Asked:
     J: Array
     wanted: Array
     task_rows: Sequence[Row]
+    modes: Mapping[str, Mode]
     v: Array
     name_limits: Callable[[], Sequence[Row]]
 
@@ -66,7 +68,7 @@ def asked_then(record: TickRecord) -> Asked:
         causes=causes_of(record.status), dt=record.dt,
         A=qp.A[loops], b=qp.b[loops], lb=qp.lb, ub=qp.ub, G=qp.G, h=qp.h,
         J=np.array(record.J).reshape(-1, qp.n), wanted=np.array(record.wanted),
-        task_rows=record.task_rows, v=np.array(record.answer),
+        task_rows=record.task_rows, modes=record.modes, v=np.array(record.answer),
         name_limits=lambda: [*record.lb_rows, *record.ub_rows, *record.inequality_rows],
     )  # fmt: skip
 
@@ -86,7 +88,8 @@ def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: 
         causes=command.causes, dt=problem.dt,
         A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
         lb=bounds.lb, ub=bounds.ub, G=bounds.G, h=bounds.h,
-        J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows, v=command.v,
+        J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows,
+        modes={task.name: task.mode for task in problem.tasks}, v=command.v,
         name_limits=lambda: [row for side in bounding(problem, state) for row in side]
         + [*bounds.rows],
     )  # fmt: skip

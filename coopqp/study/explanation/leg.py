@@ -80,13 +80,19 @@ class Leg:
 
     @property
     def missed(self) -> tuple[tuple[PartOfTask, float], ...]:
-        """Parts that ended outside their tolerance, with their errors, the worst first."""
+        """Parts that ended outside their tolerance, with their errors.
+
+        Those of hard tasks first, then of scaled ones; of these and of the soft ones the worst.
+        """
         found = [
             (part, float(error))
             for part, error in zip(self.parts, self.errors, strict=True)
             if not error <= part.part.tolerance
         ]
-        return tuple(sorted(found, key=lambda pair: -pair[1] / pair[0].part.tolerance))
+        rank = ("hard", "scaled", "soft").index
+        return tuple(
+            sorted(found, key=lambda p: (rank(p[0].task.mode), -p[1] / p[0].part.tolerance))
+        )
 
 
 def recording_of(trace: Trace) -> Recording:

@@ -1,7 +1,9 @@
 """Why a tick could not do what its tasks asked, by name.
 
-A tick is kept as its QP with the names of all rows. Three things are told of it:
+A tick is kept as its QP with the names of all rows. Four things are told of it:
 
+* hard and scaled tasks that are not met in full, with the share of their rate that they get; where
+  there are any the rest is told of them alone, and not of what comes after them,
 * task rows that the loops alone rule out, and tasks that ask for motions which rule each other out,
 * the limits at their bound now that hold the tasks back, by force
   (:mod:`coopqp.study.explanation.shares`),
@@ -18,19 +20,23 @@ or less; what would do in all is said of the whole run (:mod:`coopqp.study.expla
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.rank import null_space
 from coopqp.row import Row, names_of
-from coopqp.solver import HALTS, Status
+from coopqp.solver import HALTS, Budget, Status
 from coopqp.study.explanation.asked import Asked, asked_then
 from coopqp.study.explanation.contradiction import irreducible
 from coopqp.study.explanation.shares import Share, forces, shares, thing_of
+from coopqp.study.explanation.unmet import Unmet, part_of_rate
 from coopqp.study.explanation.words import listed, with_note
 from coopqp.study.tick_record import TickRecord
+
+Mask = NDArray[np.bool_]
 
 #: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7
@@ -38,6 +44,9 @@ NOTHING = 1e-7
 #: A task row is missed by more than this [rad/s, m/s], and by more than a share of what is wanted:
 #: the damping holds ordinary ticks back by some percent of it.
 MISSED, MISSED_SHARE = 1e-4, 0.02
+
+#: Rows of a hard task are missed by more than this [rad/s, m/s].
+HELD = Budget().equality
 
 #: Task rows that the loops leave less than this share of are impossible, not merely blocked.
 IMPOSSIBLE = 1e-7
@@ -79,6 +88,7 @@ class Explanation:
         sentence: the same in words.
         contradicting: names of tasks that ask for motions which rule each other out.
         holding: limits at their bound now that hold back, the most forceful first.
+        unmet: hard and scaled tasks that are not met in full.
     """
 
     missed: tuple[str, ...]
@@ -87,6 +97,7 @@ class Explanation:
     sentence: str
     contradicting: tuple[str, ...] = ()
     holding: tuple[str, ...] = ()
+    unmet: tuple[Unmet, ...] = ()
 
 
 def explain(record: TickRecord) -> Explanation:
@@ -102,12 +113,15 @@ def explain_asked(tick: Asked) -> Explanation:
     status = causes[0]
     if not status.usable and status not in CONFLICTS:
         return Explanation((), (), (), f"the tick stands still: {status.value}")
-    J, wanted, names = tick.J, tick.wanted, names_of(tick.task_rows)
-    gap = np.abs(J @ tick.v - wanted)
-    allowed = MISSED + MISSED_SHARE * np.abs(wanted)
-    missed = tuple(name for name, g, a in zip(names, gap, allowed, strict=True) if g > a)
+    allowed = _allowed(tick)
+    over = np.abs(tick.J @ tick.v - tick.wanted) > allowed
+    missed = tuple(row.name for row, o in zip(tick.task_rows, over, strict=True) if o)
     if not missed:
         return Explanation((), (), (), "nothing was in the way: every task row was met")
+    unmet = _unmet(tick, over)
+    first = _until_missed(tick, over)
+    tick, allowed, over = _with_rows(tick, first), allowed[first], over[first]
+    J, wanted, names = tick.J, tick.wanted, names_of(tick.task_rows)
     rows = _Rows(tick)
     impossible = tuple(names[i] for i in rows.impossible)
     against = rows.contradicting(wanted, allowed)
@@ -115,11 +129,10 @@ def explain_asked(tick: Asked) -> Explanation:
     relaxations = _named(tick, answer) if answer is not None else ()
     held = () if against else _holding(tick)
     found = Explanation(
-        missed, impossible, relaxations, "", against, tuple(s.row.name for s in held)
+        missed, impossible, relaxations, "", against, tuple(s.row.name for s in held), unmet
     )
-    along = [name for name in missed if name not in impossible]
-    sentence = _sentence(found, along, held, relaxed=answer is not None)
-    return Explanation(missed, impossible, relaxations, sentence, against, found.holding)
+    along = [names[i] for i in np.flatnonzero(over) if names[i] not in impossible]
+    return replace(found, sentence=_sentence(found, along, held, relaxed=answer is not None))
 
 
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
@@ -127,6 +140,38 @@ def at_bound(record: TickRecord) -> tuple[Row, ...]:
     tick = asked_then(record)
     rows = [row for row, x in zip(tick.limit_rows, tick.slack, strict=True) if x < AT_BOUND]
     return tuple({thing_of(row): row for row in rows}.values())
+
+
+def _allowed(tick: Asked) -> Array:
+    """What each task row may be off by and count as met."""
+    exact = {"hard", "scaled"} if Status.TASKS_RELAXED in tick.causes else {"hard"}
+    firm = [tick.modes[row.owner] in exact for row in tick.task_rows]
+    return np.where(firm, HELD, MISSED + MISSED_SHARE * np.abs(tick.wanted))
+
+
+def _unmet(tick: Asked, over: Mask) -> tuple[Unmet, ...]:
+    """Hard tasks that miss rows, then scaled ones, each with the share of its rate."""
+    owners, got = np.array([row.owner for row in tick.task_rows]), tick.J @ tick.v
+    return tuple(
+        Unmet(name, mode, part_of_rate(got[owners == name], tick.wanted[owners == name]))
+        for mode in ("hard", "scaled")
+        for name in dict.fromkeys(owners[over].tolist())
+        if tick.modes[name] == mode
+    )
+
+
+def _until_missed(tick: Asked, over: Mask) -> list[int]:
+    """Task rows up to the first of hard, scaled and soft that misses any: later ones give way."""
+    modes = [tick.modes[row.owner] for row in tick.task_rows]
+    missing = {mode for mode, o in zip(modes, over, strict=True) if o}
+    order = ("hard", "scaled", "soft")
+    heeded = order[: 1 + min(map(order.index, missing))]
+    return [i for i, mode in enumerate(modes) if mode in heeded]
+
+
+def _with_rows(tick: Asked, kept: Sequence[int]) -> Asked:
+    rows = [tick.task_rows[i] for i in kept]
+    return replace(tick, J=tick.J[kept], wanted=tick.wanted[kept], task_rows=rows)
 
 
 class _Rows:
@@ -244,7 +289,7 @@ def _holding(tick: Asked) -> tuple[Share, ...]:
 def _sentence(
     found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
-    said = []
+    said = [f"{task.words} gets {task.percent} of its rate" for task in found.unmet]
     if found.impossible:
         said.append(f"the loops alone leave no motion along {listed(found.impossible)}")
     if found.contradicting:
@@ -261,7 +306,8 @@ def _sentence(
     elif along and not relaxed:
         said.append(f"no relaxation of the limits makes {listed(along)} possible")
     elif along:
-        said.append(f"{listed(along)} could be met; damping, weights or a later level gave it up")
+        other = " or the least squares of its rows" if found.unmet else ", weights or a later level"
+        said.append(f"{listed(along)} could be met; damping{other} gave it up")
     return "; ".join(said)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.controller_run import controller_of
 from coopqp.limit import states_along
 from coopqp.scenario.scenario import Scenario
@@ -29,6 +30,7 @@ from coopqp.study.explanation.leg import Leg, Recording, legs
 from coopqp.study.explanation.lost import lost
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.unmet import Relaxed, relaxed
 
 Report = Callable[[float], None]
 
@@ -71,7 +73,7 @@ class RunExplanation:
         tick: its last.
         kind: reached, open, lost, limits, elsewhere, reach, contradiction, freedom, speed, budget,
             short, rest, model, motors, springs, way, failed or unplaced.
-        missed: what ended outside its tolerance, the worst first.
+        missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
         held_back: limits by their share of the force.
         needed: what limits would have to give.
         tried: whether a rerun with all of that, or with the time needed, reached the goal; None
@@ -81,6 +83,7 @@ class RunExplanation:
         distance: out of reach by so much, in the unit of what is missed most.
         way: unit vector to the goal from the nearest point, where that is one of the world's.
         time: that would do, or at which the object was lost [s].
+        relaxed: hard and scaled tasks that were not met in full on the way.
         sentence: all of it in words.
     """
 
@@ -98,6 +101,7 @@ class RunExplanation:
     distance: float | None = None
     way: tuple[float, ...] = ()
     time: float | None = None
+    relaxed: tuple[Relaxed, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """For machines."""
@@ -128,13 +132,23 @@ def explain_run(
     ended = any(Status.OBJECT_LOST in causes for causes in leg.causes)
     if (leg.missed or opened or ended) and (gone := lost(held, run.controller, leg)):
         return replace(base, kind="lost", sentence=gone.sentence, tried=gone.tried, time=gone.time)
-    if not leg.missed:
-        kind = "open" if opened else "reached"
-        return replace(base, kind=kind, sentence=opened or _reached(held, run))
-    failed = _failed(leg)
+    if opened:
+        return replace(base, kind="open", sentence=opened)
+    failed = _failed(leg) if leg.missed else ""
     if failed:
         return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
-    return _Whole(held, run, leg, base, report).explained()
+    phases = [leg] if leg.missed else list(legs(held, run))
+    base = replace(base, relaxed=_relaxed(held, run.controller, phases))
+    if not leg.missed:
+        return replace(base, kind="reached", sentence=_reached(held, phases, base.relaxed))
+    found = _Whole(held, run, leg, base, report).explained()
+    said = "; ".join([found.sentence, *(task.words for task in base.relaxed)])
+    return replace(found, sentence=said)
+
+
+def _relaxed(scenario: Scenario, controller: str, phases: Sequence[Leg]) -> tuple[Relaxed, ...]:
+    """Of a law that commands velocities, in whose ticks they can be seen."""
+    return () if controller_of(scenario, controller).commands_torques else relaxed(phases)
 
 
 def _base(run: Recording, leg: Leg) -> RunExplanation:
@@ -166,13 +180,15 @@ def _opened(leg: Leg) -> str:
     )
 
 
-def _reached(scenario: Scenario, run: Recording) -> str:
+def _reached(scenario: Scenario, phases: Sequence[Leg], unmet: Sequence[Relaxed]) -> str:
     """Of a run that got there, but perhaps not as it should."""
-    phases = list(legs(scenario, run))
-    relaxed = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
     broken = words.broken(scenario.limits, phases)
-    but = [f"in {relaxed} ticks hard or scaled tasks were not met in full; --tick says why"]
-    found = [*([broken] if broken else []), *(but if relaxed else [])]
+    found = [*([broken] if broken else []), *(task.words for task in unmet)]
+    count = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
+    if unmet:
+        found.append("--tick says why")
+    elif count:
+        found.append(f"in {count} ticks hard tasks are not met in full")
     return f"every goal is reached{', but ' if found else ''}{'; '.join(found)}"
 
 
@@ -214,11 +230,24 @@ class _Whole:
         if not places:
             said = f"{words.stops(leg)}; it asks for no place"
             return replace(base, kind="unplaced", sentence=said)
-        found = diagnose(self._goal, self._room, leg.q[-1])
+        found = self._diagnosed(leg.q[-1])
         self._report(0.4)
         if velocities and isinstance(found, NotBlocked):
             return self._velocity()
         return self._said(found)
+
+    def _diagnosed(self, q: Array) -> Diagnosis:
+        """Of hard and scaled tasks alone where geometry keeps them already from their goals."""
+        modes = {part.task.mode for part, _ in self._leg.missed} if self._ordered() else {"soft"}
+        heeded = {"hard"} if "hard" in modes else {"hard", "scaled"}
+        first = [task for task in self._goal.tasks if task.mode in heeded]
+        if first and modes != {"soft"}:
+            goal = self._goal.only(first)
+            found = diagnose(goal, self._room, q)
+            if not isinstance(found, NotBlocked):
+                self._goal = goal
+                return found
+        return diagnose(self._goal, self._room, q)
 
     def _said(self, found: Diagnosis) -> RunExplanation:
         """What geometry says, in words."""
