@@ -63,7 +63,7 @@ class Nearest:
         self._count, loops = sum(order.exact.sizes[: len(order.hard)]), problem.chain.loops
         hard, scaled = TaskStack(order.hard, order.start), TaskStack(order.scaled, order.start)
         self._hard_tasks, self._scaled_tasks = hard, scaled
-        less = replace(damping, least=LESS * damping.least)
+        less = replace(damping, least=LESS * damping.least) if order.hard else damping
         self.hard = Level(problem, hard, loops.solver_rows, bounds, less)
         self.hard.certified = damping.least  # it decides what rows do, not all of v
         decided = min(len(loops.solver_rows) + self._count, problem.chain.n)

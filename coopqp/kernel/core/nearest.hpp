@@ -34,7 +34,7 @@ class Nearest {
         for (int s = 0; s < level.rows; s++)
             bend += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
         std::copy_n(given_.wanted.begin(), level.rows, level.wanted.begin());
-        return cascade_.decide(0, LESS * s_.damping + damping.of(bend));
+        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + damping.of(bend));
     }
 
     // Take the hard tasks as decided by a motion v, in lanes, that moves the loops by b.
