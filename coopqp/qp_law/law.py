@@ -34,7 +34,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.level import Level
-from coopqp.qp_law.nearest import MET, SLOW, Nearest, blocked
+from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import WayBack
@@ -186,7 +186,7 @@ class QPLaw(Law):
         tried, status = not state.memory["missed"].any(), Status.INFEASIBLE
         if tried:
             status = self.first.solve()
-            if status.usable and not (relaxes and self._leaves_direction()):
+            if status.usable and not (relaxes and self.first.scale < WHOLE):
                 self._remember(state, self.first.v, 0.0)
                 return self.first.v, (status,)
         if not relaxes:
@@ -208,16 +208,16 @@ class QPLaw(Law):
             kappa: gain of the drift correction.
             whole: of the first level; usable where no more is the matter than a blocked direction.
         """
-        nearest, v, status = self.nearest, self.first.v, whole
-        if whole.usable:
-            leaves = self._leaves_direction()
-        else:
+        nearest, v, status, leaves = self.nearest, self.first.v, whole, 0.0
+        if not whole.usable:
             status, v = nearest.of_hard(state, kappa), nearest.v
             if not status.usable:
                 return v, (status,)
-            v, leaves = self._scale_beside(state, kappa, v) if self._scaled else (v, 0.0)
-        if leaves:
+            if self._scaled:
+                v, leaves = self._scale_beside(state, kappa, v)
+        if self._scaled and (leaves > 0.0 or self.first.scale < WHOLE):
             near, status = nearest.of_scaled(state, v)
+            leaves = 1.0 if leaves == 1.0 else max(leaves, self._leaves_direction(near))
             v = near if leaves == 1.0 else v + leaves * (near - v)
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
@@ -234,14 +234,14 @@ class QPLaw(Law):
         if leaves < 1.0:
             self._assemble_first(state, kappa, got)
             if self.first.solve().usable:
-                return self.first.v, max(leaves, self._leaves_direction())
+                return self.first.v, leaves
         return v, 1.0
 
-    def _leaves_direction(self) -> float:
-        """How far scaled tasks may leave their directions, from 0 to 1."""
-        shares, wanted = self.solution.v[self.problem.chain.n :], self.exact.wanted
-        parts = zip(self._scaled, shares.tolist(), strict=True)
-        return max((blocked(share, wanted[part]) for part, share in parts), default=0.0)
+    def _leaves_direction(self, near: Array) -> float:
+        """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
+        shares, exact = self.solution.v[self.problem.chain.n :].tolist(), self.exact
+        parts = zip(self._scaled, shares, strict=True)
+        return max(blocked(s, exact.wanted[p], exact.J[p] @ near) for p, s in parts)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""

@@ -6,14 +6,15 @@ Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the 
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want. A
-direction along which next to nothing can be had gives way: v_n is the nearest to the whole of what
-they want, a problem like that of the hard ones, and
+then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want, and
+v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along which
+little can be had beside what v_n has of it, p_k, gives way:
 
-    v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / SLOW)+ (1 - 2 s_k)+
+    v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
+up to 1; it is 1 where no shares can be had at all. Later levels keep
+what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
 That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
 they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
 grows from there as they cease to.
@@ -35,7 +36,11 @@ from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
 
-#: Speed along its direction below which a scaled task may leave it [m/s, rad/s].
+#: A scaled task with less than this share may leave its direction, if along it there is less than
+WHOLE = 0.5
+#: this share of what the nearest motion has of it.
+LITTLE = 0.1
+#: Speed that hard tasks lack from which on scaled ones leave their direction [m/s, rad/s].
 SLOW = 5e-3
 #: Their least damping, beside that of the soft tasks.
 LESS = 1e-3
@@ -99,11 +104,14 @@ class Nearest:
                 getattr(stack, name)[:] = getattr(exact, name)[rows]
 
 
-def blocked(share: float, wanted: Array) -> float:
-    """How far a scaled task may leave its direction, r in [0, 1]: along it hardly anything is left.
+def blocked(share: float, wanted: Array, near: Array) -> float:
+    """How far a scaled task may leave its direction, r in [0, 1].
 
     Args:
         share: of what it wants, along its direction.
         wanted: shape (k,).
+        near: what the nearest motion does, shape (k,).
     """
-    return max(1.0 - share * norm(wanted) / SLOW, 0.0) * max(1.0 - 2.0 * share, 0.0)
+    size = norm(wanted)
+    along = max(float(wanted @ near), MET * size, 1e-300)  # times the size of what is wanted
+    return max(1.0 - share * size * size / (LITTLE * along), 0.0) * max(1.0 - share / WHOLE, 0.0)

@@ -18,8 +18,6 @@
 
 namespace coopqp {
 
-constexpr double MET = 1e-6;  // as coopqp.qp_law.nearest
-
 class Kernel {
   public:
     Kernel(std::unique_ptr<Arena> arena, std::unique_ptr<Model> model,
@@ -98,7 +96,7 @@ class Kernel {
             double& pull = bound.later_pulls[l - 1];
             pull = StepDamping::held_pull(tasks_.pull(int(l)), pull);
         }
-        if (leaves_ > 0.0)
+        if (near_scaled_)
             bound.scaled_pull[0] = StepDamping::held_pull(nearest_.pull(), bound.scaled_pull[0]);
         if (comes_back_) bound.recovery[0] = way_back_.pull();
         std::copy(missed_.begin(), missed_.end(), bound.missed);
@@ -175,19 +173,19 @@ class Kernel {
         Level& level = levels[0];
         level.want();
         leaves_ = 0.0;
+        near_scaled_ = false;
         const bool tried =
             std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
         Status status = tried ? decide_exactly() : Status::Infeasible;
-        if (status == Status::Optimal && s_.relaxes) leaves_ = leaves_direction();
         const bool proved = !s_.relaxes && status != Status::Unproven;
-        if (!level.exact || proved || (status == Status::Optimal && leaves_ == 0.0)) {
+        if (!level.exact || proved || (status == Status::Optimal && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed();
             return status;
         }
         const Status near = come_near(status);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
-        if (s_.relaxes && relaxed()) return near;
+        if (status == Status::Optimal || (s_.relaxes && relaxed())) return near;
         if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
         status = decide_exactly();
         if (status == Status::Optimal) note_missed();
@@ -204,26 +202,33 @@ class Kernel {
         return tasks_.decide(0, s_.damping + damping_.of(0, levels[0], bound));
     }
 
+    double least_share() {
+        double least = 1.0;
+        for (int k = 0; k < levels[0].shares; k++) least = std::min(least, tasks_.shares().share(k));
+        return least;
+    }
+
     // The levels of hard and of scaled tasks where not all they ask can be done.
-    //   whole: of the level with all they ask; Optimal where a direction is blocked.
+    //   whole: of the level with all they ask; Optimal where a share is small.
     Status come_near(Status whole) {
-        Level& level = levels[0];
-        const bool optimal = whole == Status::Optimal;
+        const bool optimal = whole == Status::Optimal, scales = levels[0].shares > 0;
         copy(near_, tasks_.v(), m_->blocks);
         if (optimal) {
             nearest_.accept_hard(b_.data(), near_);
         } else {
-            const Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
+            Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
             copy(near_, nearest_.v(), m_->blocks);
-            if (level.shares) {
-                const Status shared = scale_beside(near_);
-                if (shared != Status::Optimal) return shared;
-            }
-        }
-        if (leaves_ > 0.0) {
-            const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
+            if (scales) status = scale_beside(near_);
             if (status != Status::Optimal) return status;
+        }
+        if (scales && (leaves_ > 0.0 || least_share() < WHOLE)) {
+            const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
+            if (optimal && status != Status::Optimal) return whole;  // the shares hold
+            near_scaled_ = true;
+            if (status != Status::Optimal) return status;
+            if (leaves_ < 1.0) leaves_ = std::max(leaves_, leaves_direction(nearest_.v()));
+            if (optimal && leaves_ == 0.0) return status;
             for (int b = 0; b < m_->blocks; b++)
                 lanes(near_)[b] = smaller(
                     larger(lanes(near_)[b] + leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]),
@@ -256,27 +261,28 @@ class Kernel {
         }
         if (shared != Status::Optimal) return shared;
         copy(v, tasks_.v(), m_->blocks);
-        leaves_ = std::max(leaves_, leaves_direction());
         return shared;
     }
 
-    // As coopqp.qp_law.nearest.blocked.
-    double leaves_direction() {
+    // As coopqp.qp_law.nearest.blocked; near: the nearest motion, in lanes.
+    double leaves_direction(const double* near) {
+        const Level& level = levels[0];
         double most = 0.0;
-        for (int k = 0; k < levels[0].shares; k++) {
-            const double share = tasks_.shares().share(k), size = std::sqrt(wanted2(k));
-            const double left = std::max(1.0 - share * size / SLOW, 0.0);
-            most = std::max(most, left * std::max(1.0 - 2.0 * share, 0.0));
+        rows_.object_twist(near, V_);
+        for (int k = 0; k < level.shares; k++) {
+            double wanted2 = 0.0, along = 0.0;
+            for (int s = level.hard; s < level.exact; s++) {
+                if (level.share[std::size_t(s)] != k) continue;
+                const double wanted = level.wanted[std::size_t(s)];
+                wanted2 += wanted * wanted;
+                along += wanted * rows_.times(level, s, near, V_);
+            }
+            along = std::max(along, MET * std::sqrt(wanted2));
+            const double share = tasks_.shares().share(k);
+            const double left = along > 0.0 ? std::max(1.0 - share * wanted2 / (LITTLE * along), 0.0) : 0.0;
+            most = std::max(most, left * std::max(1.0 - share / WHOLE, 0.0));
         }
         return most;
-    }
-
-    double wanted2(int k) const {
-        double all = 0.0;
-        for (int s = levels[0].hard; s < levels[0].exact; s++)
-            if (levels[0].share[std::size_t(s)] == k)
-                all += levels[0].wanted[std::size_t(s)] * levels[0].wanted[std::size_t(s)];
-        return all;
     }
 
     // What rows of hard tasks lack of what they want, and shares to 1.
@@ -328,6 +334,7 @@ class Kernel {
     std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
+    bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *V_, *t_;
     bool comes_back_ = false;
 };

@@ -11,7 +11,7 @@
 
 namespace coopqp {
 
-constexpr double SLOW = 5e-3, LESS = 1e-3;  // as there
+constexpr double SLOW = 5e-3, WHOLE = 0.5, LITTLE = 0.1, LESS = 1e-3, MET = 1e-6;  // as there
 
 class Nearest {
   public:
