@@ -153,15 +153,20 @@ def test_trace_records_the_share_of_each_tick(chain: ClosedChain) -> None:
     assert np.linalg.norm(way - np.outer(way @ along, along), axis=1).max() < 1e-4
 
 
-def test_scaled_task_stops_where_a_limit_lets_it_no_further() -> None:
-    """The goal of joint_limit_stress: NAO stops on the straight way and stays there."""
+def test_scaled_task_leaves_a_blocked_direction_for_the_nearest_motion() -> None:
+    """The goal of joint_limit_stress: a limit ends the straight way; it rests where soft does."""
     given = load("joint_limit_stress").problem()
     goal = np.array([0.10, -0.05, 0.04])
-    task = PointOnPoint(name="reach", goal=tuple(goal.tolist()), profile=STEP, mode="scaled")
-    trace = run(PLAIN, replace(given, tasks=(task,)), 300)
-    assert set(trace.status) <= {"OPTIMAL"}
-    assert trace.scale[-1] < 1e-6
-    assert np.abs(trace.v[-100:]).max() < 1e-6
+    scaled = PointOnPoint(name="reach", goal=tuple(goal.tolist()), profile=STEP, mode="scaled")
+    trace, soft = (
+        run(PLAIN, replace(given, tasks=(replace(scaled, mode=mode),)), 600)  # type: ignore[arg-type]
+        for mode in ("scaled", "soft")
+    )
+    assert set(trace.status) == {"OPTIMAL", "TASKS_RELAXED"}
+    assert trace.status[-1] == "TASKS_RELAXED"
+    assert trace.scale[-1] < 1e-3
+    assert trace.task_error[-1] <= soft.task_error[-1] + 2e-4
+    assert np.abs(trace.v[-100:]).max() < 1e-3
     chain = given.chain
     assert np.maximum(chain.lower - trace.q, trace.q - chain.upper).max() <= 1e-9
 

@@ -100,13 +100,12 @@ def test_joints_that_cannot_come_back_do_not_rattle(name: str) -> None:
     assert trace.loop_position.max() <= 1e-3
 
 
-def test_a_hard_task_that_was_given_up_is_tried_again(chain: ClosedChain) -> None:
+def test_a_hard_task_that_was_relaxed_holds_again(chain: ClosedChain) -> None:
     """On the way a joint comes to its limit; at the goal nothing is in the way any more."""
     reach = PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03), mode="hard")
     law = QPController().plain(problem(chain, reach, limits=(JointPosition(), JointVelocity())))
     state = law.start()
     seen = [command.status for command in ticks(law, state, 300)]
-    assert seen.count(Status.TASKS_RELAXED) % 21 == 0
     assert 0 < seen.count(Status.TASKS_RELAXED) < 100
     assert seen[-50:] == [Status.OPTIMAL] * 50
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conflicts import REACH, TURN, jerked, slightly_open
 from laws import DT, LIMITS, NEAR, PLAIN, run, ticks
-from scipy.optimize import linprog
+from scipy.optimize import linprog, lsq_linear
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -58,16 +58,26 @@ def test_hard_task_that_the_grasp_rules_out_becomes_soft(chain: ClosedChain) -> 
     assert np.maximum(chain.lower - trace.q, trace.q - chain.upper).max() <= 1e-9
 
 
-def test_hard_task_given_up_is_the_soft_one(chain: ClosedChain) -> None:
-    """In such a tick the command is that of the same task with mode soft."""
-    given = {"budget": Budget(loop_position=1.0, loop_orientation=1.0)}
-    hard, soft = (
-        PLAIN.build(problem(chain, replace(TURN, mode=m), **given)) for m in ("hard", "soft")
-    )  # type: ignore[arg-type]
-    state = hard.start()
-    command = hard.tick(state)
+def test_hard_task_that_cannot_hold_is_the_least_squares_nearest(chain: ClosedChain) -> None:
+    """Against scipy's bounded least squares in the null space of the loops, and nothing beside."""
+    task, beside = replace(TURN, mode="hard"), replace(REACH, mode="soft", weight=1e4)
+    given = problem(chain, task, beside, budget=Budget(loop_position=1.0, loop_orientation=1.0))
+    law = PLAIN.plain(given)
+    state = law.start()
+    command = law.tick(state)
     assert command.status is Status.TASKS_RELAXED
-    np.testing.assert_allclose(command.v, soft.tick(state).v, atol=1e-9)
+    J, wanted = law.exact.J, law.exact.wanted
+    lb, ub = law.way_back.bounds.lb, law.way_back.bounds.ub
+    firmly = 1e4  # the weight of the loops beside the task
+    rows = np.vstack([firmly * state.J_loop, J])
+    sides = np.concatenate([-firmly * given.kappa * state.e_loop, wanted])
+    best = lsq_linear(rows, sides, bounds=(lb, ub), tol=1e-14)
+    least, found = np.linalg.norm(J @ best.x - wanted), np.linalg.norm(J @ command.v - wanted)
+    assert found == pytest.approx(least, rel=1e-5)
+    assert 0.1 < least / np.linalg.norm(wanted)
+    lacks = float(np.linalg.norm(state.memory["missed"]))
+    assert lacks == pytest.approx(found, rel=1e-9)
+    assert command.scale == pytest.approx(1.0 - found / np.linalg.norm(wanted), rel=1e-9)
 
 
 def test_objectives_give_way_before_anything_is_given_up(chain: ClosedChain) -> None:
