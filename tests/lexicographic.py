@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import quadprog
-from coopqp.qp_law.nearest import LESS, blocked
 from oracle import LONG, Program, UndeterminedError, solved
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
+from coopqp.qp_law.nearest import LESS, blocked
 from coopqp.qp_law.safety import drift_gain
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
