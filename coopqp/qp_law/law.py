@@ -199,7 +199,7 @@ class QPLaw(Law):
             return v, causes
         self._assemble_first(state, kappa, self.exact.wanted)  # hard tasks can hold again
         status = self.first.solve()
-        return (self.first.v, (status,)) if status.usable else (v, causes)
+        return self._come_near(state, kappa, status) if status.usable else (v, causes)
 
     def _come_near(
         self, state: State, kappa: float, whole: Status
