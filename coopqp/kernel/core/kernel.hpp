@@ -182,6 +182,8 @@ class Kernel {
             if (status == Status::Optimal) note_missed();
             return status;
         }
+        if (status == Status::Equality || status == Status::Bound || status == Status::NotFinite)
+            return status;
         const Status near = come_near(status);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
