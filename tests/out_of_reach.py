@@ -43,6 +43,8 @@ OTHERS = ("pr2_circle", "two_so101")
 SWINGS, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
 FARTHER, FARTHER_SHARE = 2e-4, 0.01  # what hard may be off more than soft [m], or as a share
 AT_REST = 1e-4  # an object that moves less rests [m]
+FARTHER_OFF = "farther off"
+ON_ITS_WAY = 1e-3  # speed above which an object has not come to its end [m/s]
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ class Ended:
         joint_path, joint_range: likewise of a joint [rad, m].
         swings: whether one of these is much longer than its range.
         statuses: ticks by what they say.
+        speed: of the object at the end [m/s].
+        q: configuration at the end.
     """
 
     error: float
@@ -85,6 +89,8 @@ class Ended:
     joint_range: float
     swings: bool
     statuses: Counter[str]
+    speed: float
+    q: Array
 
     @property
     def rests(self) -> bool:
@@ -100,27 +106,59 @@ class Ended:
         )
 
 
-def run(problem: ControlProblem, firm: Task, duration: float = DURATION) -> Ended:
-    """Run a problem from its start on joints that do as told, and look at the last half."""
+def run(
+    problem: ControlProblem, firm: Task, duration: float = DURATION, q: Array | None = None
+) -> Ended:
+    """Run a problem on joints that do as told, and look at the last half.
+
+    Args:
+        problem: what to run.
+        firm: the task whose error is told.
+        duration: of the run [s].
+        q: configuration to set out from; the problem's start without it.
+    """
     law = QPController().unprepared(problem)
-    state = law.start()
+    state = law.start(q)
     ticks = round(duration / problem.dt)
     goal = TaskStack([firm.at_goal()], State(problem.chain))
     made = law.run(state, ticks)
     goal.update(state)
-    q = made.q[ticks // 2 :]
-    places = np.array([problem.chain.object_pose(at).translation for at in q])
-    moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(q, JOINT_PATH)]
+    half = made.q[ticks // 2 :]
+    places = np.array([problem.chain.object_pose(at).translation for at in half])
+    moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(half, JOINT_PATH)]
     (object_path, object_range, object_swings), (path, width, swings) = moves
     return Ended(
-        float(np.linalg.norm(goal.e)),
-        object_path,
-        object_range,
-        path,
-        width,
-        object_swings or swings,
-        Counter(written(causes) for causes in made.causes),
+        error=float(np.linalg.norm(goal.e)),
+        object_path=object_path,
+        object_range=object_range,
+        joint_path=path,
+        joint_range=width,
+        swings=object_swings or swings,
+        statuses=Counter(written(causes) for causes in made.causes),
+        speed=float(np.linalg.norm(places[-1] - places[-2])) / problem.dt,
+        q=made.q[-1].copy(),
     )
+
+
+def shortfall(found: Ended, reference: Ended, soft: ControlProblem, firm: Task) -> str:
+    """Why a firm task ends farther off than as soft of priority 0; empty where it does not.
+
+    A gradient descent may end in another minimum. So the soft run is begun once more, where the
+    firm one has ended: at fault is what it then comes nearer from.
+
+    Args:
+        found: how the firm task ended.
+        reference: how it ended as soft, from the same start.
+        soft: the problem with it as soft.
+        firm: that task.
+    """
+    if not falls_short(found, reference):
+        return ""
+    if found.speed > ON_ITS_WAY:
+        return "still on its way"
+    there = replace(soft, tasks=tuple(task.at_goal() for task in soft.tasks))
+    again = run(there, firm, q=found.q)
+    return FARTHER_OFF if falls_short(found, again) else "another local optimum"
 
 
 def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
