@@ -44,7 +44,6 @@ SWINGS, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
 FARTHER, FARTHER_SHARE = 2e-4, 0.01  # what hard may be off more than soft [m], or as a share
 AT_REST = 1e-4  # an object that moves less rests [m]
 FARTHER_OFF = "farther off"
-ON_ITS_WAY = 1e-3  # speed above which an object has not come to its end [m/s]
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,6 @@ class Ended:
         joint_path, joint_range: likewise of a joint [rad, m].
         swings: whether one of these is much longer than its range.
         statuses: ticks by what they say.
-        speed: of the object at the end [m/s].
         q: configuration at the end.
     """
 
@@ -89,7 +87,6 @@ class Ended:
     joint_range: float
     swings: bool
     statuses: Counter[str]
-    speed: float
     q: Array
 
     @property
@@ -135,30 +132,32 @@ def run(
         joint_range=width,
         swings=object_swings or swings,
         statuses=Counter(written(causes) for causes in made.causes),
-        speed=float(np.linalg.norm(places[-1] - places[-2])) / problem.dt,
         q=made.q[-1].copy(),
     )
 
 
-def shortfall(found: Ended, reference: Ended, soft: ControlProblem, firm: Task) -> str:
+def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Task) -> str:
     """Why a firm task ends farther off than as soft of priority 0; empty where it does not.
 
-    A gradient descent may end in another minimum. So the soft run is begun once more, where the
-    firm one has ended: at fault is what it then comes nearer from.
+    A gradient descent may end in another minimum, or not have ended. So both go on from where the
+    firm run has come to, with all references at their goals: at fault is the firm task that is then
+    farther off than the soft one.
 
     Args:
         found: how the firm task ended.
         reference: how it ended as soft, from the same start.
-        soft: the problem with it as soft.
+        problem: with the firm task.
         firm: that task.
     """
     if not falls_short(found, reference):
         return ""
-    if found.speed > ON_ITS_WAY:
-        return "still on its way"
-    there = replace(soft, tasks=tuple(task.at_goal() for task in soft.tasks))
-    again = run(there, firm, q=found.q)
-    return FARTHER_OFF if falls_short(found, again) else "another local optimum"
+    on, as_soft_on = (
+        run(replace(given, tasks=tuple(task.at_goal() for task in given.tasks)), firm, q=found.q)
+        for given in (problem, as_soft(problem, firm))
+    )
+    if falls_short(on, as_soft_on):
+        return FARTHER_OFF
+    return "still on its way" if falls_short(found, on) else "another local optimum"
 
 
 def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
