@@ -155,7 +155,7 @@ class Engine {
 
     // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
     // each tick and at the end, shape (T + 1, n), v of each of T ticks, who decided it and how, the
-    // least share of a scaled task's speed, and what of `memory` was there before it.
+    // least share of a hard or scaled task's rate, and what of `memory` was there before it.
     // Returns how many were done; signals of the process wait as long.
     int run(double t, const Written& q, const Written& v, const Said& said, const Written& scale,
             const Numbers& memory, const Written& remembered, bool stops, bool all_corrected) {

@@ -5,6 +5,7 @@ way_back    the way back for joints that start outside of them
 level       one QP: objective, rows, solver, verification
 equations   the damping of a level
 priorities  later levels, each within what the ones before leave free
-fallback    what is given up when not everything can hold
+nearest     hard and scaled tasks that cannot hold
+drift       the drift correction in part, and acceleration limits
 safety      the look at the loops after the step
 """

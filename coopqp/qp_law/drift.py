@@ -59,8 +59,9 @@ class DriftShare:
             status = self._solve(state)
         if not status.usable:
             return (status,)
-        self.share = INSIDE * self._level.scale
+        self.share = self._level.scale
         if self.share < ALL_OF_IT:
+            self.share *= INSIDE
             causes = (*causes, Status.DRIFT_SLOWED)
         return causes or (Status.SOLVER_FAILED,)
 

@@ -26,8 +26,8 @@ FADES_IN = 0.1
 #: A joint swings back that changes its sign at this speed [rad/s, m/s] or faster, and is among the
 #: fast ones: speeds before and after, times each other, over the same of the fastest.
 SWINGS_AT, AMONG_THE_FAST = 1e-3, 0.25
-#: What a later level pulls falls to no less than this share of what it was a tick before, while that
-#: is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
+#: What a later level pulls falls to no less than this share of what it was a tick before, while
+#: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
 LETS_GO, FIRM = 0.9, 100.0
 
 

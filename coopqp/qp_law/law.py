@@ -1,26 +1,29 @@
 """The QP law: tasks as objectives, loop closure and limits as hard constraints.
 
-    minimise    sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2 + d |v|^2            soft tasks
-    subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h                    always
-                J_j v = rate_j - gain_j e_j                                      hard tasks
-                J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest   scaled tasks
+A hierarchy of least-squares problems (Kanoun, Lamiraux and Wieber 2011; Escande, Mansard and Wieber
+2014), in every level of which
 
-with d = damping + c dt (sum_i w_i gain_i |e_i| L_i + curvature of the rows that must hold), in
-every level from its own tasks: what a step needs that it does not overshoot where the arms are
-stretched (:class:`coopqp.qp_law.equations.Damping`). It fades as the tasks are met.
+    J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-Soft tasks of a later priority, and the secondary objectives after them all, are solved in what the
-earlier ones leave free (:mod:`coopqp.qp_law.priorities`).
+and what the levels before it have decided stays:
 
-A tick, from top to bottom: assemble, solve, improve (the later levels), shorten.
+    hard tasks          J_j v = rate_j - gain_j e_j
+    scaled tasks        J_k v = s_k (rate_k - gain_k e_k),  0 <= s_k <= 1, s_k largest
+    soft tasks          minimise  sum_i w_i |J_i v - (rate_i - gain_i e_i)|^2 + d |v|^2
+    of each priority    with d = damping + c dt sum_i w_i gain_i |e_i| L_i + by what it pulls
+    secondary ones      likewise
 
-Joints that start outside their limits come back first, before all tasks
-(:mod:`coopqp.qp_law.way_back`).
+Hard and scaled tasks are one program where they can hold; where they cannot they are met as nearly
+as can be, each on a level of its own (:mod:`coopqp.qp_law.nearest`). The damping d keeps a step
+from overshooting where the arms are stretched (:class:`coopqp.qp_law.equations.Damping`); it fades
+as the tasks are met. Later levels move in the null space of what is decided
+(:mod:`coopqp.qp_law.priorities`).
 
-When not everything can hold, this is given up, in this order, and said: hard and scaled tasks
-become soft, for a moment; the drift correction is done in part; acceleration limits go. Never the
-loop rows, never position and velocity limits. Standing still is feasible from any state inside the
-limits, so there is always an answer.
+A tick, from top to bottom: assemble, decide level by level, shorten. Joints that start outside
+their limits come back first, before all tasks (:mod:`coopqp.qp_law.way_back`). Where limits leave
+no motion that corrects all of the loops' drift, a part of it is corrected, then acceleration limits
+go (:mod:`coopqp.qp_law.drift`). Never the loop rows, never position and velocity limits. Standing
+still is feasible from any state inside the limits, so there is always an answer.
 """
 
 from __future__ import annotations
@@ -31,8 +34,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.drift import DriftShare
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
@@ -62,13 +65,13 @@ class QPLaw(Law):
             are its program and answer in the last tick.
         levels: all of them.
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
-        memory_sizes: "stopped" is 1 after a stop; "soft" for how many more ticks hard tasks stay
-            soft; "swing" how much more damping there is because joints swing back,
-            :func:`coopqp.qp_law.equations.note_swing`;
-            "recovery" what the way back pulled at the loops in the last tick; "pull" the sum
-            of the hard rows' multipliers; "missing" what the share of each scaled task lacked to 1;
-            "later pulls" what each later level pulled at the rows decided before it,
-            :meth:`LaterLevel.improve`; and what the squeezer needs.
+        memory_sizes: of the last tick: "stopped" is 1 after a stop; "recovery" what the way back
+            pulled at the loops; "missed" what the rows of hard tasks lacked, J v - wanted, zero
+            where that is rounding; "missing" what the share of each scaled task lacked to 1;
+            "scaled pull" and "later pulls" what the scaled tasks, where they left their directions,
+            and each later level pulled at the rows decided before, :meth:`LaterLevel.improve`;
+            "swing" how much more damping there is because joints swing back,
+            :func:`coopqp.qp_law.equations.note_swing`; and what the squeezer needs.
     """
 
     engine = "python"
@@ -196,7 +199,7 @@ class QPLaw(Law):
             return v, causes
         self._assemble_first(state, kappa, self.exact.wanted)  # hard tasks can hold again
         status = self.first.solve()
-        return (self.first.v, (status,)) if status.usable else (v, causes)
+        return self._come_near(state, kappa, status) if status.usable else (v, causes)
 
     def _come_near(
         self, state: State, kappa: float, whole: Status
@@ -302,8 +305,7 @@ def memory_sizes(
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")
     return {
-        "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled, "scaled pull": min(scaled, 1),
-        "later pulls": levels - 1,
+        "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled,
+        "scaled pull": min(scaled, 1), "later pulls": levels - 1,
         **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
     }  # fmt: skip
-

@@ -6,9 +6,9 @@ Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the 
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want, and
-v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along which
-little can be had beside what v_n has of it, p_k, gives way:
+then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want,
+and v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along
+which little can be had beside what v_n has of it, p_k, gives way:
 
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 

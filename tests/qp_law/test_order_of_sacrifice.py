@@ -74,7 +74,7 @@ def test_hard_task_that_cannot_hold_is_the_least_squares_nearest(chain: ClosedCh
     best = lsq_linear(rows, sides, bounds=(lb, ub), tol=1e-14)
     least, found = np.linalg.norm(J @ best.x - wanted), np.linalg.norm(J @ command.v - wanted)
     assert found == pytest.approx(least, rel=1e-5)
-    assert 0.1 < least / np.linalg.norm(wanted)
+    assert least / np.linalg.norm(wanted) > 0.1
     lacks = float(np.linalg.norm(state.memory["missed"]))
     assert lacks == pytest.approx(found, rel=1e-9)
     assert command.scale == pytest.approx(1.0 - found / np.linalg.norm(wanted), rel=1e-9)

@@ -187,7 +187,9 @@ class Kernel {
         note_missed();
         if (status == Status::Optimal || (s_.relaxes && relaxed())) return near;
         if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
-        status = decide_exactly();
+        leaves_ = 0.0;
+        status = decide_exactly();  // hard tasks can hold again
+        if (status == Status::Optimal && least_share() < WHOLE) status = come_near(status);
         if (status == Status::Optimal) note_missed();
         return status;
     }
