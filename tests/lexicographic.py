@@ -3,11 +3,12 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  J_h v = w_h of the hard tasks; where that cannot hold, or rows lacked something a tick ago,
-       min sum weight |J_h v - w_h|^2 + d |v|^2
+    1  J_h v = w_h of the hard tasks; where that cannot hold beside what scaled ones want, or rows
+       lacked something a tick ago and still do, min sum weight |J_h v - w_h|^2 + d |v|^2
     2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2
        v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
-       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, 1 without v_s
+       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least what
+       hard tasks lack over SLOW; 1 without v_s
     3  soft tasks and secondary objectives, min sum weight |J v - w|^2 + d |v|^2 by priority
 
 Each level keeps J v of the tasks before it. The dampings d belong to the definition: they are made
@@ -27,7 +28,7 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
-from coopqp.qp_law.nearest import LESS, blocked
+from coopqp.qp_law.nearest import LESS, MET, SLOW, WHOLE, blocked
 from coopqp.qp_law.safety import drift_gain
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -37,6 +38,7 @@ EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
 ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
 NOISE, CLEAR = 1e-10, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
+DOUBT = 1e-9  # as near to what still counts as met as that it cannot be told [m/s, rad/s]
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class Cascade:
         problem: whose tick it is.
         state: of the tick, up to date, with the memory that the law has before it.
         damping: cost of |v|^2.
-        jitter: by how much numbers are moved, in units of their last digit.
+        jitter: by how much the numbers of Jacobians, and of the gradients that programs are made
+            of, are moved, in units of their last digit.
         seed: of the jitter.
     """
 
@@ -95,62 +98,96 @@ class Cascade:
         tasks, memory = self._problem.tasks, self._state.memory
         hard = self._stack([task for task in tasks if task.mode == "hard"])
         scaled = self._stack([task for task in tasks if task.mode == "scaled"])
-        relaxed = [
-            bool(hard.tasks) and self._hard(hard, memory["missed"]),
-            bool(scaled.tasks) and self._scaled(scaled),
-        ]
-        alone = not (hard.tasks or scaled.tasks)  # the first soft level is then the first of all
-        pulls = [0.0] * alone + memory["later pulls"].tolist()
-        groups = _levels(self._problem)  # of which the law leaves out those with no motion left
-        for group, pull in zip(groups, itertools.chain(pulls, itertools.repeat(0.0)), strict=False):
-            self._soft(self._stack(group), pull)
+        firm = bool(hard.tasks or scaled.tasks)
+        relaxed = self._firm(hard, scaled) if firm else (False, False)
+        pulls = memory["later pulls"].tolist()
+        if not firm:  # the first soft level is then the first of all
+            pulls.insert(0, 0.0)
+        # The law leaves out levels with no motion left.
+        groups = zip(
+            _levels(self._problem), itertools.chain(pulls, itertools.repeat(0.0)), strict=False
+        )
+        for group, pull in groups:
+            soft = self._stack(group)
+            J = self._moved(soft.J)
+            self._v = self._improved(soft, J, pull)
+            self._keep(J, J @ self._v)
         return Optimum(self._v.astype(float), *relaxed)
 
-    def _hard(self, tasks: TaskStack, missed: Array) -> bool:
-        """Decide the hard tasks; whether they are relaxed."""
-        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
-        relaxed = missed.any() or not self._can_hold(J, w)
-        if relaxed:
-            d = self._relaxed(tasks, np.abs(missed) * tasks.levers)
-            self._v = self._nearest(J, w, tasks.weights, d)
-            w = J @ self._v
-        self._keep(J, w)
-        if not relaxed:  # no more than that is wanted of v by now
-            self._v = self._nearest(J, w, tasks.weights, self._damping.least)
-        return bool(relaxed)
+    def _firm(self, hard: TaskStack, scaled: TaskStack) -> tuple[bool, bool]:
+        """Decide hard and scaled tasks; which of them are relaxed."""
+        J_h, w_h = self._moved(hard.J), hard.wanted.astype(LONG)
+        J_k, missed = self._moved(scaled.J), self._state.memory["missed"]
+        ways = _ways(scaled)
+        rows, sides = _exact(J_h, w_h, J_k, ways)
+        holds = self._can_hold(rows, sides)
+        lacks = 0.0  # speed that hard tasks lack
+        if missed.any() or not holds:
+            v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
+            off = np.abs(J_h @ v - w_h)
+            if missed.any() and len(off) and abs(off.max() - MET) < DOUBT:
+                raise UndeterminedError
+            if not holds or (off > MET).any():
+                lacks, w_h = float(np.sqrt(off @ off)), J_h @ v
+            relaxed = bool((off > MET).any())
+            self._v = v
+        else:
+            relaxed = False
+        self._keep(J_h, w_h)
+        if not scaled.tasks:
+            if not lacks:  # no more than that is wanted of v by now
+                self._v = self._shares(J_k, ways, self._damping.least)[0]
+            return relaxed, False
+        leaves = self._scaled(scaled, J_k, ways, min(lacks / SLOW, 1.0))
+        return relaxed, leaves
 
-    def _scaled(self, tasks: TaskStack) -> bool:
-        """Decide the scaled tasks; whether they leave their directions."""
-        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
-        ways = np.zeros((len(w), len(tasks.slices)), LONG)  # of each task in a column
-        for k, part in enumerate(tasks.slices):
-            ways[part, k] = w[part]
-        v, leaves = self._v, 1.0
-        if self._can_hold(np.hstack([J, -ways]), np.zeros_like(w)):
-            v, shares = self._share(J, ways, self._damping.least + self._pulled(tasks))
-            parts = zip(shares.astype(float), tasks.slices, strict=True)
-            leaves = max(blocked(share, tasks.wanted[part]) for share, part in parts)
-        if leaves:
-            d = self._relaxed(tasks, tasks.bends(self._state.v))
-            nearest = self._nearest(J, w, tasks.weights, d)
-            v = v + LONG(leaves) * (nearest - v)
+    def _scaled(self, tasks: TaskStack, J: Array, ways: Array, least: float) -> bool:
+        """Decide the scaled tasks; whether they leave their directions.
+
+        Args:
+            tasks: these.
+            J: their rows.
+            ways: what each of them wants, in a column.
+            least: by which they leave them at least.
+        """
+        leaves, v, shares = 1.0, self._v, np.zeros(ways.shape[1])
+        if least < 1.0 and self._can_hold(np.hstack([J, -ways]), np.zeros(len(J), LONG)):
+            d = self._damping.least + self._pulled(tasks)
+            v, shares = self._shares(J, ways, d)
+            leaves = least
         self._v = v
-        self._keep(J, J @ v)
+        if leaves > 0.0 or shares.min() < WHOLE:
+            pull = float(self._state.memory["scaled pull"][0])
+            near = self._improved(tasks, J, pull)
+            if leaves < 1.0:
+                parts = zip(shares.astype(float), tasks.slices, strict=True)
+                done = (J @ near).astype(float)
+                blocks = [blocked(float(s), tasks.wanted[part], done[part]) for s, part in parts]
+                leaves = max(leaves, *blocks)
+            self._v = v + LONG(leaves) * (near - v)
+        self._keep(J, J @ self._v)
         return leaves > 0.0
 
-    def _soft(self, tasks: TaskStack, pull: float) -> None:
-        J, w = self._moved(tasks.J), tasks.wanted.astype(LONG)
+    def _improved(self, tasks: TaskStack, J: Array, pull: float) -> Array:
+        """The nearest to what a level wants, from what those before it have decided.
+
+        Args:
+            tasks: of the level.
+            J: its rows.
+            pull: at the rows decided before it, in the last tick.
+        """
         d = self._damping.least + self._damping.of(tasks.bend(self._state.v), self._state)
         needed = self._damping.of(pull, self._state)
         share = MOST_DAMPING / max(needed, MOST_DAMPING)  # of the step that is made
-        v = self._nearest(J, w, tasks.weights, d + min(needed, MOST_DAMPING))
-        self._v = self._v + LONG(share) * (v - self._v)
-        self._keep(J, J @ self._v)
+        wanted = tasks.wanted.astype(LONG)
+        v = self._nearest(J, wanted, tasks.weights, d + min(needed, MOST_DAMPING))
+        return self._v + LONG(share) * (v - self._v)
 
-    def _relaxed(self, tasks: TaskStack, bends: Array) -> float:
-        """Damping of tasks that are met as nearly as possible."""
-        bend = float(tasks.weights @ bends)
-        return LESS * self._damping.least + self._damping.of(bend, self._state)
+    def _hard_damping(self, tasks: TaskStack) -> float:
+        """Damping of hard tasks that are met as nearly as possible."""
+        least = (LESS if tasks.tasks else 1.0) * self._damping.least
+        lacks = np.abs(self._state.memory["missed"]) * tasks.levers
+        return least + self._damping.of(float(tasks.weights @ lacks), self._state)
 
     def _pulled(self, tasks: TaskStack) -> float:
         """Damping of scaled tasks for what their shares lacked in the last tick."""
@@ -170,7 +207,7 @@ class Cascade:
             raise UndeterminedError
         return missed <= HOLDS
 
-    def _share(self, J: Array, ways: Array, d: float) -> tuple[Array, Array]:
+    def _shares(self, J: Array, ways: Array, d: float) -> tuple[Array, Array]:
         """The v with J v = ways s of the largest shares s, and these."""
         n, shares = self._n, ways.shape[1]
         root = np.sqrt(LONG(SCALE_WEIGHT))
@@ -181,9 +218,15 @@ class Cascade:
 
     def _nearest(self, J: Array, w: Array, weights: Array, d: float) -> Array:
         """The v of least sum weight |J v - w|^2 + d |v|^2."""
-        roots = np.sqrt(weights.astype(LONG))
-        M = np.vstack([roots[:, None] * J, np.sqrt(LONG(d)) * np.eye(self._n)])
-        return self._solve(M, np.concatenate([roots * w, np.zeros(self._n)]), 0)
+        roots, root = np.sqrt(weights.astype(LONG)), np.sqrt(LONG(d))
+        M = np.vstack([roots[:, None] * J, root * np.eye(self._n)])
+        m = np.concatenate([roots * w, np.zeros(self._n)])
+        v = self._solve(M, m, 0)
+        if not self._jitter:
+            return v
+        sizes = np.abs(M).T @ (np.abs(M) @ np.abs(v) + np.abs(m))
+        m[len(w) :] += self._digits(sizes.shape) * sizes / root
+        return self._solve(M, m, 0)
 
     def _solve(self, M: Array, m: Array, shares: int, held: Array | None = None) -> Array:
         """Least squares within all that is kept, with shares from 0 to 1, and more rows at zero."""
@@ -206,8 +249,25 @@ class Cascade:
         return stack
 
     def _moved(self, rows: Array) -> Array:
-        size = self._jitter * np.finfo(float).eps
-        return rows.astype(LONG) * (1.0 + size * self._rng.uniform(-1.0, 1.0, rows.shape))
+        return rows.astype(LONG) * (1.0 + self._digits(rows.shape))
+
+    def _digits(self, shape: tuple[int, ...]) -> Array:
+        """By what numbers move, relatively."""
+        return self._jitter * np.finfo(float).eps * self._rng.uniform(-1.0, 1.0, shape)
+
+
+def _ways(scaled: TaskStack) -> Array:
+    """What each of the scaled tasks wants, in a column."""
+    ways = np.zeros((len(scaled.wanted), len(scaled.slices)), LONG)
+    for k, part in enumerate(scaled.slices):
+        ways[part, k] = scaled.wanted[part]
+    return ways
+
+
+def _exact(J_h: Array, w_h: Array, J_k: Array, ways: Array) -> tuple[Array, Array]:
+    """Rows over v and the shares that hard and scaled tasks want to hold together."""
+    rows = np.block([[J_h, np.zeros((len(J_h), ways.shape[1]), LONG)], [J_k, -ways]])
+    return rows, np.concatenate([w_h, np.zeros(len(J_k), LONG)])
 
 
 def _levels(problem: ControlProblem) -> list[list[Task]]:

@@ -43,6 +43,7 @@ OTHERS = ("pr2_circle", "two_so101")
 SWINGS, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
 FARTHER, FARTHER_SHARE = 2e-4, 0.01  # what hard may be off more than soft [m], or as a share
 AT_REST = 1e-4  # an object that moves less rests [m]
+FARTHER_OFF = "farther off"
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ class Ended:
         joint_path, joint_range: likewise of a joint [rad, m].
         swings: whether one of these is much longer than its range.
         statuses: ticks by what they say.
+        q: configuration at the end.
     """
 
     error: float
@@ -85,6 +87,7 @@ class Ended:
     joint_range: float
     swings: bool
     statuses: Counter[str]
+    q: Array
 
     @property
     def rests(self) -> bool:
@@ -100,27 +103,61 @@ class Ended:
         )
 
 
-def run(problem: ControlProblem, firm: Task, duration: float = DURATION) -> Ended:
-    """Run a problem from its start on joints that do as told, and look at the last half."""
+def run(
+    problem: ControlProblem, firm: Task, duration: float = DURATION, q: Array | None = None
+) -> Ended:
+    """Run a problem on joints that do as told, and look at the last half.
+
+    Args:
+        problem: what to run.
+        firm: the task whose error is told.
+        duration: of the run [s].
+        q: configuration to set out from; the problem's start without it.
+    """
     law = QPController().unprepared(problem)
-    state = law.start()
+    state = law.start(q)
     ticks = round(duration / problem.dt)
     goal = TaskStack([firm.at_goal()], State(problem.chain))
     made = law.run(state, ticks)
     goal.update(state)
-    q = made.q[ticks // 2 :]
-    places = np.array([problem.chain.object_pose(at).translation for at in q])
-    moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(q, JOINT_PATH)]
+    half = made.q[ticks // 2 :]
+    places = np.array([problem.chain.object_pose(at).translation for at in half])
+    moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(half, JOINT_PATH)]
     (object_path, object_range, object_swings), (path, width, swings) = moves
     return Ended(
-        float(np.linalg.norm(goal.e)),
-        object_path,
-        object_range,
-        path,
-        width,
-        object_swings or swings,
-        Counter(written(causes) for causes in made.causes),
+        error=float(np.linalg.norm(goal.e)),
+        object_path=object_path,
+        object_range=object_range,
+        joint_path=path,
+        joint_range=width,
+        swings=object_swings or swings,
+        statuses=Counter(written(causes) for causes in made.causes),
+        q=made.q[-1].copy(),
     )
+
+
+def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Task) -> str:
+    """Why a firm task ends farther off than as soft of priority 0; empty where it does not.
+
+    A gradient descent may end in another minimum, or not have ended. So both go on from where the
+    firm run has come to, with all references at their goals: at fault is the firm task that is then
+    farther off than the soft one.
+
+    Args:
+        found: how the firm task ended.
+        reference: how it ended as soft, from the same start.
+        problem: with the firm task.
+        firm: that task.
+    """
+    if not falls_short(found, reference):
+        return ""
+    on, as_soft_on = (
+        run(replace(given, tasks=tuple(task.at_goal() for task in given.tasks)), firm, q=found.q)
+        for given in (problem, as_soft(problem, firm))
+    )
+    if falls_short(on, as_soft_on):
+        return FARTHER_OFF
+    return "still on its way" if falls_short(found, on) else "another local optimum"
 
 
 def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:

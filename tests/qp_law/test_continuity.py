@@ -13,20 +13,32 @@ from coopqp.study.stress import arrangements
 
 
 @cache
-def driven(robot: str, mode: Mode) -> Jump:
+def driven(robot: str, mode: Mode, *, alone: bool) -> Jump:
     """How continuous the law is as it drives round a circle about the border."""
     grasp = arrangements.grasps_of(robot)[0] if robot in arrangements.names() else "its own"
-    return jump(QPController().build(problem(chain_of(robot, grasp), mode)))
+    return jump(QPController().build(problem(chain_of(robot, grasp), mode, alone=alone)))
 
 
 @pytest.mark.parametrize("robot", robots())
 @pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
 def test_no_command_jumps_while_a_task_passes_the_border_of_reach(robot: str, mode: Mode) -> None:
-    found = driven(robot, mode)
-    assert found.left <= LEFT, found
+    found = driven(robot, mode, alone=True)
+    assert max(found.left, found.seen) <= LEFT, found
+
+
+@pytest.mark.parametrize("robot", robots())
+def test_no_later_level_makes_a_hard_task_jump(robot: str) -> None:
+    found = driven(robot, "hard", alone=False)
+    assert found.seen <= LEFT, found
+
+
+@pytest.mark.parametrize("robot", robots())
+def test_hard_tasks_let_later_levels_jump_no_farther_than_soft_ones_do(robot: str) -> None:
+    hard, soft = driven(robot, "hard", alone=False), driven(robot, "soft", alone=False)
+    assert hard.left <= soft.left + LEFT, (hard, soft)
 
 
 def test_hard_tasks_pass_the_border() -> None:
     """In most of the runs some ticks hold all and others do not; else nothing would be tested."""
-    passed = [robot for robot in robots() if driven(robot, "hard").crossings >= 2]
+    passed = [robot for robot in robots() if driven(robot, "hard", alone=True).crossings >= 2]
     assert 2 * len(passed) > len(robots())
