@@ -194,9 +194,11 @@ class QPLaw(Law):
                 return self.first.v, (status,)
         if not relaxes:
             return self.first.v, (status,)
+        before = state.memory.numbers.copy()
         v, causes = self._come_near(state, kappa, status)
         if tried or not causes[0].usable or state.memory["missed"].any():
             return v, causes
+        state.memory.numbers[:] = before
         self._assemble_first(state, kappa, self.exact.wanted)  # hard tasks can hold again
         status = self.first.solve()
         return self._come_near(state, kappa, status) if status.usable else (v, causes)

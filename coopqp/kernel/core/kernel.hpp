@@ -258,8 +258,7 @@ class Kernel {
         leaves_ = std::min(std::sqrt(lacks2) / SLOW, 1.0);
         const Status shared = leaves_ < 1.0 ? decide_exactly() : Status::Infeasible;
         std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
-        // Also where no share is sure to the declared accuracy: the nearest is as safe.
-        if (shared == Status::Infeasible || shared == Status::Unproven || shared == Status::Inaccurate) {
+        if (shared == Status::Infeasible || shared == Status::Unproven) {
             leaves_ = 1.0;
             return Status::Optimal;
         }
