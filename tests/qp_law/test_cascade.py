@@ -9,8 +9,8 @@ import pytest
 from .cascade import compare
 
 TICKS = 40
-#: Off by 1.4e-7 rad/s: DAQP passes bounds by up to 1e-9, which the least damping of hard tasks, 1e-9,
-#: magnifies. The kernel is within 1e-12 there.
+#: Off by 1.4e-7 rad/s: DAQP passes bounds by up to 1e-9, which the least damping of hard tasks,
+#: 1e-9, magnifies. The kernel is within 1e-12 there.
 OFF = {"python": {18}, "auto": set[int]()}
 
 
