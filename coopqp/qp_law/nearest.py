@@ -42,7 +42,7 @@ WHOLE = 0.5
 LITTLE = 0.1
 #: Speed that hard tasks lack from which on scaled ones leave their direction [m/s, rad/s].
 SLOW = 5e-3
-#: Their least damping, beside that of the soft tasks.
+#: Least damping of the level of the hard tasks, as a share of that of the soft ones.
 LESS = 1e-3
 #: Rows that lack less than this are met, as those of the loops are [m/s, rad/s].
 MET = 1e-6
