@@ -3,11 +3,13 @@
 A velocity command moves the desired angle, q_d += v dt, and each joint follows it:
 
     tau = K (q_d - q) + D (v_d - v) + gravity compensation,   |tau| <= effort
-    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K / W_jj)
+    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K min(1/W_jj, A_jj))
 
 with 1/W_jj the inertia the joint sees where it is, the loops closed: W = N (N' A N)^-1 N'. (The
-tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain.) A
-torque command goes to the motors as it is.
+tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain;
+1/W_jj grows without end where the loops hold a joint fast, and what little a real grasp yields
+there would be damped with all the torque that the motor has.) A torque command goes to the motors
+as it is.
 
 Drives that know what they move follow all alike, with one frequency w and the tree's inertia A:
 
@@ -109,7 +111,9 @@ class ServoLaw:
         return Gamma
 
     def _update_damping(self) -> None:
-        np.sqrt(self.stiffness * inertia_seen(self._model.A, self._model.J), out=self._damping)
+        A = self._model.A
+        inertia = np.minimum(inertia_seen(A, self._model.J), np.diag(A))
+        np.sqrt(self.stiffness * inertia, out=self._damping)
         self._damping *= 2.0 * self._ratio
 
     def advance(self, h: float) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
-from scenario_files import HAS_ROBOTS
+from scenario_files import HAS_ROBOTS, needs_robots
 
 import coopqp
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem
+from coopqp.controller_run import run
 from coopqp.disturbance import Disturbance
 from coopqp.grasps import Revolute, Rigid
 from coopqp.held_object import HeldObject
@@ -140,3 +142,23 @@ def test_a_box_between_hinges_stays_where_it_is(plant: Plant, hinged: ClosedChai
         model.step(state, Command(hinged.n))
     np.testing.assert_allclose(model.truth(state).p_WO, start, atol=1e-4)
     assert np.abs(model.signals["internal_wrench"]).max() < 0.1
+
+
+@needs_robots
+@pytest.mark.parametrize("plant", [RigidBody(), Mujoco()], ids=["rigid_body", "mujoco"])
+def test_servos_do_not_fight_at_joints_that_the_loops_hold_fast(plant: Plant) -> None:
+    """Two SO-101 cannot turn their bar about the vertical: their pans are held by the loops.
+
+    Such a joint seems infinitely heavy. Damped like that, under MuJoCo its motor was saturated in
+    every tick and the hands turned against each other with 1 N m.
+    """
+    if isinstance(plant, Mujoco):
+        pytest.importorskip("mujoco")
+    shipped = coopqp.load("two_so101")
+    of_joints = shipped.limits[:2]  # the others read meshes, which takes seconds
+    trace = run(replace(shipped, plant=plant, limits=of_joints, duration=1.0), controller="qp")
+    moments = trace.signals["internal_wrench"].reshape(-1, 2, 6)[:, :, 3:]
+    pans = [trace.joints.index(f"{side}/shoulder_pan") for side in ("left", "right")]
+    assert not trace.signals["saturated"].any()
+    assert np.abs(trace.signals["tau"][:, pans]).max() < 0.01
+    assert np.abs(moments).max() < 0.05
