@@ -72,6 +72,11 @@ class ControlProblem:
     budget: Budget = field(default_factory=Budget)
     on_infeasible: OnInfeasible = "scale"
 
+    @property
+    def all_tasks(self) -> tuple[Task, ...]:
+        """Tasks, wrenches and secondary objectives."""
+        return (*self.tasks, *self.wrenches, *self.secondary)
+
     def __post_init__(self) -> None:
         if self.kappa == math.inf and self.dt > 0.0:
             object.__setattr__(self, "kappa", 1.0 / self.dt)
@@ -247,8 +252,8 @@ class Law(ABC):
             wrong.append(Status.INPUT_REFUSED)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
             asked = self.problem
-            tasks = (*asked.tasks, *asked.wrenches, *asked.secondary)
-            command.note = not_finite(tasks, asked.limits, asked.chain, state, asked.dt)
+            found = not_finite(asked.all_tasks, asked.limits, asked.chain, state, asked.dt)
+            command.note = found
         if wrong:
             pressed = self.squeezer.note if self.squeezer else ""
             said = (command.note, pressed, *state.inputs.refused)
@@ -350,10 +355,7 @@ class Law(ABC):
     def _plugins(self) -> list[tuple[str, object]]:
         """Whose code a tick runs, with words for each."""
         problem = self.problem
-        tasks = (
-            (f"task '{task.name}'", task)
-            for task in (*problem.tasks, *problem.wrenches, *problem.secondary)
-        )
+        tasks = ((f"task '{task.name}'", task) for task in problem.all_tasks)
         limits = ((f"limit '{type_name(type(limit))}'", limit) for limit in problem.limits)
         solver = (f"solver '{type_name(type(problem.solver))}'", problem.solver)
         return [*tasks, *limits, solver]

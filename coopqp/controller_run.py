@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
-from coopqp.checked import Array
-from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.controller import Controller
 from coopqp.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
-from coopqp.plant import PlantModel
+from coopqp.phase_run import PhaseRun, begin_phase
 from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.trace import PhaseInfo, Trace, join
 from coopqp.wording import by_user, raised
 
@@ -54,7 +51,7 @@ def run(
         return join(legs) if scenario.phases else legs[0][1]
 
 
-def built(scenario: Scenario, controller: str) -> BegunPhase:
+def built(scenario: Scenario, controller: str) -> PhaseRun:
     """What a run builds for its first phase, without running it.
 
     Args:
@@ -67,7 +64,7 @@ def built(scenario: Scenario, controller: str) -> BegunPhase:
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
     with _own_words(controller):
-        return begin_phase(scenario.held_by(controller), chosen, 0, None)
+        return begin_phase(scenario.held_by(controller), chosen)
 
 
 def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
@@ -120,65 +117,6 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     return chosen
 
 
-@dataclass(frozen=True)
-class BegunPhase:
-    """A phase that is about to be run.
-
-    Attributes:
-        problem: what the law was built for.
-        law, plant: built.
-        state: in which it begins; whoever runs the phase leaves it where that ends.
-    """
-
-    problem: ControlProblem
-    law: Law
-    plant: PlantModel
-    state: State
-
-    @property
-    def q(self) -> Array:
-        """Where the joints are, by the sensors where there are any, shape (n,) [rad, m]."""
-        return self.state.q if self.plant.measured is None else self.plant.measured
-
-
-def begin_phase(
-    scenario: Scenario,
-    chosen: Controller,
-    phase: int,
-    before: BegunPhase | None,
-    *,
-    timed: bool = True,
-) -> BegunPhase:
-    """Build what a phase needs.
-
-    Args:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        chosen: the controller.
-        phase: index into the schedule.
-        before: the phase before, which has been run; None for the first.
-        timed: whether its ticks are, so that none may wait for what is built late.
-
-    Raises:
-        CoopqpError: the controller or the plant cannot be built.
-    """
-    asked = scenario.schedule[phase]
-    chain = before.problem.chain.handed_over(before.q, asked.released) if before else None
-    problem = scenario.problem(asked, chain)
-    law = chosen.build(problem) if timed else chosen.unprepared(problem)
-    plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
-    if law.squeezer and plant.hand_wrench is None:
-        raise InvalidValueError(
-            f"controller '{chosen.name}' squeezes by measured forces, and this plant tells none "
-            "(signal hand_wrench); use plant: mujoco or plant: rigid_body"
-        )
-    if before:
-        plant.resume(before.plant)
-    state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
-    if before:
-        state.v[:] = before.state.v
-    return BegunPhase(problem, law, plant, state)
-
-
 def _legs(
     scenario: Scenario,
     chosen: Controller,
@@ -189,25 +127,25 @@ def _legs(
     timed: bool,
 ) -> Iterator[tuple[PhaseInfo, Trace]]:
     """Run the phases one after the other, each from where the one before has ended."""
-    begun: BegunPhase | None = None
-    spans = zip(scenario.schedule, scenario.first_ticks, strict=True)
-    for i, (phase, first) in enumerate(spans):
-        begun = begin_phase(scenario, chosen, i, begun, timed=timed)
+    begun: PhaseRun | None = None
+    for phase in scenario.schedule:
+        begun = begin_phase(scenario, chosen, begun, timed=timed)
+        assert begun.plant is not None  # no robot takes its place
+        begun.ticks = phase.ticks(scenario.dt)
         leg = rollout(
             begun.law,
             begun.plant,
-            phase.ticks(scenario.dt),
+            begun.ticks,
             controller=name,
             solver=solver,
             heeds=chosen.heeds,
-            progress=_shifted(progress, name, first),
+            progress=_shifted(progress, name, begun.first),
             state=begun.state,
-            feed=scenario.feed(begun.problem, begun.state, first),
+            feed=begun.feed(),
             timed=timed,
         )
-        yield PhaseInfo(phase.name, first, phase.released), leg
-        last = first == scenario.first_ticks[-1]
-        if not last and leg.failures and leg.failures[-1].cause in ENDED:
+        yield PhaseInfo(phase.name, begun.first, phase.released), leg
+        if not begun.is_last and leg.failures and leg.failures[-1].cause in ENDED:
             words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
             raise InvalidValueError(f"{name}: {words}")
 

@@ -8,9 +8,9 @@ from typing import Any, Literal, Protocol
 
 from coopqp.controller import Command
 from coopqp.input import Arrival
-from coopqp.online.leg import Leg
 from coopqp.online.record import Record
 from coopqp.online.session import Session
+from coopqp.phase_run import PhaseRun
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 
@@ -26,7 +26,7 @@ class Kept(Protocol):
     @property
     def scenario(self) -> Scenario: ...
     @property
-    def legs(self) -> tuple[Leg, ...]: ...
+    def phases(self) -> tuple[PhaseRun, ...]: ...
 
 
 class Keeper:
@@ -66,19 +66,19 @@ class Keeper:
     def go_on(self) -> None:
         """The loop goes on from another state, as after a stop or in another phase."""
         if self._record is not None:
-            leg, record = self._loop.legs[-1], self._record
-            self._safely("_record", lambda: record.begin(leg.state, leg.first * leg.problem.dt))
+            now, record = self._loop.phases[-1], self._record
+            self._safely("_record", lambda: record.begin(now.state, now.since))
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Keep what arrived and was taken; write it when it is much."""
         if self.session is None:
             return
-        leg = self._loop.legs[-1]
-        since, t = leg.first * leg.problem.dt, leg.state.t
-        taken = leg.state.inputs.arrived
+        run = self._loop.phases[-1]
+        since, t = run.since, run.state.t
+        taken = run.state.inputs.arrived
         for name, value, _ in arrivals:
             if name in taken:
-                kind = leg.inputs.channels[name].kind
+                kind = run.inputs.channels[name].kind
                 self.session.add(name, kind, since + t, since + taken[name][0], value)
         if since + t - self._flushed > AT_MOST:
             self.flush()
@@ -91,11 +91,11 @@ class Keeper:
 
     def flush(self) -> None:
         """Write what is new of the session."""
-        if self.session is None or not self._loop.legs:
+        if self.session is None or not self._loop.phases:
             return
-        leg, session = self._loop.legs[-1], self.session
-        now = self._flushed = leg.first * leg.problem.dt + leg.state.t
-        self._safely("session", lambda: session.flush(now, self._loop.legs))
+        run, session = self._loop.phases[-1], self.session
+        now = self._flushed = run.since + run.state.t
+        self._safely("session", lambda: session.flush(now, self._loop.phases))
 
     def close(self) -> None:
         """Write the rest of all."""
@@ -104,7 +104,7 @@ class Keeper:
             self._record = None
         if self.session is not None:
             session, self.session = self.session, None
-            self._safely("session", lambda: session.close(self._loop.legs))
+            self._safely("session", lambda: session.close(self._loop.phases))
 
     def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
         try:

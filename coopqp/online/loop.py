@@ -30,8 +30,8 @@ from coopqp.online.acceleration import SPEED_UP, with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper
-from coopqp.online.legs import Legs
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
+from coopqp.online.phases import Phases
 from coopqp.online.readings import Readings
 from coopqp.online.record import Record
 from coopqp.online.seen import Seen
@@ -123,14 +123,16 @@ class OnlineLoop(Seen):
     def reset(self) -> None:
         """Forget all but the history; the next tick begins anew, where the robot is then."""
         self._keeper.close()
-        self._legs = Legs(self._given, self._chosen, observed=self._observed, by_time=self._by_time)
+        self._phases = Phases(
+            self._given, self._chosen, observed=self._observed, by_time=self._by_time
+        )
         self._readings.forget()
         self._waiting.forget()
         self._stops.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
         self._moved = False
-        self.setpoint[:] = self._legs.now.problem.chain.q_start
+        self.setpoint[:] = self._phases.now.problem.chain.q_start
         self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
@@ -176,7 +178,7 @@ class OnlineLoop(Seen):
         Raises:
             InvalidValueError: there is none.
         """
-        self._legs.ask()
+        self._phases.ask()
 
     def begin(self, q: ArrayLike) -> None:
         """Take hold where the robot is; the first tick does it, if nobody has done it before.
@@ -220,8 +222,8 @@ class OnlineLoop(Seen):
             command = self._refuse(Status.RAISED, raised(error))
         self._say(command)
         self._led = command
-        state = self._legs.now.state
-        np.multiply(command.v, self._legs.now.problem.dt, out=self.setpoint)
+        state = self._phases.now.state
+        np.multiply(command.v, self._phases.now.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
         us = 1e-3 * (time.perf_counter_ns() - before)
         heard = self._nothing if self._wrong else self._readings.q
@@ -246,7 +248,7 @@ class OnlineLoop(Seen):
         if self._keeper.session is None:
             raise InvalidValueError("nothing is written: give the loop a folder, out")
         self.flush()
-        return self._keeper.session.replay(self.legs)
+        return self._keeper.session.replay(self.phases)
 
     def close(self) -> None:
         """Write the record.
@@ -277,7 +279,7 @@ class OnlineLoop(Seen):
         self.close()
 
     def _begin(self) -> None:
-        self._legs.begin(self._readings.q.copy(), held=self._as_held)
+        self._phases.begin(self._readings.q.copy(), held=self._as_held)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
@@ -294,7 +296,7 @@ class OnlineLoop(Seen):
                 return refused
         self._go_by_measurement()
         if is_late:
-            self._legs.now.arrivals.age(self.watch.elapsed - self.problem.dt)
+            self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
         if is_late:
             _add(command, Status.LATE)
@@ -326,41 +328,37 @@ class OnlineLoop(Seen):
         if self._stops.goes_on_again and heard is not None and not self._stops.why:
             self._stops.goes_on_again = False
             if not self._led.v.any():
-                self._legs.now.take_up(heard.copy(), observed=self._observed)
+                self._phases.take_up(heard.copy())
                 self._keeper.go_on()
         if self._observed:
             self.state.q_measured = self._nothing if heard is None else heard
         elif heard is not None:
             self.state.q[:] = heard
-        if heard is None or self._stops.why or not self._legs.over:
+        if heard is None or self._stops.why or not self._phases.over:
             return
-        self._built = self._legs.hand_over(heard.copy())
-        if self._built and not self._legs.fault:
+        self._built = self._phases.hand_over(heard.copy())
+        if self._built and not self._phases.fault:
             self._keeper.go_on()
-        elif self._legs.fault:
-            self._stops.halt(self._legs.fault)
+        elif self._phases.fault:
+            self._stops.halt(self._phases.fault)
 
     def _decide(self, inputs: Any, now: float) -> Command:
-        leg = self._legs.now
-        arrivals = leg.arrivals.read(leg.feel(inputs), leg.state.t, now)
-        leg.inputs.step(leg.state, arrivals)
-        followed = leg.state.inputs
-        followed.refused = (*leg.arrivals.refused, *followed.refused)
-        self._keeper.arrived(arrivals)
+        phases, run = self._phases, self._phases.now
+        self._keeper.arrived(phases.take(inputs, now))
         halts = [cause for cause in (self._wrong, self._stops.cause) if cause]
-        if self._legs.over:
+        if phases.over:
             halts.append(Status.STOPPED)
         self._moved = not halts
         if not halts:
-            leg.ticks += 1
-            return leg.law.tick(leg.state)
-        command = leg.braking.tick(leg.state)
+            run.ticks += 1
+            return run.law.tick(run.state)
+        command = phases.braking.tick(run.state)
         if not command.v.any():
-            leg.rest_inputs()
+            phases.rest_inputs()
         own = (c for c in command.causes if c not in (Status.OPTIMAL, Status.NOT_MEASURED, *halts))
         command.say(*dict.fromkeys(halts), *own)
-        waits = f"before phase {leg.index + 2}" if self._legs.over else ""
-        notes = (self._readings.note, self._stops.why, waits, *followed.refused)
+        waits = f"before phase {run.index + 2}" if phases.over else ""
+        notes = (self._readings.note, self._stops.why, waits, *run.state.inputs.refused)
         command.note = "; ".join(note for note in notes if note)
         return command
 

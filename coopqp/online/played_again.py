@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 
 from coopqp.limits import JointAcceleration
-from coopqp.online.leg import Leg
+from coopqp.phase_run import PhaseRun
 from coopqp.recordings.sent import fed
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 
 
-def played_again(scenario: Scenario, legs: Sequence[Leg], feeds: Mapping[str, Path]) -> Scenario:
+def played_again(
+    scenario: Scenario, runs: Sequence[PhaseRun], feeds: Mapping[str, Path]
+) -> Scenario:
     """The scenario of a session, in Python.
 
     Args:
         scenario: as begun.
-        legs: the phases so far; as the scenario has them where there are none yet.
+        runs: the phases so far; as the scenario has them where there are none yet.
         feeds: files with what was sent, by input.
     """
     inputs = {
@@ -30,23 +32,23 @@ def played_again(scenario: Scenario, legs: Sequence[Leg], feeds: Mapping[str, Pa
         for name, settings in scenario.inputs.items()
     }
     found = replace(scenario, inputs=inputs)
-    if not legs:
+    if not runs:
         return found
-    phases = tuple(replace(leg.phase, duration=_duration(leg)) for leg in legs)
+    phases = tuple(replace(run.phase, duration=_duration(run)) for run in runs)
     if scenario.phases:
         return replace(found, phases=phases)
     return replace(found, duration=phases[0].duration)
 
 
-def _duration(leg: Leg) -> float:
-    return leg.ticks * leg.problem.dt
+def _duration(run: PhaseRun) -> float:
+    return run.ticks * run.problem.dt
 
 
 def scenario_text(
     scenario: Scenario,
     given: Scenario,
     controller: str,
-    legs: Sequence[Leg],
+    runs: Sequence[PhaseRun],
     feeds: Mapping[str, Path],
     folder: Path,
 ) -> str:
@@ -59,7 +61,7 @@ def scenario_text(
         scenario: as begun.
         given: as it was before.
         controller: the law's name.
-        legs: the phases so far; as the scenario has them where there are none yet.
+        runs: the phases so far; as the scenario has them where there are none yet.
         feeds: files with what was sent, by input.
         folder: where the file will be.
     """
@@ -79,7 +81,7 @@ def scenario_text(
         data["inputs"] = fed(data["inputs"], _seen_from(None if scenario.folder else folder, feeds))
     if scenario.folder:
         data["folder"] = str(scenario.folder)
-    _set_durations(data, legs)
+    _set_durations(data, runs)
     return json.dumps(data, indent=2) + "\n"
 
 
@@ -131,10 +133,10 @@ def _seen_from(folder: Path | None, feeds: Mapping[str, Path]) -> dict[str, str]
     }
 
 
-def _set_durations(data: dict[str, Any], legs: Sequence[Leg]) -> None:
-    if not legs:
+def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
+    if not runs:
         return
-    lasted = [max(_duration(leg), *(task.end for task in leg.phase.tasks)) for leg in legs]
+    lasted = [max(_duration(run), *(task.end for task in run.phase.tasks)) for run in runs]
     if "phases" in data:
         pairs = zip(data["phases"], lasted, strict=False)  # those that there were
         data["phases"] = [{**phase, "duration": duration} for phase, duration in pairs]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from coopqp.controller import ControlProblem, Law
-from coopqp.online.leg import Leg
-from coopqp.online.legs import Legs
+from coopqp.online.phases import Phases
 from coopqp.online.played_again import text_of_begun
+from coopqp.phase_run import PhaseRun
 from coopqp.scenario.phase import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
@@ -20,12 +20,12 @@ class Seen:
 
     controller: str
     _given: Scenario
-    _legs: Legs
+    _phases: Phases
 
     @property
     def scenario(self) -> Scenario:
         """As begun: its start is where the robot was."""
-        return self._legs.scenario
+        return self._phases.scenario
 
     @property
     def source(self) -> str:
@@ -33,26 +33,26 @@ class Seen:
         return text_of_begun(self.scenario, self._given, self.controller)
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
+    def phases(self) -> tuple[PhaseRun, ...]:
         """The phases so far, the last one that which runs; none before the beginning."""
-        return self._legs.done
+        return self._phases.done
 
     @property
     def state(self) -> State:
         """What the last tick decided from: commanded joints, kinematics, inputs."""
-        return self._legs.now.state
+        return self._phases.now.state
 
     @property
     def law(self) -> Law:
         """The controller, built for this phase."""
-        return self._legs.now.law
+        return self._phases.now.law
 
     @property
     def problem(self) -> ControlProblem:
         """What it was built for."""
-        return self._legs.now.problem
+        return self._phases.now.problem
 
     @property
     def phase(self) -> Phase:
         """The phase that runs."""
-        return self._legs.now.phase
+        return self._phases.now.phase

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from coopqp.checked import Array
 from coopqp.errors import CoopqpError
-from coopqp.online.leg import Leg
 from coopqp.online.played_again import played_again, scenario_text
+from coopqp.phase_run import PhaseRun
 from coopqp.recordings.sent import FOLDER, Sent, file_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
@@ -91,12 +91,12 @@ class Session:
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
-    def flush(self, now: float, legs: Sequence[Leg]) -> None:
+    def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
         """Write what is new.
 
         Args:
             now: since the session began [s].
-            legs: the phases so far.
+            phases: the phases so far.
 
         Raises:
             OSError: the disk is full, or gone.
@@ -105,33 +105,33 @@ class Session:
         for sent in self._sent.values():
             sent.flush(now)
         if before != {name for name, sent in self._sent.items() if sent.written}:
-            self._write_scenario(legs)
+            self._write_scenario(phases)
 
-    def close(self, legs: Sequence[Leg]) -> None:
+    def close(self, phases: Sequence[PhaseRun]) -> None:
         """Write the rest, and how long the phases were.
 
         Raises:
             OSError: the disk is full, or gone.
         """
-        self.flush(float("inf"), legs)
-        self._write_scenario(legs)
+        self.flush(float("inf"), phases)
+        self._write_scenario(phases)
 
-    def replay(self, legs: Sequence[Leg]) -> Scenario:
+    def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
         """The scenario that plays what is on disk again.
 
         Args:
-            legs: the phases so far.
+            phases: the phases so far.
         """
-        return played_again(self._scenario, legs, self._feeds())
+        return played_again(self._scenario, phases, self._feeds())
 
     def _feeds(self) -> dict[str, Path]:
         return {name: sent.path for name, sent in self._sent.items() if sent.written}
 
-    def _write_scenario(self, legs: Sequence[Leg]) -> None:
+    def _write_scenario(self, phases: Sequence[PhaseRun]) -> None:
         if not self._scenario.source:
             return  # it was made in Python; who plays it again has it there
         text = scenario_text(
-            self._scenario, self._given, self._controller, legs, self._feeds(), self._folder
+            self._scenario, self._given, self._controller, phases, self._feeds(), self._folder
         )
         path = self._folder / "scenario.yaml"
         fresh = path.with_suffix(".new")

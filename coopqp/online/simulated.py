@@ -24,7 +24,7 @@ class SimulatedRobot:
     """
 
     def __init__(self, loop: OnlineLoop) -> None:
-        self._loop, self._leg_index = loop, 0
+        self._loop, self._index = loop, 0
         self.plant = self._built()
         self.state = State(loop.problem.chain, self.plant.measured)
         self._command = Command(loop.problem.chain.n)
@@ -36,7 +36,7 @@ class SimulatedRobot:
 
     def write(self, q: Array, v: Array) -> None:
         """Let the plant do for one period what it is told."""
-        if len(self._loop.legs) - 1 > self._leg_index:
+        if len(self._loop.phases) - 1 > self._index:
             self._hand_over()
         self._command.v[:] = v
         self.plant.step(self.state, self._command)
@@ -47,7 +47,7 @@ class SimulatedRobot:
 
     def _hand_over(self) -> None:
         """The loop has gone on to another phase: other arms hold the object."""
-        before, old, self._leg_index = self.plant, self.state, len(self._loop.legs) - 1
+        before, old, self._index = self.plant, self.state, len(self._loop.phases) - 1
         self.plant = self._built()
         self.plant.resume(before)
         self.state = State(self._loop.problem.chain, old.q)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -20,7 +19,7 @@ from coopqp.errors import (
     unknown_name,
 )
 from coopqp.hold import arm_weights, grasp_of_each
-from coopqp.input import wanted
+from coopqp.input import Feed, Inputs, wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
@@ -192,9 +191,8 @@ def _broken_inputs(
                 yield Fault(file.place(used(name)), words)
                 continue
             try:
-                scenario.feed(
-                    replace(scenario.problem(phase, start.chain), tasks=[task], wrenches=()), start
-                )
+                asked = (task, *scenario.secondary)
+                Feed(scenario.inputs, Inputs(scenario.inputs, asked, start, scenario.dt))
             except CoopqpError as error:
                 where = used(name) if here is None else ["inputs", name]
                 yield Fault(file.place(where), str(error))

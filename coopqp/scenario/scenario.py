@@ -23,7 +23,7 @@ from coopqp.errors import CoopqpError, InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
 from coopqp.held_object import HeldObject
-from coopqp.input import Feed, Inputs, InputSettings, wanted
+from coopqp.input import InputSettings, wanted
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plant import Plant
@@ -223,21 +223,6 @@ class Scenario:
             on_infeasible=self.on_infeasible,
         )
 
-    def feed(self, problem: ControlProblem, start: State, first: int = 0) -> Feed | None:
-        """Who sends to the inputs during a phase; nobody where nothing follows any.
-
-        Args:
-            problem: of the phase.
-            start: the state in which it begins; what is followed is put into it.
-            first: tick in which it begins.
-
-        Raises:
-            CoopqpError: a task wants an input that is not there, or as what it cannot be.
-        """
-        asked = (*problem.tasks, *problem.wrenches, *problem.secondary)
-        inputs = Inputs(self.inputs, asked, start, self.dt)
-        return Feed(self.inputs, inputs, first * self.dt) if inputs.channels else None
-
     def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:
         """The problem of each phase in turn.
 
@@ -255,9 +240,8 @@ class Scenario:
         """What the inputs are that tasks of any phase follow, by name."""
         found = dict[str, Kind]()
         for problem in self.problems(lambda _: self.chain.q_start):
-            tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
-            start = State(problem.chain)
-            found |= {name: kind for name, (kind, _) in wanted(tasks, start).items()}
+            asked = wanted(problem.all_tasks, State(problem.chain))
+            found |= {name: kind for name, (kind, _) in asked.items()}
         return found
 
 

@@ -48,7 +48,7 @@ def recorded_tick(
         problems = held.problems(lambda first: state_from_trace(path, chosen, first, law).q)
         plugin = scenario.controllers[chosen]
         assert isinstance(plugin, QPController)  # as in the first phase
-        law = plugin.plain(list(islice(problems, phase + 1))[-1])
+        law = plugin.plain(next(islice(problems, phase, None)))
     state = state_from_trace(path, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = absolute(path.parent).name
     record = record_tick(law, state, scenario=name, controller=chosen, tick=k)

@@ -263,9 +263,7 @@ def state_from_trace(
 def _read_inputs(row: _Row, law: Law, state: State) -> None:
     """What was made of the inputs, into a state."""
     problem, followed = law.problem, Followed()
-    for name, (kind, _) in wanted(
-        (*problem.tasks, *problem.wrenches, *problem.secondary), law.start()
-    ).items():
+    for name, (kind, _) in wanted(problem.all_tasks, law.start()).items():
         if not any(key.startswith(f"followed[{name}].") and row.cells[key] for key in row.cells):
             continue
         followed[name] = Course(kind, kind.zero)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
@@ -83,10 +84,8 @@ class _Own:
 
 def _problem(scenario: Scenario, starts: Sequence[Array]) -> ControlProblem:
     """That of the phase that is on."""
-    chain = scenario.chain
-    for phase, start in zip(scenario.schedule[1:], starts, strict=False):
-        chain = chain.handed_over(start, phase.released)
-    return scenario.problem(scenario.schedule[len(starts)], chain)
+    begun = dict(zip(scenario.first_ticks[1:], starts, strict=False))
+    return next(islice(scenario.problems(begun.__getitem__), len(starts), None))
 
 
 def _state(law: Law, look: Look) -> State:

@@ -10,10 +10,11 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command
-from coopqp.controller_run import BegunPhase, begin_phase, controller_of
+from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError
 from coopqp.input import Arrival, Feed, Inputs, InputSettings
 from coopqp.online.arrivals import in_columns
+from coopqp.phase_run import PhaseRun, begin_phase
 from coopqp.plants._guarded import GuardedPlant
 from coopqp.rollout import drive
 from coopqp.scenario.scenario import Scenario
@@ -71,8 +72,7 @@ class Lane:
 
     Attributes:
         name: of the controller.
-        phase: index of the phase that is on. since: when that began [s].
-        begun: its problem, law, plant and state.
+        run: the phase that is on.
         plant: guarded.
         feed: who sends to it.
         command: of the last tick. us: time that it took [us].
@@ -81,47 +81,38 @@ class Lane:
     """
 
     command: Command
+    run: PhaseRun
     feed: HandFeed
 
     def __init__(self, scenario: Scenario, name: str, hands: Hands) -> None:
-        self.name, self._hands = name, hands
-        self._scenario = scenario.held_by(name)
-        self._chosen = controller_of(scenario, name)
-        self.phase, self.since, self.us = 0, 0.0, 0.0
+        self.name, self._hands, self.us = name, hands, 0.0
         self.starts: list[Array] = []
-        self._ticks, self._before = 0, 0
         self._ending = False
-        self.begun: BegunPhase
-        self._begin(begin_phase(self._scenario, self._chosen, 0, None))
+        self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
 
     @property
     def keeps_limits(self) -> bool:
         """Whether the law promises to."""
-        return "limits" in self._chosen.heeds
+        return "limits" in self.run.controller.heeds
 
     @property
     def state(self) -> State:
         """That of the last tick."""
-        return self.begun.state
+        return self.run.state
 
     @property
     def t(self) -> float:
         """Since the scenario began [s]."""
-        return self.since + self.state.t
-
-    @property
-    def scenario(self) -> Scenario:
-        """As the law holds it."""
-        return self._scenario
+        return self.run.since + self.state.t
 
     def tick(self) -> None:
         """Carry out what was decided, and decide anew."""
-        last = self.phase == len(self._scenario.schedule) - 1
-        over = self._ticks >= self._scenario.schedule[self.phase].ticks(self._scenario.dt)
-        if over and not last:
-            self._enter_next()
-        self.command, self.us = next(self._run)
-        self._ticks += 1
+        if self.run.over and not self.run.is_last:
+            self._end()
+            self.starts.append(self.run.q.copy())
+            self._enter(begin_phase(self.run.scenario, self.run.controller, self.run))
+        self.command, self.us = next(self._ticks)
+        self.run.ticks += 1
 
     def turn(self, scenario: Scenario) -> None:
         """Build the law anew for other gains and the like, and go on from where it is.
@@ -132,45 +123,33 @@ class Lane:
         Raises:
             CoopqpError: the law cannot be built for it.
         """
-        other = scenario.held_by(self.name)
-        problem = other.problem(other.schedule[self.phase], self.begun.problem.chain)
-        law = self._chosen.build(problem)
+        run, other = self.run, scenario.held_by(self.name)
+        problem = other.problem(other.schedule[run.index], run.problem.chain)
+        law = run.controller.build(problem)
         self._end()
-        self._scenario = other
-        self.begun = replace(self.begun, problem=problem, law=law)
+        self.run = replace(run, scenario=other, problem=problem, law=law)
         self._start_driving()
 
-    def _enter_next(self) -> None:
-        self._end()
-        self.phase += 1
-        self._before += self._ticks
-        self._ticks = 0
-        self.since = self._before * self._scenario.dt
-        self.starts.append(self.begun.q.copy())
-        self._begin(begin_phase(self._scenario, self._chosen, self.phase, self.begun))
-
-    def _begin(self, begun: BegunPhase) -> None:
-        self.begun, self.plant = begun, GuardedPlant(begun.plant)
-        problem, scenario = begun.problem, self._scenario
-        tasks = (*problem.tasks, *problem.wrenches, *problem.secondary)
-        inputs = Inputs(scenario.inputs, tasks, begun.state, problem.dt)
-        self.feed = HandFeed(scenario.inputs, inputs, self.since, self._hands)
+    def _enter(self, run: PhaseRun) -> None:
+        assert run.plant is not None  # no robot takes its place
+        self.run, self.plant = run, GuardedPlant(run.plant)
+        self.feed = HandFeed(run.scenario.inputs, run.inputs, run.since, self._hands)
         self._start_driving()
 
     def _start_driving(self) -> None:
-        begun, problem = self.begun, self.begun.problem
-        at_start = State(problem.chain, begun.state.q, begun.state.t)
-        at_start.inputs = begun.state.inputs
-        self.goals = TaskStack([task.at_goal() for task in problem.tasks], at_start)
+        run, chain = self.run, self.run.problem.chain
+        at_start = State(chain, run.state.q, run.state.t)
+        at_start.inputs = run.state.inputs
+        self.goals = TaskStack([task.at_goal() for task in run.problem.tasks], at_start)
         self._ending = False
-        self._run: Iterator[tuple[Command, float]] = drive(
-            begun.law, self.plant, begun.state, iter(lambda: self._ending, True), self.feed
+        self._ticks: Iterator[tuple[Command, float]] = drive(
+            run.law, self.plant, run.state, iter(lambda: self._ending, True), self.feed
         )
 
     def _end(self) -> None:
         """Let the plant carry out what was decided last."""
         self._ending = True
-        next(self._run, None)
+        next(self._ticks, None)
 
     def targets(self) -> dict[str, Array]:
         """What its inputs go to, by name, with what people have sent since the last tick."""

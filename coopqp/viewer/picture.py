@@ -78,7 +78,7 @@ def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
         bodies: of the robot.
     """
     state = lane.plant.truth(lane.state)
-    names = lane.begun.problem.chain.joint_names
+    names = lane.run.problem.chain.joint_names
     places = [pin.SE3ToXYZQUAT(_joint_pose(state, names, body.joint)) for body in bodies]
     left, broken = _left(state), _broken(lane, state)
     reached, words = _off(lane, state)
@@ -98,7 +98,7 @@ def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
 def outlines(lane: Lane, place: Place) -> Array:
     """What the tasks ask for, as line segments, shape (s, 2, 3) [m]."""
     state, found = lane.state, [np.zeros((0, 2, 3))]
-    for task in lane.begun.problem.tasks:
+    for task in lane.run.problem.tasks:
         for mark in asked(task.name, partial(task.marks, state), []):
             kind, values = place.drawn(mark)
             if kind == "planes":
@@ -158,7 +158,7 @@ def _broken(lane: Lane, state: State) -> str:
 
 def _off(lane: Lane, state: State) -> tuple[bool, str]:
     """Whether all goals are reached, and how far off each is."""
-    problem, stack = lane.begun.problem, lane.goals
+    problem, stack = lane.run.problem, lane.goals
     state.inputs = lane.state.inputs
     try:
         stack.update(state)
@@ -189,11 +189,11 @@ def _forces(lane: Lane, state: State) -> tuple[Array, Array, str]:
     wrenches, points = (lane.plant.signals.get(name) for name in (FORCES, "hand_point"))
     if wrenches is None or points is None:
         return np.zeros((0, 2, 3)), np.zeros((0, 2, 3)), ""
-    forces, down = wrenches.reshape(-1, 6)[:, :3], weight(lane.scenario)
+    forces, down = wrenches.reshape(-1, 6)[:, :3], weight(lane.run.scenario)
     longest = max(float(np.linalg.norm(forces, axis=1).max()), down, LEAST_FORCE)
-    size = max(lane.scenario.held.size)
+    size = max(lane.run.scenario.held.size)
     scale = ARROW * size / longest
-    hands = _hands(state, lane.scenario.chain.robot)
+    hands = _hands(state, lane.run.scenario.chain.robot)
     hands[:, 2] += ABOVE * size
     below = state.p_WO - [0.0, 0.0, BELOW * size]
     arrows = np.stack([hands - scale * forces, hands], axis=1)

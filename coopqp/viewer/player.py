@@ -110,7 +110,7 @@ class Player:
         first = self.lanes[0]
         kinds = {name: channel.kind for name, channel in first.feed.inputs.channels.items()}
         t = first.state.t
-        self.recording.add(first.phase, first.since, t, first.feed.arrived, kinds)
+        self.recording.add(first.run.index, first.run.since, t, first.feed.arrived, kinds)
 
     def do(self, asked: Asked) -> None:
         """What somebody has asked for on the page; what makes no sense is left alone."""
@@ -183,7 +183,7 @@ class Player:
         gizmos = self._gizmo_poses(lane)
         return Frame(
             t=lane.t,
-            phase=lane.phase,
+            phase=lane.run.index,
             playing=self.playing,
             speed=self.speed,
             factor=factor,
@@ -268,7 +268,7 @@ class Player:
 
     def _travel(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
         """Between what a slider of an input goes: its bounds, within those of joints."""
-        settings, chain = self.scenario.inputs[name], self.lanes[0].begun.problem.chain
+        settings, chain = self.scenario.inputs[name], self.lanes[0].run.problem.chain
         most = settings.velocity if kind.velocity else np.pi if kind.each else MOST_FORCE
         low, high = -most, most
         if kind.each:
@@ -288,7 +288,7 @@ class Player:
         if asked.what == "drag" and isinstance(which, int) and which < len(self._handles):
             self._send(self._handles[which], value)
         elif asked.what == "carry" and len(value) == 3:
-            placed = (h for h in self._handles if h.look.phase == lane.phase and h.look.moves)
+            placed = (h for h in self._handles if h.look.phase == lane.run.index and h.look.moves)
             for handle in list(placed)[:1]:
                 self._send(handle, handle.carried(value, targets, lane.state).tolist())
         elif asked.what == "dial" and which in self._dials and value:
@@ -325,7 +325,7 @@ class Player:
     def _gizmo_poses(self, lane: Lane) -> tuple[Array | None, ...]:
         targets = lane.targets()
         return tuple(
-            handle.pose(targets, lane.state) if handle.look.phase == lane.phase else None
+            handle.pose(targets, lane.state) if handle.look.phase == lane.run.index else None
             for handle in self._handles
         )
 

@@ -32,7 +32,7 @@ def test_it_does_what_a_comparison_does_to_the_last_bit(name: str) -> None:
     q, _ = go(loop, robot, ticks)
     trace = run(scenario, controller="qp")
     np.testing.assert_array_equal(q, trace.commanded[:ticks])
-    assert len(loop.legs) == len(scenario.schedule)
+    assert len(loop.phases) == len(scenario.schedule)
 
 
 def test_so_it_does_on_a_plant_with_masses_and_errors_that_is_measured() -> None:

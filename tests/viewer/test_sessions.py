@@ -178,7 +178,7 @@ def test_a_dial_rebuilds_the_law_from_where_it_is(tmp_path: Path) -> None:
     before, v = player.lanes[0].state.q.copy(), player.lanes[0].state.v.copy()
     player.do(Asked("dial", "tasks.0.0.gain", (2.0,)))
     player.tick()
-    assert player.lanes[0].begun.problem.tasks[0].gain == 2.0
+    assert player.lanes[0].run.problem.tasks[0].gain == 2.0
     step = player.lanes[0].state.q - before
     assert 0.0 < np.abs(step).max() < 0.02
     assert np.abs(step / 0.01 - v).max() < 0.2  # [rad/s], no jump
@@ -216,7 +216,7 @@ def test_what_makes_no_sense_is_left_alone() -> None:
         player.do(asked)
     after = player.frame()
     np.testing.assert_array_equal(before.gizmos[0], after.gizmos[0])
-    assert player.lanes[0].begun.problem.tasks[0].gain == 0.1  # as low as its dial goes
+    assert player.lanes[0].run.problem.tasks[0].gain == 0.1  # as low as its dial goes
     assert after.speed == 1.0
 
 
@@ -232,7 +232,7 @@ def test_links_are_drawn_where_the_joints_are() -> None:
     player = playing("point_on_point", "qp")
     played(player, 30)
     frame, show = player.frame(), player.show()
-    state = State(player.lanes[0].begun.problem.chain, player.lanes[0].state.q)
+    state = State(player.lanes[0].run.problem.chain, player.lanes[0].state.q)
     model = state.chain.model
     for body, pose in zip(show.bodies, frame.laws[0].bodies, strict=True):
         if body.joint is not None:
@@ -318,7 +318,7 @@ tasks:
 
 def test_sliders_of_joints_go_as_far_as_joints_do(tmp_path: Path) -> None:
     player = playing(written(tmp_path, LEADER.replace("{LOWER}", "{}")), "qp")
-    chain = player.lanes[0].begun.problem.chain
+    chain = player.lanes[0].run.problem.chain
     seen = {knob.label: (knob.low, knob.high) for knob in player.show().knobs}
     limits = zip(chain.lower.tolist(), chain.upper.tolist(), strict=True)
     assert seen == dict(zip(chain.joint_names, limits, strict=True))
