@@ -82,7 +82,7 @@ class Reference:
     """A frame that the object is steered to.
 
     Args:
-        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal.
+        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
         direction: of its third axis before it turns, in the world; any length; or a signal.
         velocity: of its origin, in the world, shape (3,) [m/s].
         turn: about an axis through its origin.
@@ -105,7 +105,7 @@ class Reference:
 
     def __init__(
         self,
-        origin: Vector3 | Signal = _STILL,
+        origin: Vector3 | Signal | Course = _STILL,
         direction: Vector3 | Signal = _UP,
         velocity: Vector3 = _STILL,
         turn: Turn | None = None,
@@ -122,7 +122,7 @@ class Reference:
                 here = start.point(np.array(point))
             if isinstance(direction, Signal):
                 along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
-        self._origin = course(origin, POINT, start, here)
+        self._origin = origin if isinstance(origin, Course) else course(origin, POINT, start, here)
         self._axes = course(direction, DIRECTION, start, along)
         self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
         self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
@@ -166,8 +166,27 @@ class Reference:
             np.multiply(self._turn, speed, self.omega)
 
 
+class PlaceOf(Course):
+    """The place of a pose, as the origin of a reference.
+
+    Args:
+        pose: of which it is a part.
+    """
+
+    def __init__(self, pose: Course) -> None:
+        self.kind, self._pose, self.moves = POINT, pose, pose.moves
+        self.value, self.rate = pose.value[:3], pose.rate[:3]
+
+    def update(self, at: Instant) -> None:
+        """Let the pose go to where it is then."""
+        self._pose.update(at)
+
+
 def _one_motion(
-    origin: Vector3 | Signal, direction: Vector3 | Signal, velocity: Vector3, turn: Turn | None
+    origin: Vector3 | Signal | Course,
+    direction: Vector3 | Signal,
+    velocity: Vector3,
+    turn: Turn | None,
 ) -> None:
     """Refuse what moves in two ways at once."""
     if isinstance(origin, Signal) and any(velocity):

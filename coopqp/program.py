@@ -1,14 +1,15 @@
-"""A task as a list of geometric primitives, which the compiled kernel can evaluate.
+"""A task as a list of geometric primitives.
 
 A primitive is a few rows of one kind: a point seen from a reference, a distance, an axis that
 leans, a line's angle to a plane, a rotation, a twist, or a wish for the joints. Whatever a task's
-reference needs from the start is read from the start state here, once.
+reference needs from the start is read from the start state here, once. The compiled kernel
+evaluates all kinds, :func:`evaluated` in numpy those that several tasks share.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol
@@ -17,8 +18,17 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array, Vector3, unit
-from coopqp.geometry import Reference, polar
+from coopqp.geometry import (
+    TINY,
+    Alignment,
+    Approach,
+    PointInReference,
+    Reference,
+    RotationError,
+    polar,
+)
 from coopqp.profile import KINDS, Profile
+from coopqp.signal import ROTATION, Course, quaternion_of
 from coopqp.state import State
 
 AT_ONCE = Profile(kind="step")
@@ -55,6 +65,7 @@ class Primitive:
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
         e_start: error at the start, one number a row.
+        goal: of a rotation, in the reference's axes.
         phi: rotation vector from start to goal [rad].
         Q_start: orientation at the start, shape (3, 3).
         length: a distance [m]; for a barrier, where its slope stops to grow; for manipulability,
@@ -73,6 +84,7 @@ class Primitive:
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
     e_start: Sequence[float] = ()
+    goal: Course | None = None
     phi: Sequence[float] = (0.0, 0.0, 0.0)
     Q_start: Array = field(default_factory=lambda: np.eye(3))
     length: float = 0.0
@@ -89,6 +101,11 @@ class Primitive:
     def over_joints(self) -> bool:
         """Whether its rows are of joints, not of the object's twist."""
         return self.kind in (Kind.POSTURE, Kind.RELATIVE)
+
+    @property
+    def compiles(self) -> bool:
+        """Whether the kernel can evaluate it: it reads no rotation that follows a signal."""
+        return self.goal is None or not self.goal.moves
 
     def flat(self) -> dict[str, Any]:
         """As numbers."""
@@ -199,13 +216,18 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 
 def rotation(
-    goal: Array, profile: Profile, Q_start: Array, reference: Reference = WORLD
+    goal: Course, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
     """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
     return Primitive(
-        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile,
-        phi=np.asarray(pin.log3(goal @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
+        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile, goal=goal,
+        phi=np.asarray(pin.log3(goal.R @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
     )  # fmt: skip
+
+
+def fixed(R: Array) -> Course:
+    """A rotation that does not move, as a goal."""
+    return Course(ROTATION, quaternion_of(R))
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
@@ -213,3 +235,108 @@ def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
     reference.update(start)
     seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
     return seen
+
+
+Fill = Callable[[State, Array, Array, Array], None]
+"""Writes e, J and rate of some rows, shapes (k,), (k, n) and (k,), at a state."""
+
+
+def evaluated(program: Sequence[Primitive], start: State) -> Fill:
+    """The rows of primitives of the object, in numpy; their references move once a state.
+
+    Args:
+        program: of one task, one primitive after the other.
+        start: the state from which the references set out.
+    """
+    moving: dict[int, Reference | Course] = {id(p.reference): p.reference for p in program}
+    goals: dict[int, Reference | Course] = {id(p.goal): p.goal for p in program if p.goal}
+    seen: dict[tuple[int, Vector3], PointInReference] = {}
+    for p in program:
+        if p.kind in (Kind.POINT, Kind.RADIAL):
+            place = PointInReference(p.point, p.reference, start.chain.n)
+            seen.setdefault((id(p.reference), p.point), place)
+    moves = [*moving.values(), *goals.values()]
+    for move in moves:
+        move.update(start)
+    blocks, at = list[tuple[Fill, slice]](), 0
+    for p in program:
+        part = slice(at, at + len(p.rows))
+        blocks.append((_FILLS[p.kind](p, start, seen.get((id(p.reference), p.point))), part))
+        at = part.stop
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        for move in moves:
+            move.update(state)
+        for point in seen.values():
+            point.update(state)
+        for block, part in blocks:
+            block(state, e[part], J[part], rate[part])
+
+    return fill
+
+
+def _point_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert seen is not None
+    approach, rows = Approach(p.profile, p.e_start), slice(p.rows[0], p.rows[-1] + 1)
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        e[:], J[:], rate[:] = seen.x[rows], seen.J[rows], seen.rate[rows]
+        approach.shift(state.t, e, rate)
+
+    return fill
+
+
+def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert seen is not None
+    approach, away = Approach(p.profile, p.e_start), np.zeros(3)
+    across = slice(0, 2 if p.planar else 3)
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        distance = math.hypot(*seen.x[across].tolist())
+        away[:] = 1.0, 0.0, 0.0
+        if distance > TINY:
+            np.divide(seen.x[across], distance, away[across])
+        e[0], rate[0] = distance - p.length, away.dot(seen.rate)
+        away.dot(seen.J, J[0])
+        approach.shift(state.t, e, rate)
+
+    return fill
+
+
+def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    axis = p.axis[0], p.axis[1], p.axis[2]
+    return Alignment(axis, p.reference, p.profile, start).fill
+
+
+def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    approach, a_O, plane = Approach(p.profile, p.e_start), np.array(p.axis), p.reference
+    aside, across = np.zeros(3), np.zeros(3)  # normal to the line's way; in the world's axes
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        line = polar(plane.RT.dot(state.R_WO.dot(a_O)))
+        aside[0], aside[1] = line.way[1], -line.way[0]
+        aside.dot(plane.RT, across)
+        e[0], rate[0] = 0.5 * math.pi - line.angle, across.dot(plane.omega)
+        across.dot(state.J_task[3:], J[0])
+        approach.shift(state.t, e, rate)
+
+    return fill
+
+
+def _rotation_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert p.goal is not None
+    error, reference, Q = RotationError(p.goal, p.profile, p.Q_start), p.reference, np.zeros((3, 3))
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        reference.RT.dot(state.R_WO, Q)
+        error.fill(state.t, Q, reference.RT, state.J_task[3:], (e, J, rate))
+        if reference.moves:
+            rate += error.rows.dot(reference.omega)
+
+    return fill
+
+
+_FILLS = {
+    Kind.POINT: _point_rows, Kind.RADIAL: _radial_rows, Kind.LEAN: _lean_rows,
+    Kind.TILT: _tilt_rows, Kind.ROTATION: _rotation_rows,
+}  # fmt: skip

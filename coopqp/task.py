@@ -25,7 +25,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.errors import InvalidValueError
 from coopqp.mark import Mark
 from coopqp.profile import Profile
-from coopqp.program import Primitive
+from coopqp.program import Primitive, evaluated
 from coopqp.row import Row
 from coopqp.signal import Instant
 from coopqp.state import State
@@ -148,16 +148,26 @@ class Task(ABC):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """A name for each row, such as x, y, z; their number is the task's dimension."""
 
-    @abstractmethod
     def bind(self, start: State) -> Evaluate:
         """Fix the reference's start and return the function that fills the rows each tick.
+
+        A task gives this, or a :meth:`program` of primitives of the object, or both.
 
         Args:
             start: the state from which the reference sets out.
         """
+        program = self.program(start)
+        if program is None:
+            raise InvalidValueError(f"{type_name(type(self))}: needs a method bind, or program")
+        fill = evaluated(program, start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            fill(state, rows.e, rows.J, rows.rate)
+
+        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """The same rows as a list of primitives, for the kernel; None where they are no such.
+        """The rows as a list of primitives, which the kernel evaluates; None where they are none.
 
         Args:
             start: the state from which the reference sets out.

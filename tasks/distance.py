@@ -10,19 +10,15 @@ Where the two points coincide u is the world's x axis: the row stays finite and 
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import TINY, Approach, Reference, last_end
+from coopqp.geometry import Reference, last_end
 from coopqp.mark import Mark, SphereMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, radial
 from coopqp.signal import Instant, MovingPoint
-from coopqp.state import PointOfObject, State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.state import State
+from coopqp.task import Task
 
 
 @spec
@@ -53,34 +49,6 @@ class Distance(Task):
     def curvature(self) -> float:
         """Of the sphere [1/m]."""
         return 1.0 / self.length
-
-    def bind(self, start: State) -> Evaluate:
-        """The distance changes from what it is now."""
-        other, length = self._other(start), self.length
-        tracked, away = PointOfObject(self.point, start.chain.n), np.zeros(3)
-
-        def measure(state: State) -> float:
-            """The distance; leaves the direction in ``away``."""
-            tracked.update(state)
-            other.update(state)
-            np.subtract(tracked.p, other.c, away)
-            x, y, z = away.tolist()
-            distance = math.hypot(x, y, z)
-            if distance > TINY:
-                np.multiply(away, 1.0 / distance, away)
-            else:
-                away[:] = 1.0, 0.0, 0.0
-            return distance
-
-        approach = Approach(self.profile, [measure(start) - length])
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            rows.e[0] = measure(state) - length
-            rows.rate[0] = away.dot(other.c_dot)
-            away.dot(tracked.J, rows.J[0])
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -19,13 +19,13 @@ import numpy as np
 
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -66,27 +66,6 @@ class LineOnLine(Task):
     def end(self) -> float:
         """When the lines shall coincide and the one in space has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.direction)
-
-    def bind(self, start: State) -> Evaluate:
-        """Offset and angle shrink from what they are now."""
-        line = self._line(start)
-        seen = PointInReference(self.point, line, start.chain.n)
-        line.update(start)
-        seen.update(start)
-        against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
-        axis = tuple(-np.array(self.axis)) if against else self.axis
-        alignment = Alignment(axis, line, self.profile, start)
-        approach = Approach(self.profile, seen.x[:2])
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            e, J, rate = rows.e, rows.J, rows.rate
-            line.update(state)
-            seen.update(state)
-            e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
-            approach.shift(state.t, e[:2], rate[:2])
-            alignment.fill(state, e[2:], J[2:], rate[2:])
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -15,19 +15,15 @@ plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
-from coopqp.checked import Direction, Positive, Vector3, spec, unit
+from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end, polar
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, tilt
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -66,33 +62,6 @@ class LineOnPlane(Task):
     def end(self) -> float:
         """When the line shall be in the plane and the plane has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.normal)
-
-    def bind(self, start: State) -> Evaluate:
-        """Height and angle shrink from what they are now."""
-        plane = self._plane(start)
-        seen, a_O = PointInReference(self.point, plane, start.chain.n), unit(self.axis)
-        aside, across = np.zeros(3), np.zeros(3)  # -w in the plane's axes and in the world's
-
-        def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
-            plane.update(state)
-            seen.update(state)
-            line = polar(plane.RT.dot(state.R_WO.dot(a_O)))
-            aside[0], aside[1] = line.way[1], -line.way[0]
-            aside.dot(plane.RT, across)
-            e[0], e[1] = seen.x[2], 0.5 * math.pi - line.angle
-
-        e_start = np.zeros(2)
-        measure(start, e_start)
-        approach = Approach(self.profile, e_start)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            measure(state, rows.e)
-            rows.J[0], rows.rate[0] = seen.J[2], seen.rate[2]
-            across.dot(state.J_task[3:], rows.J[1])
-            rows.rate[1] = across.dot(plane.omega)
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

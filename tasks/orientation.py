@@ -10,18 +10,16 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import RotationError, last_end
+from coopqp.geometry import last_end
 from coopqp.grasp import pose_matrix
 from coopqp.mark import Mark, PoseMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, rotation
 from coopqp.signal import ROTATION, Course, Instant, MovingRotation, quaternion_of
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -55,23 +53,11 @@ class Orientation(Task):
         """When the reference arrives [s]."""
         return last_end(self.profile, self.goal)
 
-    def bind(self, start: State) -> Evaluate:
+    def program(self, start: State) -> tuple[Primitive, ...]:
         """The reference sets out from how the object is turned now."""
-        goal, world = self._course(start, quaternion_of(start.R_WO)), np.eye(3)
+        goal = self._course(start, quaternion_of(start.R_WO))
         goal.update(start)
-        error = RotationError(goal, self.profile, start.R_WO)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            goal.update(state)
-            out = rows.e, rows.J, rows.rate
-            error.fill(state.t, state.R_WO, world, state.J_task[3:], out)
-
-        return evaluate
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """As primitives; None where a signal is the goal."""
-        goal = self._course(start)
-        return None if goal.moves else (rotation(goal.R, self.profile, start.R_WO),)
+        return (rotation(goal, self.profile, start.R_WO),)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The orientation, wherever the object is."""

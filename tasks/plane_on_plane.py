@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -62,25 +62,6 @@ class PlaneOnPlane(Task):
     def end(self) -> float:
         """When the planes shall coincide and the one in space has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.normal)
-
-    def bind(self, start: State) -> Evaluate:
-        """Offset and angle shrink from what they are now."""
-        plane = self._plane(start)
-        seen = PointInReference(self.point, plane, start.chain.n)
-        plane.update(start)
-        seen.update(start)
-        alignment = Alignment(self.axis, plane, self.profile, start)
-        approach = Approach(self.profile, seen.x[2:])
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            e, J, rate = rows.e, rows.J, rows.rate
-            plane.update(state)
-            seen.update(state)
-            e[:1], J[:1], rate[:1] = seen.x[2], seen.J[2], seen.rate[2]
-            approach.shift(state.t, e[:1], rate[:1])
-            alignment.fill(state, e[1:], J[1:], rate[1:])
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -12,19 +12,15 @@ stay finite and the point leaves the axis.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from coopqp.checked import Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import TINY, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import CircleMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, radial
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -59,32 +55,6 @@ class PointOnCircle(Task):
     def curvature(self) -> float:
         """Of the circle [1/m]."""
         return 1.0 / self.radius
-
-    def bind(self, start: State) -> Evaluate:
-        """The offset shrinks from what it is now."""
-        circle = self._circle(start)
-        seen, radius = PointInReference(self.point, circle, start.chain.n), self.radius
-        outward = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-        def measure(state: State, e: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
-            circle.update(state)
-            seen.update(state)
-            x, y, z = seen.x.tolist()
-            away = math.hypot(x, y)
-            outward[0, :2] = (x / away, y / away) if away > TINY else (1.0, 0.0)
-            e[0], e[1] = away - radius, z
-
-        e_start = np.zeros(2)
-        measure(start, e_start)
-        approach = Approach(self.profile, e_start)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            measure(state, rows.e)
-            outward.dot(seen.J, rows.J)
-            outward.dot(seen.rate, rows.rate)
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

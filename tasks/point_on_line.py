@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -47,22 +47,6 @@ class PointOnLine(Task):
     def end(self) -> float:
         """When the point shall be on the line and the line has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.direction)
-
-    def bind(self, start: State) -> Evaluate:
-        """The offset shrinks from what it is now."""
-        line = self._line(start)
-        seen = PointInReference(self.point, line, start.chain.n)
-        line.update(start)
-        seen.update(start)
-        approach = Approach(self.profile, seen.x[:2])
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            line.update(state)
-            seen.update(state)
-            rows.e[:], rows.J[:], rows.rate[:] = seen.x[:2], seen.J[:2], seen.rate[:2]
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import Mark, PlaneMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -45,23 +45,6 @@ class PointOnPlane(Task):
     def end(self) -> float:
         """When the point shall be on the plane and the plane has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.normal)
-
-    def bind(self, start: State) -> Evaluate:
-        """The height shrinks from what it is now."""
-        plane = self._plane(start)
-        seen = PointInReference(self.point, plane, start.chain.n)
-        plane.update(start)
-        seen.update(start)
-        approach = Approach(self.profile, seen.x[2:])
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            plane.update(state)
-            seen.update(state)
-            rows.e[0], rows.rate[0] = seen.x[2], seen.rate[2]
-            rows.J[0] = seen.J[2]
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -8,17 +8,15 @@ goes from where the point is at the start to the goal g, be it at rest or a sign
 
 from __future__ import annotations
 
-import numpy as np
-
 from coopqp.checked import Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, Reference, last_end
+from coopqp.geometry import Reference, last_end
 from coopqp.mark import Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point
 from coopqp.signal import POINT, Instant, MovingPoint, course
-from coopqp.state import PointOfObject, State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.state import State
+from coopqp.task import Task
 
 
 @spec
@@ -40,24 +38,6 @@ class PointOnPoint(Task):
     def end(self) -> float:
         """When the reference arrives [s]."""
         return last_end(self.profile, self.goal)
-
-    def bind(self, start: State) -> Evaluate:
-        """The reference sets out from where the point is now."""
-        tracked = PointOfObject(self.point, start.chain.n)
-        tracked.update(start)
-        goal = course(self.goal, POINT, start, here=tracked.p)
-        goal.update(start)
-        approach = Approach(self.profile, tracked.p - goal.value)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            goal.update(state)
-            tracked.update(state)
-            np.subtract(tracked.p, goal.value, rows.e)
-            rows.rate[:] = goal.rate
-            approach.shift(state.t, rows.e, rows.rate)
-            rows.J[:] = tracked.J
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

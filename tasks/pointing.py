@@ -16,13 +16,13 @@ from typing import ClassVar
 
 from coopqp.checked import Direction, Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Alignment, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean
 from coopqp.signal import Instant, MovingDirection
 from coopqp.state import State
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -50,18 +50,6 @@ class Pointing(Task):
     def end(self) -> float:
         """When the axis shall point there and the direction has turned [s]."""
         return last_end(self.profile, self.turn, self.direction)
-
-    def bind(self, start: State) -> Evaluate:
-        """The wished direction sets out from where the axis points now."""
-        reference = self._reference(start)
-        reference.update(start)
-        alignment = Alignment(self.axis, reference, self.profile, start)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            reference.update(state)
-            alignment.fill(state, rows.e, rows.J, rows.rate)
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -15,13 +15,13 @@ import numpy as np
 
 from coopqp.checked import Positive, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, Reference, RotationError, last_end, pose_course
+from coopqp.geometry import PlaceOf, Reference, last_end, pose_course
 from coopqp.mark import Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, point, rotation
 from coopqp.signal import Instant, MovingPose, quaternion_of
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -51,34 +51,13 @@ class Pose(Task):
         """When the reference arrives [s]."""
         return last_end(self.profile, self.goal)
 
-    def bind(self, start: State) -> Evaluate:
+    def program(self, start: State) -> tuple[Primitive, ...]:
         """The reference sets out from where the object is now."""
         here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
-        goal, world = pose_course(self.goal, start, here), np.eye(3)
+        goal = pose_course(self.goal, start, here)
         goal.update(start)
-        p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
-        rotation = RotationError(goal, self.profile, start.R_WO)
-        approach = Approach(self.profile, start.p_WO - p_goal)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            e, J, rate = rows.e, rows.J, rows.rate
-            goal.update(state)
-            np.subtract(state.p_WO, p_goal, e[:3])
-            J[:3], rate[:3] = state.J_task[:3], p_goal_dot
-            approach.shift(state.t, e[:3], rate[:3])
-            out = e[3:], J[3:], rate[3:]
-            rotation.fill(state.t, state.R_WO, world, state.J_task[3:], out)
-
-        return evaluate
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """As primitives; None where a signal is the goal."""
-        goal = pose_course(self.goal, start)
-        if goal.moves:
-            return None
-        x, y, z = goal.value[:3].tolist()
-        place = point(start, Reference((x, y, z)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
-        return place, rotation(goal.R, self.profile, start.R_WO)
+        place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
+        return place, rotation(goal, self.profile, start.R_WO)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The goal, and the object's origin."""

@@ -15,18 +15,16 @@ Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-import numpy as np
-
 from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Approach, PointInReference, Reference, RotationError, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.grasp import pose_matrix
 from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
 from coopqp.profile import Profile
-from coopqp.program import Primitive, point, rotation
-from coopqp.signal import ROTATION, Course, Instant, MovingDirection, MovingPoint, quaternion_of
+from coopqp.program import Primitive, fixed, point, rotation
+from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -71,38 +69,12 @@ class Prismatic(Task):
         """When the object shall be on the slide and the line has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.direction)
 
-    def bind(self, start: State) -> Evaluate:
-        """Offset and angle shrink from what they are now."""
-        line = self._line(start)
-        seen = PointInReference(self.point, line, start.chain.n)
-        R_goal = self._goal()
-        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
-        line.update(start)
-        seen.update(start)
-        goal = Course(ROTATION, quaternion_of(Q_goal))
-        rotation = RotationError(goal, self.profile, line.RT @ start.R_WO)
-        approach = Approach(self.profile, seen.x[:2])
-        Q = np.zeros((3, 3))
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            e, J, rate = rows.e, rows.J, rows.rate
-            line.update(state)
-            seen.update(state)
-            e[:2], J[:2], rate[:2] = seen.x[:2], seen.J[:2], seen.rate[:2]
-            approach.shift(state.t, e[:2], rate[:2])
-            line.RT.dot(state.R_WO, Q)
-            rotation.fill(state.t, Q, line.RT, state.J_task[3:], (e[2:], J[2:], rate[2:]))
-            if line.moves:
-                rate[2:] += rotation.rows.dot(line.omega)
-
-        return evaluate
-
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""
         line, R_goal = self._line(start), self._goal()
         Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
         offset = point(start, line, self.point, self.profile, (0, 1))
-        return offset, rotation(Q_goal, self.profile, line.RT @ start.R_WO, line)
+        return offset, rotation(fixed(Q_goal), self.profile, line.RT @ start.R_WO, line)
 
     def marks(self, at: Instant) -> tuple[Mark, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from coopqp.checked import Direction, Positive, Vector3, spec
 from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Alignment, Approach, PointInReference, Reference, Turn, last_end
+from coopqp.geometry import Reference, Turn, last_end
 from coopqp.mark import LineMark, Mark, PointMark, TrackedMark
 from coopqp.profile import Profile
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.state import State
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 
 @spec
@@ -61,25 +61,6 @@ class Revolute(Task):
     def end(self) -> float:
         """When the object shall be on the hinge and the hinge has turned [s]."""
         return last_end(self.profile, self.turn, self.through, self.direction)
-
-    def bind(self, start: State) -> Evaluate:
-        """Offset and angle shrink from what they are now."""
-        hinge = self._hinge(start)
-        seen = PointInReference(self.point, hinge, start.chain.n)
-        hinge.update(start)
-        seen.update(start)
-        alignment = Alignment(self.axis, hinge, self.profile, start)
-        approach = Approach(self.profile, seen.x)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            e, J, rate = rows.e, rows.J, rows.rate
-            hinge.update(state)
-            seen.update(state)
-            e[:3], J[:3], rate[:3] = seen.x, seen.J, seen.rate
-            approach.shift(state.t, e[:3], rate[:3])
-            alignment.fill(state, e[3:], J[3:], rate[3:])
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """As primitives."""

@@ -27,6 +27,7 @@ class FreeBody:
             ),
         )  # fmt: skip
         state: Any = self.state
+        state.point = lambda p_O: State.point(state, p_O)
         state.point_jacobian = lambda lever, out: State.point_jacobian(state, lever, out)
 
     def step(self, v: Array, dt: float) -> None:

@@ -148,7 +148,7 @@ class Levels:
         """Add a task's rows to a level, as primitives where it has any."""
         program, at = self._programs.of(task), len(rows.gain)
         levers = levers_of(task, self._start.chain)
-        if program is None or any(primitive.of_joints != joints for primitive in program):
+        if program is None or not all(p.compiles and p.of_joints == joints for p in program):
             self.filled.append(Filled(TaskStack([task], self._start), level, at, joints))
             if not joints:
                 rows.take(task, levers, share, twist=False)

@@ -59,7 +59,8 @@ def test_rows_of_what_follows_way_points_are_those_of_python(
     task = slow(one_of_each(chain)[name], chain)
     law = QPController(engine="kernel").build(problem(chain, task, kappa=0.0))
     assert isinstance(law, KernelLaw)
-    assert (task.program(State(chain)) is not None) == (name in READ)
+    program = task.program(State(chain))
+    assert (program is not None and all(p.compiles for p in program)) == (name in READ)
     stack = TaskStack([task], State(chain))
     for q, t in zip(closed_loop_walk(chain, 4), (0.1, 0.8, 1.9, 4.6), strict=True):
         state = State(chain, q, t)
