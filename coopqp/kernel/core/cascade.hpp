@@ -47,7 +47,6 @@ class Cascade {
           w_(arena.take(std::size_t(hierarchy_.width()))),
           x_(arena.take(std::size_t(hierarchy_.width()))),
           z_(arena.take(std::size_t(hierarchy_.width()))),
-          X_(arena.take(std::size_t(loops.free + 1) * std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows_ + 1)),
           small_(most_rows_ + 1, std::min(most_rows_, loops.free) + 1, arena),
           pulls_(levels.size()) {
@@ -275,12 +274,10 @@ class Cascade {
         for (int a = 0; a < padded(shares + K); a++)
             clear(nearest.column(a), nearest.stride() / LANES);
         for (int a = 0; a < shares; a++) constraints_.share_column(a);
-        for (int a = 0; a < K; a++) {
-            level_direction(a, first, hierarchy_.decided - first, curvature);
-            add_rows(nearest.column(shares + a), loops_.Z, stride(), loops_.free,
-                     X_ + a * hierarchy_.width(), m_.blocks);
-        }
+        for (int a = 0; a < K; a++) free_direction(shares + a, first + a);
         constraints_.see_limits(shares + K);
+        if (l > 0) constraints_.leave_decided(K);
+        scale_directions(shares, K, hierarchy_.decided - first, curvature);
         Status status = nearest.solve(shares + K);
         if (status == Status::Infeasible && l == 0 && levels_[0].exact > first) {
             constraints_.widen();
@@ -290,15 +287,24 @@ class Cascade {
         return status;
     }
 
-    // The a-th direction, in coordinates of z, in which the level's cost bends by one: of its own
-    // coordinates from `first` on, then of those that it leaves free.
-    void level_direction(int a, int first, int own, double curvature) {
-        const int width = hierarchy_.width(), blocks = hierarchy_.blocks();
-        double* X = X_ + a * width;
-        copy(X, hierarchy_.V(first + a), blocks);
-        for (int j = 0; j < a && a < own; j++) add(X, X_ + j * width, -small_.R(j, a), blocks);
-        const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
-        for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
+    // How the joints go along a coordinate that is free, in a column of the constraints.
+    void free_direction(int column, int coordinate) {
+        add_rows(constraints_.nearest.column(column), loops_.Z, stride(), loops_.free,
+                 hierarchy_.V(coordinate), m_.blocks);
+    }
+
+    // Make of the K columns of free coordinates after `shares` those in which the level's cost bends
+    // by one: of its own coordinates, then of those that it leaves free.
+    void scale_directions(int shares, int K, int own, double curvature) {
+        LeastDistance& nearest = constraints_.nearest;
+        const int blocks = nearest.stride() / LANES;
+        for (int a = 0; a < K; a++) {
+            double* column = nearest.column(shares + a);
+            for (int j = 0; j < a && a < own; j++)
+                add(column, nearest.column(shares + j), -small_.R(j, a), blocks);
+            const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
+            for (int b = 0; b < blocks; b++) lanes(column)[b] *= scale;
+        }
     }
 
     const Model& m_;
@@ -310,7 +316,7 @@ class Cascade {
     Shares shares_;
     Constraints constraints_;
     Check check_;
-    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_, *X_;
+    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
     std::vector<double> residual_;
     SmallLeastSquares small_;
     std::vector<double> pulls_;
