@@ -20,6 +20,9 @@ namespace coopqp {
 // By how much a certificate may be short of zero before the answer is refined: as far as the kernel
 // and the plain law agree [rad/s].
 constexpr double SHORT_OF_DIGITS = 1e-10;
+// Rows that depend on others give way by no more than they must: what is left of their width is
+// spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
+constexpr double LEAST_WIDTH = 3e-10, WIDER = 10.0;
 constexpr double HOLD = 1e-12;  // by which rows that must hold may not, in an answer that is mended
 
 class Cascade {
@@ -279,10 +282,12 @@ class Cascade {
         if (l > 0) constraints_.leave_decided(K);
         scale_directions(shares, K, hierarchy_.decided - first, curvature);
         Status status = nearest.solve(shares + K);
-        if (status == Status::Infeasible && l == 0 && levels_[0].exact > first) {
-            constraints_.widen();
-            status = nearest.solve(shares + K);
-        }
+        if (l == 0 && levels_[0].exact > first)
+            for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
+                 wide = by, by *= WIDER) {
+                constraints_.widen(by - wide);
+                status = nearest.solve(shares + K);
+            }
         if (status == Status::Optimal) constraints_.step(shares + K, shares, v_);
         return status;
     }

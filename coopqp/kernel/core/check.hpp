@@ -167,16 +167,18 @@ class Check {
         return squares;
     }
 
-    // The part of the shares in a projected gradient step, squared.
+    // The part of the shares in a projected gradient step, squared. Their cost bends by SCALE_WEIGHT,
+    // not by mu alone: the step is taken in this metric, and a share counts by the motion that costs
+    // as much.
     double share_distance2(double mu) const {
         double squares = 0.0;
         for (int k = 0; k < shares_.count(); k++) {
             const double s = shares_.share(k);
-            const double step = s - (SCALE_WEIGHT * (s - 1.0) - y_.at_share(k)) / mu;
+            const double step = 1.0 + y_.at_share(k) / SCALE_WEIGHT;
             const double off = s - std::min(std::max(step, 0.0), 1.0);
             squares += off * off;
         }
-        return squares;
+        return squares * SCALE_WEIGHT / mu;
     }
 
     // Put v between its bounds; by how much it was not, squared.
@@ -313,7 +315,7 @@ class Check {
         for (std::size_t i = 0; i < y_.of_rows.size(); i++)
             grow(size, y_.of_rows[i], G + i * rows_.stride());
         double squares = dot(size, size, m_.blocks);
-        if (l == 0) squares += share_rounding2();
+        if (l == 0) squares += share_rounding2() * std::min(d, SCALE_WEIGHT) / SCALE_WEIGHT;
         return std::min(EPSILON * std::sqrt(squares),
                         ROUNDING * std::min(d, SCALE_WEIGHT));
     }

@@ -96,7 +96,7 @@ class Constraints {
     }
 
     // Let exact rows that depend on others give way a little, as solvers let equalities.
-    void widen() { nearest.widen(spare_row(0), exact_, CONSISTENT); }
+    void widen(double by) { nearest.widen(spare_row(0), exact_, by); }
 
     // Go along the first columns by nearest.u, with so many of the shares.
     void step(int columns, int shares, double* v) {

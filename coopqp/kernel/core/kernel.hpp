@@ -187,11 +187,13 @@ class Kernel {
         const Status near = come_near(status);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
-        if (status == Status::Optimal || (s_.relaxes && relaxed())) return near;
+        const bool is_proved = tried && status == Status::Infeasible;
+        if (status == Status::Optimal || (s_.relaxes && (relaxed() || is_proved))) return near;
         if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
         leaves_ = 0.0;
         status = decide_exactly();  // hard tasks can hold again
-        if (status == Status::Optimal && least_share() < WHOLE) status = come_near(status);
+        if (status == Status::Infeasible || (status == Status::Optimal && least_share() < WHOLE))
+            status = come_near(status);
         if (status == Status::Optimal) note_missed();
         return status;
     }
