@@ -82,8 +82,7 @@ class Cascade {
         if (fault(Fault::WrongAnswer)) add(v_, loops_.Z, 1e-4, m_.blocks);
         const Status status = bring_inside(l, first, d + level.joint_weight);
         if (status == Status::Infeasible || fault(Fault::FalseProof))
-            return l == 0 && check_.excludes(first, constraints_) ? Status::Infeasible
-                                                                 : Status::Unproven;
+            return l == 0 ? check_.excludes(first, constraints_) : Status::Unproven;
         if (status != Status::Optimal) return status;
         if (fault(Fault::WrongMultiplier)) constraints_.nearest.spoil();
         if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
