@@ -49,8 +49,7 @@ class Check {
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   Constraints& c) {
-        // A level damped less, of hard tasks, decides what rows do, not all of v.
-        const double mu = std::min(std::max(d, s_.damping), SCALE_WEIGHT);
+        const double mu = std::min(d, SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
