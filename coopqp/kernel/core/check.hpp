@@ -49,7 +49,9 @@ class Check {
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   Constraints& c) {
-        const double mu = std::min(d, SCALE_WEIGHT);
+        // Hard tasks, damped less, decide what rows do, not all of v, where scaled ones come after.
+        const bool rows_alone = std::size_t(l) + 1 < levels_.size() && levels_[std::size_t(l) + 1].rows;
+        const double mu = std::min(rows_alone ? std::max(d, s_.damping) : d, SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
