@@ -40,6 +40,7 @@ class Outcome(IntEnum):
     OUTSIDE = 9
     SHORTENED = 10
     UNPROVEN = 11
+    CLASHING = 12
     RELAXED = 16
     STANDS = 32
     COMES_BACK = 64

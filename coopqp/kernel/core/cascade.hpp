@@ -20,6 +20,9 @@ namespace coopqp {
 // By how much a certificate may be short of zero before the answer is refined: as far as the kernel
 // and the plain law agree [rad/s].
 constexpr double SHORT_OF_DIGITS = 1e-10;
+// Rows that depend on others give way by no more than they must: what is left of their width is
+// spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
+constexpr double LEAST_WIDTH = 3e-10, WIDER = 10.0;
 constexpr double HOLD = 1e-12;  // by which rows that must hold may not, in an answer that is mended
 
 class Cascade {
@@ -47,7 +50,6 @@ class Cascade {
           w_(arena.take(std::size_t(hierarchy_.width()))),
           x_(arena.take(std::size_t(hierarchy_.width()))),
           z_(arena.take(std::size_t(hierarchy_.width()))),
-          X_(arena.take(std::size_t(loops.free + 1) * std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows_ + 1)),
           small_(most_rows_ + 1, std::min(most_rows_, loops.free) + 1, arena),
           pulls_(levels.size()) {
@@ -80,8 +82,7 @@ class Cascade {
         if (fault(Fault::WrongAnswer)) add(v_, loops_.Z, 1e-4, m_.blocks);
         const Status status = bring_inside(l, first, d + level.joint_weight);
         if (status == Status::Infeasible || fault(Fault::FalseProof))
-            return l == 0 && check_.excludes(first, constraints_) ? Status::Infeasible
-                                                                 : Status::Unproven;
+            return l == 0 ? check_.excludes(first, constraints_) : Status::Unproven;
         if (status != Status::Optimal) return status;
         if (fault(Fault::WrongMultiplier)) constraints_.nearest.spoil();
         if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
@@ -275,30 +276,39 @@ class Cascade {
         for (int a = 0; a < padded(shares + K); a++)
             clear(nearest.column(a), nearest.stride() / LANES);
         for (int a = 0; a < shares; a++) constraints_.share_column(a);
-        for (int a = 0; a < K; a++) {
-            level_direction(a, first, hierarchy_.decided - first, curvature);
-            add_rows(nearest.column(shares + a), loops_.Z, stride(), loops_.free,
-                     X_ + a * hierarchy_.width(), m_.blocks);
-        }
+        for (int a = 0; a < K; a++) free_direction(shares + a, first + a);
         constraints_.see_limits(shares + K);
+        if (l > 0) constraints_.leave_decided(K);
+        scale_directions(shares, K, hierarchy_.decided - first, curvature);
         Status status = nearest.solve(shares + K);
-        if (status == Status::Infeasible && l == 0 && levels_[0].exact > first) {
-            constraints_.widen();
-            status = nearest.solve(shares + K);
-        }
+        if (l == 0 && levels_[0].exact > first)
+            for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
+                 wide = by, by *= WIDER) {
+                constraints_.widen(by - wide);
+                status = nearest.solve(shares + K);
+            }
         if (status == Status::Optimal) constraints_.step(shares + K, shares, v_);
         return status;
     }
 
-    // The a-th direction, in coordinates of z, in which the level's cost bends by one: of its own
-    // coordinates from `first` on, then of those that it leaves free.
-    void level_direction(int a, int first, int own, double curvature) {
-        const int width = hierarchy_.width(), blocks = hierarchy_.blocks();
-        double* X = X_ + a * width;
-        copy(X, hierarchy_.V(first + a), blocks);
-        for (int j = 0; j < a && a < own; j++) add(X, X_ + j * width, -small_.R(j, a), blocks);
-        const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
-        for (int b = 0; b < blocks; b++) lanes(X)[b] *= scale;
+    // How the joints go along a coordinate that is free, in a column of the constraints.
+    void free_direction(int column, int coordinate) {
+        add_rows(constraints_.nearest.column(column), loops_.Z, stride(), loops_.free,
+                 hierarchy_.V(coordinate), m_.blocks);
+    }
+
+    // Make of the K columns of free coordinates after `shares` those in which the level's cost bends
+    // by one: of its own coordinates, then of those that it leaves free.
+    void scale_directions(int shares, int K, int own, double curvature) {
+        LeastDistance& nearest = constraints_.nearest;
+        const int blocks = nearest.stride() / LANES;
+        for (int a = 0; a < K; a++) {
+            double* column = nearest.column(shares + a);
+            for (int j = 0; j < a && a < own; j++)
+                add(column, nearest.column(shares + j), -small_.R(j, a), blocks);
+            const double scale = 1.0 / (a < own ? small_.R(a, a) : std::sqrt(curvature));
+            for (int b = 0; b < blocks; b++) lanes(column)[b] *= scale;
+        }
     }
 
     const Model& m_;
@@ -310,7 +320,7 @@ class Cascade {
     Shares shares_;
     Constraints constraints_;
     Check check_;
-    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_, *X_;
+    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
     std::vector<double> residual_;
     SmallLeastSquares small_;
     std::vector<double> pulls_;

@@ -16,9 +16,9 @@ namespace coopqp {
 
 constexpr int MOST_PASSES = 4;       // multipliers are refined until the certificate is good
 constexpr double FASTEST = 1e6;      // of joints without a limit, in proofs that there is no motion
-constexpr double ROUNDING = 1e-4;    // most that rounding excuses, as coopqp.solver
-constexpr double EPSILON = 2.220446049250313e-16;
-constexpr double CLEARLY = 3.5e-7;   // [rad/s] by which all constraints may give way and still clash
+// By which all constraints may give way and still clash: more than daqp lets them, or than rounding
+// makes of them [rad/s].
+constexpr double CLEARLY = 3.05e-7, CLOSELY = 1e-10;
 
 struct Outcome {
     Status status;
@@ -33,7 +33,7 @@ class Check {
           Shares& shares, const Settings& settings, const std::vector<Level>& levels,
           const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
-          levels_(levels), kept_(kept), t_(arena.take(rows.stride())),
+          levels_(levels), kept_(kept),
           moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
           of_arms_(arena.take(TWIST * model.arms.size())), V(arena.take(TWIST)),
           r_(model, rows, loops, hierarchy, shares, levels, arena),
@@ -49,7 +49,9 @@ class Check {
     //   d: damping. before: answer of the levels before.
     Outcome judge(int l, int first, double d, double* v, const double* before,
                   Constraints& c) {
-        const double mu = std::min(d, SCALE_WEIGHT);
+        // Hard tasks, damped less, decide what rows do, not all of v, where scaled ones come after.
+        const bool rows_alone = std::size_t(l) + 1 < levels_.size() && levels_[std::size_t(l) + 1].rows;
+        const double mu = std::min(rows_alone ? std::max(d, s_.damping) : d, SCALE_WEIGHT);
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
@@ -84,10 +86,7 @@ class Check {
             outcome.status = Status::Bound;
         else if (!(gap <= s_.budget.equality))
             outcome.status = Status::Equality;
-        else if (!(astray <= s_.budget.accuracy))
-            outcome.status = Status::Inaccurate;
-        else if (!(off <= s_.budget.accuracy) &&
-                 !(off <= s_.budget.accuracy + rounding(l, first, d, v, c.limits.G) / mu))
+        else if (!(astray <= s_.budget.accuracy && off <= s_.budget.accuracy))
             outcome.status = Status::Inaccurate;
         outcome.off = off + astray;
         return outcome;
@@ -117,9 +116,10 @@ class Check {
     }
 
     // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
-    // whether a sum of rows that is nothing, but for rounding, asks for more than nothing.
+    // whether a sum of rows that is nothing, but for rounding, asks for more than nothing: Infeasible,
+    // Clashing where that is by less than solvers let rows give way, or Unproven.
     //   first: how many rows are exact, all of level 0.
-    bool excludes(int first, const Constraints& c) {
+    Status excludes(int first, const Constraints& c) {
         const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
         y_.push_limits(c.nearest, c.limits.G);
@@ -133,7 +133,7 @@ class Check {
         }
         for (std::size_t i = 0; i < y_.of_rows.size(); i++) {
             if (y_.of_rows[i] == 0.0) continue;
-            if (y_.of_rows[i] < 0.0) return false;
+            if (y_.of_rows[i] < 0.0) return Status::Unproven;
             all += y_.of_rows[i];
             asked -= y_.of_rows[i] * c.limits.h[i];
         }
@@ -143,7 +143,11 @@ class Check {
             all += std::fabs(y_.of_loops[i]);
             asked -= y_.of_loops[i] * b_[i];
         }
-        for (int s = 0; s < level.exact; s++) all += std::fabs(y_.of_exact(s));
+        double given = 0.0;  // by rows that depend on others, which have given way as far as they may
+        for (int s = 0; s < level.exact; s++) {
+            all += std::fabs(y_.of_exact(s));
+            given += CONSISTENT * std::fabs(y_.spare[std::size_t(s)]);
+        }
         for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
         double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
         for (int k = 0; k < shares_.count(); k++) {
@@ -152,7 +156,8 @@ class Check {
             asked -= std::max(z, 0.0);
             off += std::fabs(z - y_.at_share(k));
         }
-        return asked - off > CLEARLY * all;
+        if (asked - off > CLEARLY * all) return Status::Infeasible;
+        return asked - off > given + CLOSELY * all ? Status::Clashing : Status::Unproven;
     }
 
   private:
@@ -167,16 +172,18 @@ class Check {
         return squares;
     }
 
-    // The part of the shares in a projected gradient step, squared.
+    // The part of the shares in a projected gradient step, squared. Their cost bends by SCALE_WEIGHT,
+    // not by mu alone: the step is taken in this metric, and a share counts by the motion that costs
+    // as much.
     double share_distance2(double mu) const {
         double squares = 0.0;
         for (int k = 0; k < shares_.count(); k++) {
             const double s = shares_.share(k);
-            const double step = s - (SCALE_WEIGHT * (s - 1.0) - y_.at_share(k)) / mu;
+            const double step = 1.0 + y_.at_share(k) / SCALE_WEIGHT;
             const double off = s - std::min(std::max(step, 0.0), 1.0);
             squares += off * off;
         }
-        return squares;
+        return squares * SCALE_WEIGHT / mu;
     }
 
     // Put v between its bounds; by how much it was not, squared.
@@ -278,72 +285,6 @@ class Check {
         return std::sqrt(squares);
     }
 
-    // What the last digits of the terms that cancel in the gradient amount to, times mu.
-    double rounding(int l, int first, double d, const double* v, const double* G) {
-        const Level& level = levels_[std::size_t(l)];
-        double* size = moved_;
-        for (int b = 0; b < m_.blocks; b++) {
-            lanes(size)[b] = larger(lanes(v)[b], -lanes(v)[b]) * (d + level.joint_weight);
-            if (level.joint_weight > 0.0)
-                lanes(size)[b] += larger(lanes(level.wish)[b], -lanes(level.wish)[b]);
-        }
-        for (int s = level.exact; s < level.rows; s++) {
-            dense(level, s);
-            double moved = std::fabs(level.wanted[std::size_t(s)]);
-            for (int i = 0; i < m_.blocks * LANES; i++) moved += std::fabs(t_[i] * v[i]);
-            grow(size, level.weight[std::size_t(s)] * moved, t_);
-        }
-        for (int k = 0; k < first; k++) {
-            int at;
-            const int s = y_.own_row(hierarchy_.pivot_row(k), at);
-            dense(levels_[std::size_t(at)], s);
-            grow(size, y_.lambda[k], t_);
-        }
-        std::size_t at = 0;
-        for (int i = 1; i < m_.holding; i++)
-            for (int r : kept_[std::size_t(i - 1)]) {
-                const double by = y_.of_loops[at++];
-                double unit[6] = {0, 0, 0, 0, 0, 0};
-                unit[r] = 1.0;
-                clear(t_, m_.blocks);
-                rows_.pull(i, unit, 1.0, t_);
-                rows_.pull(0, unit, -1.0, t_);
-                grow(size, by, t_);
-            }
-        for (std::size_t i = 0; i < y_.of_rows.size(); i++)
-            grow(size, y_.of_rows[i], G + i * rows_.stride());
-        double squares = dot(size, size, m_.blocks);
-        if (l == 0) squares += share_rounding2();
-        return std::min(EPSILON * std::sqrt(squares),
-                        ROUNDING * std::min(d, SCALE_WEIGHT));
-    }
-
-    double share_rounding2() const {
-        const Level& level = levels_[0];
-        double squares = 0.0;
-        for (int k = 0; k < shares_.count(); k++) {
-            double size = SCALE_WEIGHT * (1.0 + shares_.share(k)) +
-                          std::fabs(y_.of_shares[std::size_t(k)]);
-            for (int s = level.hard; s < level.exact; s++)
-                if (level.share[std::size_t(s)] == k)
-                    size += std::fabs(y_.of_exact(s) * level.wanted[std::size_t(s)]);
-            squares += size * size;
-        }
-        return squares;
-    }
-
-    void grow(double* size, double by, const double* row) const {
-        for (int i = 0; i < m_.blocks * LANES; i++) size[i] += std::fabs(by * row[i]);
-    }
-
-    // A task row over all joints, into t_.
-    void dense(const Level& level, int s) {
-        double tau[6] = {0, 0, 0, 0, 0, 0};
-        clear(t_, m_.blocks);
-        rows_.pull_row(level, s, 1.0, tau, t_);
-        rows_.pull_object(tau, t_);
-    }
-
     const Model& m_;
     const Rows& rows_;
     Hierarchy& hierarchy_;
@@ -352,7 +293,7 @@ class Check {
     const std::vector<Level>& levels_;
     const std::vector<std::vector<int>>& kept_;
     const double* b_ = nullptr;
-    double *t_, *moved_;
+    double* moved_;
     std::vector<double> slack_;
     double* of_arms_;
 

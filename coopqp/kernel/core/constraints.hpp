@@ -11,6 +11,7 @@
 namespace coopqp {
 
 constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
+constexpr double DECIDED = 1e-7;  // share of a limit's row that a later level may move, not to see it
 
 // lb <= v <= ub and G v <= h of a tick, for all levels.
 struct Limits {
@@ -32,6 +33,7 @@ class Constraints {
                       padded(first.exact),
                   columns + shares.count(), arena),
           lanes_(lanes), inequalities_(int(given.h.size())), exact_(first.exact), shares_(shares),
+          sizes2_(arena.take(std::size_t(nearest.stride()))),
           turn_(std::size_t(shares.count() + 1)) {}
 
     const Limits& limits;
@@ -76,8 +78,25 @@ class Constraints {
                     dot(limits.G + std::size_t(i) * std::size_t(lanes_), nearest.column(a), lanes_ / LANES);
     }
 
+    // Let limits go that later levels hardly move, known by the first columns, of orthonormal
+    // directions: the levels before have decided them, and what is left of their rows is noise.
+    void leave_decided(int columns) {
+        const int rows = lanes_ + inequalities_;
+        clear(sizes2_, nearest.stride() / LANES);
+        for (int a = 0; a < columns; a++)
+            for (int b = 0; b < nearest.stride() / LANES; b++)
+                coopqp::lanes(sizes2_)[b] += coopqp::lanes(nearest.column(a))[b] * coopqp::lanes(nearest.column(a))[b];
+        for (int i = 0; i < rows; i++) {
+            const double* G = limits.G + std::size_t(i - lanes_) * std::size_t(lanes_);
+            const double of_row = i < lanes_ ? 1.0 : dot(G, G, lanes_ / LANES);
+            if (sizes2_[i] >= DECIDED * DECIDED * of_row) continue;
+            nearest.lower[i] = -1e300;
+            nearest.upper[i] = 1e300;
+        }
+    }
+
     // Let exact rows that depend on others give way a little, as solvers let equalities.
-    void widen() { nearest.widen(spare_row(0), exact_, CONSISTENT); }
+    void widen(double by) { nearest.widen(spare_row(0), exact_, by); }
 
     // Go along the first columns by nearest.u, with so many of the shares.
     void step(int columns, int shares, double* v) {
@@ -127,6 +146,7 @@ class Constraints {
 
     int lanes_, inequalities_, exact_;
     Shares& shares_;
+    double* sizes2_;
     std::vector<double> turn_;
 };
 

@@ -177,21 +177,25 @@ class Kernel {
         const bool tried =
             std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
         Status status = tried ? decide_exactly() : Status::Infeasible;
-        const bool proved = !s_.relaxes && status != Status::Unproven;
+        const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
         if (!level.exact || proved || (status == Status::Optimal && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed();
             return status;
         }
-        if (status == Status::Equality || status == Status::Bound || status == Status::NotFinite)
-            return status;
+        const bool clash = status == Status::Clashing || status == Status::Infeasible;
+        if (!clash && status != Status::Optimal && status != Status::Unproven) return status;
         const Status near = come_near(status);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
-        if (status == Status::Optimal || (s_.relaxes && relaxed())) return near;
+        // Where rows clash by less than they may give way, the nearest is as good as all.
+        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !lacks()))
+            return near;
         if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
         leaves_ = 0.0;
         status = decide_exactly();  // hard tasks can hold again
-        if (status == Status::Optimal && least_share() < WHOLE) status = come_near(status);
+        if (status == Status::Infeasible || status == Status::Clashing ||
+            (status == Status::Optimal && least_share() < WHOLE))
+            status = come_near(status);
         if (status == Status::Optimal) note_missed();
         return status;
     }
@@ -258,7 +262,7 @@ class Kernel {
         leaves_ = std::min(std::sqrt(lacks2) / SLOW, 1.0);
         const Status shared = leaves_ < 1.0 ? decide_exactly() : Status::Infeasible;
         std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
-        if (shared == Status::Infeasible || shared == Status::Unproven) {
+        if (shared == Status::Infeasible || shared == Status::Unproven || shared == Status::Clashing) {
             leaves_ = 1.0;
             return Status::Optimal;
         }

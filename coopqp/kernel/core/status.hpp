@@ -16,6 +16,7 @@ enum class Status : int {
     Outside,      // a joint is outside its limits; no way back does all of the drift correction
     Shortened,    // optimal, but for the length of the step
     Unproven,     // no answer was found, and no proof that there is none
+    Clashing,     // the first level's constraints leave nothing, by less than they may give way
 };
 
 }  // namespace coopqp
