@@ -66,7 +66,6 @@ class DriftShare:
         return causes or (Status.SOLVER_FAILED,)
 
     def _solve(self, state: State) -> Status:
-        level, kappa = self._level, drift_gain(self._problem, state)
-        level.assemble(self._way_back.bounds, self._damping.of_drift(state, kappa))
-        level.close_loops(state, kappa)
-        return level.solve()
+        kappa = drift_gain(self._problem, state)
+        self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+        return self._level.solve()

@@ -17,7 +17,9 @@ up to 1; it is 1 where no shares can be had at all. Later levels keep
 what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
 That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
 they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
-grows from there as they cease to.
+grows from there as they cease to. So little damping decides what rows do to all digits, J dv <=
+|g| / (2 sqrt(w d)) for a gradient g that is left, but not all of v: later levels do, or one that
+asks for the least |v| alone.
 """
 
 from __future__ import annotations
@@ -58,50 +60,44 @@ class Nearest:
         damping: cost of |v|^2.
 
     Attributes:
-        v: the answer of the level of the hard tasks, shape (n,).
+        hard: the level of the hard tasks. v: its answer, shape (n,).
+        scaled: the level of the scaled tasks.
     """
 
     def __init__(
         self, problem: ControlProblem, order: Order, bounds: Bounds, damping: Damping
     ) -> None:
-        self._exact, self._bounds, self._damping = order.exact, bounds, damping
-        self._count, loops = sum(order.exact.sizes[: len(order.hard)]), problem.chain.loops
-        hard, scaled = TaskStack(order.hard, order.start), TaskStack(order.scaled, order.start)
-        self._hard_tasks, self._scaled_tasks = hard, scaled
+        self._damping = damping
+        hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
         less = replace(damping, least=LESS * damping.least) if order.hard else damping
-        self.hard = Level(problem, hard, loops.solver_rows, bounds, less)
-        self.hard.certified = damping.least  # it decides what rows do, not all of v
-        decided = min(len(loops.solver_rows) + self._count, problem.chain.n)
-        self.scaled = LaterLevel(problem, scaled, [hard], decided, bounds, damping)
+        self.hard = Level(problem, hard, problem.chain.loops.solver_rows, bounds, less)
+        self.hard.certified = damping.least
+        self.scaled = LaterLevel(problem, scaled, [hard], bounds, damping)
         self.v = self.hard.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks; the exact stack is up to date.
+        """Solve the level of the hard tasks; limits are up to date.
 
         Args:
             state: of the tick.
             kappa: gain of the drift correction.
         """
-        self._update()
-        lacks = np.abs(state.memory["missed"]) * self._hard_tasks.levers
-        bend = float(self._hard_tasks.weights @ lacks)
-        self.hard.assemble(self._bounds, self._damping.of(bend, state))
-        self.hard.close_loops(state, kappa)
+        tasks = self.hard.tasks
+        tasks.update(state)
+        bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
+        self.hard.assemble(state, kappa, self._damping.of(bend, state))
         return self.hard.solve()
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
-        """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
-        self._update()
-        pull = state.memory["scaled pull"]
-        return self.scaled.improve(state, self._bounds, v, Status.OPTIMAL, pull)
+        """What the level of the scaled tasks makes of v, in what its hard tasks leave free.
 
-    def _update(self) -> None:
-        exact, hard = self._exact, self._count
-        for stack, rows in (
-            (self._hard_tasks, slice(hard)), (self._scaled_tasks, slice(hard, None))
-        ):  # fmt: skip
-            for name in ("e", "rate", "wanted", "J"):
-                getattr(stack, name)[:] = getattr(exact, name)[rows]
+        Without scaled tasks that is the least |v|, which the level of the hard ones, with its own
+        damping, knows to fewer digits.
+        """
+        for stack in (self.hard.tasks, self.scaled.tasks):
+            stack.update(state)
+        pull = state.memory["scaled pull"] if self.scaled.tasks.tasks else np.zeros(1)
+        return self.scaled.improve(state, v, pull)
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

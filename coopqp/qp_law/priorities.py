@@ -2,10 +2,13 @@
 
 Level 0 decides v_0. What its tasks and the loops see of it is fixed for the levels after:
 
-    Q v = Q v_0,   Q an orthonormal basis of the rows decided so far,
+    v = v_0 + Z z,   Z an orthonormal basis of the null space of the rows decided so far,
 
-so that level 1 moves in their null space alone, and so on. Q comes from a singular value
-decomposition, which minds no redundant rows.
+so level 1 chooses z alone, within G Z z <= h - G v_0 and likewise for bounds, and so on: z = 0 is
+always feasible. Z comes from a singular value decomposition, which minds no redundant rows. First
+the loops, which no later level may ever open, then what the tasks add to them. Where that is next
+to nothing, as at a singular pose, its direction is noise, which would freeze another motion in each
+tick. Likewise a limit of which Z leaves next to nothing: it was decided before.
 
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
@@ -27,17 +30,20 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
+from coopqp.qp import Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Program
 from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
-from coopqp.row import Row
+from coopqp.row import Row, Side
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
+SIDES: tuple[Side, Side] = "upper", "lower"
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
+DECIDED = 1e-7  # share of a limit's row in the null space up to which it was decided before
 
 
 def groups(problem: ControlProblem) -> list[list[Task]]:
@@ -150,19 +156,19 @@ def _places(start: State) -> Iterator[State]:
 
 
 class LaterLevel:
-    """A level after the first.
+    """A level after the first: a step z in what those before it leave free.
 
     Args:
         problem: what to control.
         tasks: of this level; whoever owns the stack updates it, and those before.
         before: what was decided before it.
-        decided: how many rows of that, loops included, are independent.
-        bounds: the limits.
+        bounds: the limits; whoever owns them updates them.
         damping: cost of |v|^2.
 
     Attributes:
-        level: its QP.
-        share: of its step that was made in the last tick.
+        tasks: as given.
+        curvature: its damping in the last tick.
+        v: its answer, shape (n,). share: of the step there, what was made of it.
     """
 
     def __init__(
@@ -170,69 +176,80 @@ class LaterLevel:
         problem: ControlProblem,
         tasks: TaskStack,
         before: Sequence[TaskStack],
-        decided: int,
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        self._before, self._damping, self.share = before, damping, 1.0
+        self._problem, self._before, self._bounds = problem, before, bounds
+        self._damping, self._programs = damping, dict[int, Program]()
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
-        rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
-        self.level = Level(problem, tasks, rows, bounds, damping)
+        self.tasks, self.curvature, self.share = tasks, damping.least, 1.0
+        self.v = np.zeros(problem.chain.n)
 
-    def improve(
-        self, state: State, bounds: Bounds, v: Array, status: Status, pull: Array
-    ) -> tuple[Array, Status]:
+    def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v where it is still free; keep it when this level fails.
 
         Args:
             state: for which tasks and bounds are up to date.
-            bounds: the limits.
             v: of the levels before.
-            status: likewise.
             pull: sum of |y| L / sigma over the decided rows, of the cost without its damping, shape
                 (1,); of the last tick, then of this one.
         """
-        level, A, b = self.level, self.level.qp.A, self.level.qp.b
-        needed = self._damping.of(pull[0], state)
-        own = self._damping.of(level.tasks.bend(state.v), state)
-        level.assemble(bounds, own + min(needed, MOST_DAMPING))
-        turns = self._decide(state, A)
-        b[:] = A.dot(v)
-        found = level.solve()
+        damping, found = self._damping, Status.NOT_FINITE
+        needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
+        self.curvature = damping.least + own + min(needed, MOST_DAMPING)
+        self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
+        decided = np.concatenate([stack.J for stack in self._before])
+        if np.isfinite(decided).all():
+            _, _, free = _directions(state.J_loop, RANK_TOLERANCE)
+            sizes, seen, rest = _directions(decided.dot(free.T), NOISE)
+            found, slope = self._step(v, rest.dot(free))
         if not found.usable:
             pull[0] = 0.0
             return v, Status.INACCURATE
-        # Damping pulls at the rows too; left in, it would feed itself.
-        pull[0] = held_pull(np.abs(level.solution.y + level.curvature * b).dot(turns), pull[0])
-        if needed > MOST_DAMPING:
-            self.share = MOST_DAMPING / needed
-            v = v + self.share * (level.v - v)
-        else:
-            self.share, v = 1.0, level.v
-        return v, status if found is Status.OPTIMAL else found
+        y = seen.dot(free.dot(slope))
+        pull[0] = held_pull(float(np.abs(y).dot(self._lever / sizes)), pull[0])
+        return v + self.share * (self.v - v), found
 
-    def _decide(self, state: State, Q: Array) -> Array:
-        """Write the basis of what is decided, shape (rank, n); how fast its rows turn, L / sigma.
+    def _step(self, v: Array, Z: Array) -> tuple[Status, Array]:
+        """Go to the best v + Z'z.
 
-        First the loops, which no later level may ever open and which do not count as turning; then
-        what the tasks add to them. Where that is next to nothing, as at a singular pose, its
-        direction is noise, which would freeze another motion in each tick: such rows are zero.
+        Returns:
+            The status, and the gradient that is left: of tasks and of active limits. What damping
+            adds to it would feed itself.
         """
-        Q[:], turns = 0.0, np.zeros(len(Q))
-        tasks = np.concatenate([stack.J for stack in self._before])
-        if not np.isfinite(tasks).all():
-            Q[:] = np.nan
-            return turns
-        loops, _ = _directions(state.J_loop, RANK_TOLERANCE)
-        added, sizes = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)
-        m, free = len(loops), len(Q) - len(loops)
-        end = m + len(added[:free])
-        Q[:m], Q[m:end], turns[m:end] = loops, added[:free], self._lever / sizes[:free]
-        return turns
+        if not len(Z):
+            self.v[:] = v
+            return Status.OPTIMAL, np.zeros(len(v))
+        tasks, bounds, d = self.tasks, self._bounds, self.curvature
+        program, JW = self._program(len(Z)), tasks.J.T * tasks.weights
+        qp, solution, program.curvature = program.qp, program.solution, d
+        qp.P[:] = Z.dot(JW).dot(tasks.J).dot(Z.T) + d * np.eye(len(Z))
+        qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
+        limits = np.concatenate([np.eye(len(v)), -np.eye(len(v)), bounds.G])
+        slack = np.concatenate([bounds.ub - v, v - bounds.lb, bounds.h - bounds.G.dot(v)])
+        G = limits.dot(Z.T)
+        decided = np.linalg.norm(G, axis=1) <= DECIDED * np.linalg.norm(limits, axis=1)
+        G[decided], slack[decided] = 0.0, np.inf
+        qp.G[:], qp.h[:] = G, np.maximum(slack, 0.0)
+        found = program.solve()
+        self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
+        return found, JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z.dot(limits)
+
+    def _program(self, size: int) -> Program:
+        """For as many free directions; at singular poses there are more."""
+        if size not in self._programs:
+            free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
+            sides = [
+                Row(name=f"{joint}.{side}", kind="limit", joint=joint, side=side)
+                for side, joint in itertools.product(SIDES, self._problem.chain.joint_names)
+            ]
+            rows = Rows(free, (*sides, *self._bounds.rows))
+            self._programs[size] = Program(self._problem, rows, self._damping.least)
+        return self._programs[size]
 
 
-def _directions(rows: Array, least: float) -> tuple[Array, Array]:
-    """Orthonormal basis of the rows with singular values above ``least``, and these values."""
-    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    kept = values > least
-    return Vt[kept], values[kept]
+def _directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
+    """Singular values above ``least``, orthonormal directions that have these, and all others."""
+    _, values, Vt = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > least))
+    return values[:rank], Vt[:rank], Vt[rank:]

@@ -100,10 +100,9 @@ class WayBack:
         for level in (whole, slowed):
             if level is whole and state.corrected < ALL_OF_IT:
                 continue  # or it would go to and fro between all and a part
-            level.assemble(bounds, extra)
+            level.assemble(state, kappa, extra)
             level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
             level.qp.q[: len(wish)] = -wish * outside
-            level.close_loops(state, kappa)
             if not level.solve().usable:
                 continue  # multipliers are then no numbers
             y = level.solution.y
