@@ -215,7 +215,7 @@ class QPLaw(Law):
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares that the motion v of hard tasks leaves; how far these may be left."""
         if not self._scaled:
-            return (v if self._later else self.nearest.of_scaled(state, v)[0]), 0.0
+            return v, 0.0
         wanted, hard = self.exact.wanted, self._scaled[0].start
         got = np.concatenate([self.exact.J[:hard] @ v, wanted[hard:]])
         leaves = min(norm(got - wanted) / SLOW, 1.0)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
-from coopqp.row import Row, joint_rows
+from coopqp.row import Row, Side, joint_rows
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.state import State
 from coopqp.task import TaskStack
+
+#: Share of a limit's row that directions see up to which they see nothing of it.
+DECIDED = 1e-7
+SIDES: tuple[Side, Side] = "upper", "lower"
 
 
 class Program:
@@ -27,13 +33,12 @@ class Program:
     Attributes:
         qp, solution: of the last tick.
         curvature: smallest eigenvalue that P has at least, its damping in the last tick.
-        certified: curvature by which the answer is judged at least.
     """
 
     def __init__(self, problem: ControlProblem, rows: Rows, damping: float) -> None:
         self.qp = QP(rows)
         self.solution = Solution(self.qp)
-        self.curvature = self.certified = damping
+        self.curvature = damping
         self._verifier = Verifier(self.qp, self.solution, problem.budget, damping)
         self._solve = problem.solver.open(self.qp, self.solution)
 
@@ -41,7 +46,7 @@ class Program:
         """Solve and verify."""
         self.qp.seal()
         self._solve()
-        self._verifier.curvature = min(max(self.curvature, self.certified), SCALE_WEIGHT)
+        self._verifier.curvature = min(self.curvature, SCALE_WEIGHT)
         self.solution.status = status = self._verifier.check()
         return status
 
@@ -114,3 +119,80 @@ class Level(Program):
     def scale(self) -> float:
         """Least share of the answer; 1 without shares."""
         return float(self.shares.min(initial=1.0))
+
+
+class Step:
+    """The best step from a motion v that is inside the limits, v + Z z, within given directions Z.
+
+        minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2
+        subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
+
+    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
+
+    Args:
+        problem: budget, solver and sizes.
+        tasks: whoever owns the stack updates it.
+        bounds: the limits; whoever owns them updates them.
+        damping: least d.
+
+    Attributes:
+        tasks: as given.
+        curvature: d of the last step.
+        v: where it ends, shape (n,).
+        slope: what is left there of the gradient, of tasks and of active limits, without damping.
+    """
+
+    def __init__(
+        self, problem: ControlProblem, tasks: TaskStack, bounds: Bounds, damping: float
+    ) -> None:
+        self._problem, self._bounds, self._least = problem, bounds, damping
+        self._programs: dict[int, Program] = {}
+        self.tasks, self.curvature = tasks, damping
+        self.v, self.slope = np.zeros((2, problem.chain.n))
+
+    def step(self, v: Array, Z: Array, d: float) -> Status:
+        """Find it; keep v where that fails.
+
+        Args:
+            v: from where, shape (n,).
+            Z: orthonormal directions, in rows.
+            d: damping.
+        """
+        self.v[:], self.slope[:], self.curvature = v, 0.0, d
+        if not len(Z):
+            return Status.OPTIMAL
+        tasks, bounds, program = self.tasks, self._bounds, self._program(len(Z))
+        qp, solution, program.curvature = program.qp, program.solution, d
+        JW, one = tasks.J.T * tasks.weights, np.eye(len(v))
+        qp.P[:] = Z.dot(JW).dot(tasks.J).dot(Z.T) + d * np.eye(len(Z))
+        qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
+        limits = np.concatenate([one, -one, bounds.G])
+        slack = np.concatenate([bounds.ub - v, v - bounds.lb, bounds.h - bounds.G.dot(v)])
+        qp.G[:], qp.h[:] = limits.dot(Z.T), np.maximum(slack, 0.0)
+        decided = np.linalg.norm(qp.G, axis=1) <= DECIDED * np.linalg.norm(limits, axis=1)
+        qp.G[decided], qp.h[decided] = 0.0, np.inf
+        found = program.solve()
+        if not found.usable:
+            return Status.INACCURATE
+        self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z.dot(limits)
+        return found
+
+    def _program(self, size: int) -> Program:
+        """For as many free directions; at singular poses there are more."""
+        if size not in self._programs:
+            free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
+            sides = [
+                Row(name=f"{joint}.{side}", kind="limit", joint=joint, side=side)
+                for side, joint in itertools.product(SIDES, self._problem.chain.joint_names)
+            ]
+            rows = Rows(free, (*sides, *self._bounds.rows))
+            self._programs[size] = Program(self._problem, rows, self._least)
+        return self._programs[size]
+
+
+def directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
+    """Singular values above ``least``, orthonormal directions that have these, and all others."""
+    _, values, Vt = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > least))
+    return values[:rank], Vt[:rank], Vt[rank:]

@@ -17,9 +17,7 @@ up to 1; it is 1 where no shares can be had at all. Later levels keep
 what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
 That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
 they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
-grows from there as they cease to. So little damping decides what rows do to all digits, J dv <=
-|g| / (2 sqrt(w d)) for a gradient g that is left, but not all of v: later levels do, or one that
-asks for the least |v| alone.
+grows from there as they cease to.
 """
 
 from __future__ import annotations
@@ -32,8 +30,9 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import Damping
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Level, Step, directions
 from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.rank import RANK_TOLERANCE
 from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -71,12 +70,15 @@ class Nearest:
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
         less = replace(damping, least=LESS * damping.least) if order.hard else damping
         self.hard = Level(problem, hard, problem.chain.loops.solver_rows, bounds, less)
-        self.hard.certified = damping.least
+        self._refined = Step(problem, hard, bounds, less.least)
         self.scaled = LaterLevel(problem, scaled, [hard], bounds, damping)
-        self.v = self.hard.v
+        self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks; limits are up to date.
+        """Solve the level of the hard tasks, then once more for what its answer lacks.
+
+        With so little damping solvers lose digits in proportion to the answer. So the second is
+        asked for a step from the first.
 
         Args:
             state: of the tick.
@@ -86,18 +88,17 @@ class Nearest:
         tasks.update(state)
         bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
         self.hard.assemble(state, kappa, self._damping.of(bend, state))
-        return self.hard.solve()
+        status = self.hard.solve()
+        if not status.usable:
+            return status
+        free = directions(state.J_loop, RANK_TOLERANCE)[2]
+        return self._refined.step(self.hard.v, free, self.hard.curvature)
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
-        """What the level of the scaled tasks makes of v, in what its hard tasks leave free.
-
-        Without scaled tasks that is the least |v|, which the level of the hard ones, with its own
-        damping, knows to fewer digits.
-        """
+        """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        pull = state.memory["scaled pull"] if self.scaled.tasks.tasks else np.zeros(1)
-        return self.scaled.improve(state, v, pull)
+        return self.scaled.improve(state, v, state.memory["scaled pull"])
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

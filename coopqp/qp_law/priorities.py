@@ -30,20 +30,16 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
-from coopqp.qp import Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
-from coopqp.qp_law.level import Program
+from coopqp.qp_law.level import Step, directions
 from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
-from coopqp.row import Row, Side
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
-SIDES: tuple[Side, Side] = "upper", "lower"
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
-DECIDED = 1e-7  # share of a limit's row in the null space up to which it was decided before
 
 
 def groups(problem: ControlProblem) -> list[list[Task]]:
@@ -155,8 +151,8 @@ def _places(start: State) -> Iterator[State]:
     yield from states_along(start.chain, start.chain.sample(np.random.default_rng(0), SAMPLES))
 
 
-class LaterLevel:
-    """A level after the first: a step z in what those before it leave free.
+class LaterLevel(Step):
+    """A level after the first, a step in what those before it leave free.
 
     Args:
         problem: what to control.
@@ -166,9 +162,7 @@ class LaterLevel:
         damping: cost of |v|^2.
 
     Attributes:
-        tasks: as given.
-        curvature: its damping in the last tick.
-        v: its answer, shape (n,). share: of the step there, what was made of it.
+        share: of the step, what was made of it in the last tick.
     """
 
     def __init__(
@@ -179,11 +173,9 @@ class LaterLevel:
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        self._problem, self._before, self._bounds = problem, before, bounds
-        self._damping, self._programs = damping, dict[int, Program]()
+        super().__init__(problem, tasks, bounds, damping.least)
+        self._before, self._damping, self.share = before, damping, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
-        self.tasks, self.curvature, self.share = tasks, damping.least, 1.0
-        self.v = np.zeros(problem.chain.n)
 
     def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v where it is still free; keep it when this level fails.
@@ -194,62 +186,16 @@ class LaterLevel:
             pull: sum of |y| L / sigma over the decided rows, of the cost without its damping, shape
                 (1,); of the last tick, then of this one.
         """
-        damping, found = self._damping, Status.NOT_FINITE
+        damping = self._damping
         needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
-        self.curvature = damping.least + own + min(needed, MOST_DAMPING)
+        d = damping.least + own + min(needed, MOST_DAMPING)
         self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
         decided = np.concatenate([stack.J for stack in self._before])
-        if np.isfinite(decided).all():
-            _, _, free = _directions(state.J_loop, RANK_TOLERANCE)
-            sizes, seen, rest = _directions(decided.dot(free.T), NOISE)
-            found, slope = self._step(v, rest.dot(free))
-        if not found.usable:
-            pull[0] = 0.0
+        if not np.isfinite(decided).all():
             return v, Status.INACCURATE
-        y = seen.dot(free.dot(slope))
+        _, _, free = directions(state.J_loop, RANK_TOLERANCE)
+        sizes, seen, rest = directions(decided.dot(free.T), NOISE)
+        found = self.step(v, rest.dot(free), d)
+        y = seen.dot(free.dot(self.slope))
         pull[0] = held_pull(float(np.abs(y).dot(self._lever / sizes)), pull[0])
         return v + self.share * (self.v - v), found
-
-    def _step(self, v: Array, Z: Array) -> tuple[Status, Array]:
-        """Go to the best v + Z'z.
-
-        Returns:
-            The status, and the gradient that is left: of tasks and of active limits. What damping
-            adds to it would feed itself.
-        """
-        if not len(Z):
-            self.v[:] = v
-            return Status.OPTIMAL, np.zeros(len(v))
-        tasks, bounds, d = self.tasks, self._bounds, self.curvature
-        program, JW = self._program(len(Z)), tasks.J.T * tasks.weights
-        qp, solution, program.curvature = program.qp, program.solution, d
-        qp.P[:] = Z.dot(JW).dot(tasks.J).dot(Z.T) + d * np.eye(len(Z))
-        qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        limits = np.concatenate([np.eye(len(v)), -np.eye(len(v)), bounds.G])
-        slack = np.concatenate([bounds.ub - v, v - bounds.lb, bounds.h - bounds.G.dot(v)])
-        G = limits.dot(Z.T)
-        decided = np.linalg.norm(G, axis=1) <= DECIDED * np.linalg.norm(limits, axis=1)
-        G[decided], slack[decided] = 0.0, np.inf
-        qp.G[:], qp.h[:] = G, np.maximum(slack, 0.0)
-        found = program.solve()
-        self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
-        return found, JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z.dot(limits)
-
-    def _program(self, size: int) -> Program:
-        """For as many free directions; at singular poses there are more."""
-        if size not in self._programs:
-            free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            sides = [
-                Row(name=f"{joint}.{side}", kind="limit", joint=joint, side=side)
-                for side, joint in itertools.product(SIDES, self._problem.chain.joint_names)
-            ]
-            rows = Rows(free, (*sides, *self._bounds.rows))
-            self._programs[size] = Program(self._problem, rows, self._damping.least)
-        return self._programs[size]
-
-
-def _directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
-    """Singular values above ``least``, orthonormal directions that have these, and all others."""
-    _, values, Vt = np.linalg.svd(rows)
-    rank = int(np.count_nonzero(values > least))
-    return values[:rank], Vt[:rank], Vt[rank:]
