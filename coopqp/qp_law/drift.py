@@ -4,9 +4,8 @@
     subject to  J_c v = -s kappa e,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
 First with all limits; where that leaves nothing, without acceleration limits, and with limits in
-space that ask for no motion. Never without the
-loop rows, position or velocity limits: standing still is feasible from any state inside these. The
-share that is found takes the place of 1 in all levels of the tick.
+space that ask for no motion. Standing still is feasible from any state inside the others. The share
+that is found takes the place of 1 in all levels of the tick.
 """
 
 from __future__ import annotations
@@ -25,18 +24,7 @@ INSIDE = 1.0 - 1e-4
 
 
 class DriftShare:
-    """The largest share of the drift correction.
-
-    Args:
-        problem: what to control.
-        start: a state.
-        way_back: the limits, and of joints outside of them.
-        damping: cost of |v|^2.
-
-    Attributes:
-        share: of the correction, in the last tick that asked.
-        v: a motion that does it, shape (n,).
-    """
+    """The largest share of the drift correction, and a motion v that does it."""
 
     def __init__(
         self, problem: ControlProblem, start: State, way_back: WayBack, damping: Damping
@@ -51,19 +39,19 @@ class DriftShare:
 
         The limits are then as they were when it was found.
         """
-        causes: tuple[Status, ...] = ()
+        causes = []
         status = self._solve(state)
         if not status.usable:
             if self._way_back.release(state):
-                causes = (Status.ACCELERATION_GIVEN_UP,)
+                causes.append(Status.ACCELERATION_GIVEN_UP)
             status = self._solve(state)
         if not status.usable:
             return (status,)
         self.share = self._level.scale
         if self.share < ALL_OF_IT:
             self.share *= INSIDE
-            causes = (*causes, Status.DRIFT_SLOWED)
-        return causes or (Status.SOLVER_FAILED,)
+            causes.append(Status.DRIFT_SLOWED)
+        return tuple(causes) or (Status.SOLVER_FAILED,)
 
     def _solve(self, state: State) -> Status:
         kappa = drift_gain(self._problem, state)

@@ -49,23 +49,13 @@ ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 
 
 class QPLaw(Law):
-    """The QPs of one problem, with their arrays.
-
-    Args:
-        problem: what to control.
-        damping: cost of |v|^2.
-        error_damping: c, share of the damping that rules out any overshoot.
-        squeezer: who presses by measured forces, if anybody does.
-        order: of the problem's tasks, where it is known.
+    """The QPs of one problem, with their arrays; c is error_damping.
 
     Attributes:
-        order: of the tasks.
         exact: the hard tasks, then the scaled ones. stacks: the soft tasks of each level.
         first: the level that holds the loops, the exact and the first soft tasks; qp and solution
-            are its program and answer in the last tick.
-        levels: all of them.
+            are its program and answer in the last tick. levels: all of them.
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
-        memory_sizes: :func:`memory_sizes`.
     """
 
     engine = "python"
@@ -86,14 +76,14 @@ class QPLaw(Law):
         self.exact = exact = order.exact
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
-        self.stacks = [order.stack(level) for level in range(len(order.groups))]
+        self.stacks = stacks = order.stacks
         rows = [*problem.chain.loops.solver_rows, *exact.rows]
         names = [task.name for task in order.scaled]
-        self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
+        self.first = Level(problem, stacks[0], rows, bounds, cost, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, stack, order.before(i), bounds, cost)
-            for i, stack in enumerate(self.stacks[1:], start=1)
+            LaterLevel(problem, stack, [*stacks[:i], exact], bounds, cost)
+            for i, stack in enumerate(stacks[1:], start=1)
         ]
         self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
@@ -129,7 +119,8 @@ class QPLaw(Law):
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
-        command.say(*_said(causes))
+        relaxed = dict.fromkeys(cause for cause in causes if cause is not Status.OPTIMAL)
+        command.say(*(relaxed or (Status.OPTIMAL,)))
         self.probe.shorten(state, command)
         note_swing(state, command.v, self.problem.dt)
         return command
@@ -164,11 +155,9 @@ class QPLaw(Law):
         """
         if not self._scaled:
             return 0.0
-        bends, pull = self.exact.bends(state.v), 0.0
-        for part, missing in zip(self._scaled, state.memory["missing"], strict=True):
-            wanted = self.exact.wanted[part]
-            pull += missing * norm(bends[part]) / (wanted @ wanted + LEAST_SPEED**2)
-        return min(self._damping.of(SCALE_WEIGHT * pull, state), MOST_DAMPING)
+        bends, wanted, missing = self.exact.bends(state.v), self.exact.wanted, state.memory["missing"]
+        sizes = [norm(bends[p]) / (wanted[p] @ wanted[p] + LEAST_SPEED**2) for p in self._scaled]
+        return min(self._damping.of(SCALE_WEIGHT * float(missing @ sizes), state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each within what those before it leave free."""
@@ -202,8 +191,7 @@ class QPLaw(Law):
             near, status = self.nearest.of_scaled(state, v)
             leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
             v = (1.0 - leaves) * v + leaves * near
-        missed[:] = self._missed(v)
-        self._remember(state, leaves)
+        self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
         if leaves > 0.0 or missed.any():
@@ -227,9 +215,9 @@ class QPLaw(Law):
 
     def _leaves_directions(self, near: Array) -> float:
         """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
-        exact, shares = self.exact, self.first.shares.tolist()
-        parts = zip(self._scaled, shares, strict=True)
-        return max(blocked(s, exact.wanted[p], exact.J[p] @ near) for p, s in parts)
+        wanted, J = self.exact.wanted, self.exact.J
+        parts = zip(self._scaled, self.first.shares.tolist(), strict=True)
+        return max(blocked(share, wanted[p], J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
@@ -237,11 +225,12 @@ class QPLaw(Law):
         missed = self.exact.J[hard] @ v - self.exact.wanted[hard]
         return np.where(np.abs(missed) > MET, missed, 0.0)
 
-    def _remember(self, state: State, leaves: float) -> None:
+    def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
         wanted, missed, missing = self.exact.wanted, state.memory["missed"], state.memory["missing"]
+        missed[:] = self._missed(v)
         missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self.first.shares
-        sizes = ((norm(missed[p]), norm(wanted[p])) for p in self._hard)
+        sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
 
@@ -266,28 +255,17 @@ class QPLaw(Law):
         return v, (*relaxed, *causes)
 
 
-def _said(causes: tuple[Status, ...]) -> tuple[Status, ...]:
-    """Each cause once; OPTIMAL only where there is no other."""
-    others = tuple(dict.fromkeys(c for c in causes if c is not Status.OPTIMAL))
-    return others or (Status.OPTIMAL,)
-
-
 def memory_sizes(
     problem: ControlProblem, levels: int, squeezer: Squeezer | None = None
 ) -> dict[str, int]:
     """What the law remembers of the last tick, and in how many numbers.
 
     "stopped" is 1 after a stop; "recovery" what the way back pulled at the loops; "missed" what the
-    rows of hard tasks lacked, J v - wanted, zero where that is rounding; "missing" what the share of
-    each scaled task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they
-    left their directions, and each later level pulled at the rows decided before
-    (:meth:`LaterLevel.improve`); "swing" how much more damping there is because joints swing back
-    (:func:`coopqp.qp_law.equations.note_swing`); and what the squeezer needs.
-
-    Args:
-        problem: what to control.
-        levels: how many there are.
-        squeezer: who presses by measured forces, if anybody does.
+    rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
+    task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they left their
+    directions, and each later level pulled at the rows decided before (:meth:`LaterLevel.improve`);
+    "swing" how much more damping there is because joints swing back
+    (:func:`coopqp.qp_law.equations.note_swing`); the others are the squeezer's.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")

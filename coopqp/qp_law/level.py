@@ -1,4 +1,4 @@
-"""One QP of a tick: soft tasks as the objective, limits, and equality rows."""
+"""The QPs of a tick: all of v, or a step from where the levels before have come to."""
 
 from __future__ import annotations
 
@@ -25,11 +25,6 @@ SIDES: tuple[Side, Side] = "upper", "lower"
 class Program:
     """A QP with its arrays, its solver and the verification of its answers.
 
-    Args:
-        problem: budget and solver.
-        rows: what its variables and rows are.
-        damping: least curvature of its cost.
-
     Attributes:
         qp, solution: of the last tick.
         curvature: smallest eigenvalue that P has at least, its damping in the last tick.
@@ -37,8 +32,7 @@ class Program:
 
     def __init__(self, problem: ControlProblem, rows: Rows, damping: float) -> None:
         self.qp = QP(rows)
-        self.solution = Solution(self.qp)
-        self.curvature = damping
+        self.solution, self.curvature = Solution(self.qp), damping
         self._verifier = Verifier(self.qp, self.solution, problem.budget, damping)
         self._solve = problem.solver.open(self.qp, self.solution)
 
@@ -52,21 +46,22 @@ class Program:
 
 
 class Level(Program):
-    """A program over all of v, then the shares s of what may be done in part.
+    """A program over v, then over shares s of what may be done in part only, the largest possible.
+
+        minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2 + W |1 - s|^2
+        subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
     Args:
         problem: budget, solver and sizes.
-        tasks: the soft tasks of this level; whoever owns the stack updates it.
-        equalities: the equality rows.
+        tasks: the soft ones; whoever owns the stack updates it.
+        equalities: the equality rows, of which the loops, eq. (14), are the first.
         bounds: the limits; whoever owns them updates them.
-        damping: cost of |v|^2.
-        shares: names of what may be done in part only, each with a share s in [0, 1], the largest
-            that is possible.
-        slows: whether the drift correction is that, and nothing else.
+        damping: d.
+        shares: names of what has one.
+        slows: whether the drift correction has one, J_c v = -s kappa e, and nothing else.
 
     Attributes:
-        tasks: as given.
-        v: the velocities of the answer, shape (n,). shares: its shares.
+        v, shares: of the answer.
     """
 
     def __init__(
@@ -84,27 +79,22 @@ class Level(Program):
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
-        self._n, self._eye = n, np.eye(n)
         super().__init__(problem, Rows(variables, bounds.rows, tuple(equalities)), damping.least)
-        self.v, self.shares, qp = self.solution.v[:n], self.solution.v[n:], self.qp
-        qp.lb[n:], qp.ub[n:] = 0.0, 1.0
-        np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
-        qp.q[n:] = -SCALE_WEIGHT
+        self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
+        self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
+        self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0
+        np.fill_diagonal(self.qp.P[n:, n:], SCALE_WEIGHT)
+        self.qp.q[n:] = -SCALE_WEIGHT
 
     def assemble(self, state: State, kappa: float, damping: float = 0.0) -> None:
-        """Objective, limits and J_c v = -kappa e, for which tasks and bounds are up to date.
-
-        The loops, eq. (14) with the drift correction, are the first equality rows; or J_c v = -s
-        kappa e where a share s of the correction is a variable, the first after v. The caller fills
-        the others.
+        """Write objective, limits and loops, for which all is up to date; the caller other rows.
 
         Args:
             state: of the tick.
             kappa: gain of the drift correction [1/s].
             damping: cost of |v|^2 beside the least one.
         """
-        qp, n, m, J = self.qp, self._n, len(state.e_loop), self.tasks.J
+        qp, n, m, J = self.qp, len(self.v), len(state.e_loop), self.tasks.J
         self.curvature = self._least + damping
         JW = J.T * self.tasks.weights
         qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
@@ -122,32 +112,26 @@ class Level(Program):
 
 
 class Step:
-    """The best step from a motion v that is inside the limits, v + Z z, within given directions Z.
+    """The best step from a motion v that is inside the limits, in given directions Z.
 
         minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2
         subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
 
-    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
-
-    Args:
-        problem: budget, solver and sizes.
-        tasks: whoever owns the stack updates it.
-        bounds: the limits; whoever owns them updates them.
-        damping: least d.
+    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v. Arguments as of
+    :class:`Level`.
 
     Attributes:
-        tasks: as given.
-        curvature: d of the last step.
+        curvature: d in the last tick.
         v: where it ends, shape (n,).
         slope: what is left there of the gradient, of tasks and of active limits, without damping.
     """
 
     def __init__(
-        self, problem: ControlProblem, tasks: TaskStack, bounds: Bounds, damping: float
+        self, problem: ControlProblem, tasks: TaskStack, bounds: Bounds, damping: Damping
     ) -> None:
-        self._problem, self._bounds, self._least = problem, bounds, damping
+        self._problem, self._bounds, self._damping = problem, bounds, damping
         self._programs: dict[int, Program] = {}
-        self.tasks, self.curvature = tasks, damping
+        self.tasks, self.curvature = tasks, damping.least
         self.v, self.slope = np.zeros((2, problem.chain.n))
 
     def step(self, v: Array, Z: Array, d: float) -> Status:
@@ -171,28 +155,19 @@ class Step:
         qp.G[:], qp.h[:] = limits.dot(Z.T), np.maximum(slack, 0.0)
         decided = np.linalg.norm(qp.G, axis=1) <= DECIDED * np.linalg.norm(limits, axis=1)
         qp.G[decided], qp.h[decided] = 0.0, np.inf
-        found = program.solve()
-        if not found.usable:
+        status = program.solve()
+        if not status.usable:
             return Status.INACCURATE
         self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
         self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z.dot(limits)
-        return found
+        return status
 
     def _program(self, size: int) -> Program:
-        """For as many free directions; at singular poses there are more."""
+        """For so many directions; at singular poses there are more."""
         if size not in self._programs:
+            sides = itertools.product(SIDES, self._problem.chain.joint_names)
+            limits = [Row(name=f"{joint}.{side}", kind="limit", side=side) for side, joint in sides]
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            sides = [
-                Row(name=f"{joint}.{side}", kind="limit", joint=joint, side=side)
-                for side, joint in itertools.product(SIDES, self._problem.chain.joint_names)
-            ]
-            rows = Rows(free, (*sides, *self._bounds.rows))
-            self._programs[size] = Program(self._problem, rows, self._least)
+            rows = Rows(free, (*limits, *self._bounds.rows))
+            self._programs[size] = Program(self._problem, rows, self._damping.least)
         return self._programs[size]
-
-
-def directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
-    """Singular values above ``least``, orthonormal directions that have these, and all others."""
-    _, values, Vt = np.linalg.svd(rows)
-    rank = int(np.count_nonzero(values > least))
-    return values[:rank], Vt[:rank], Vt[rank:]

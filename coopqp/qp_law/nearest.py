@@ -13,8 +13,7 @@ which little can be had beside what v_n has of it, p_k, gives way:
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares can be had at all. Later levels keep
-what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
+up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
 That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
 they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
 grows from there as they cease to.
@@ -30,9 +29,9 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import Damping
-from coopqp.qp_law.level import Level, Step, directions
+from coopqp.qp_law.level import Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
-from coopqp.rank import RANK_TOLERANCE
+from coopqp.rank import RANK_TOLERANCE, directions
 from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -52,15 +51,8 @@ MET = 1e-6
 class Nearest:
     """The nearest motion to what hard tasks, and scaled ones after them, want.
 
-    Args:
-        problem: what to control.
-        order: of its tasks.
-        bounds: the limits.
-        damping: cost of |v|^2.
-
     Attributes:
-        hard: the level of the hard tasks. v: its answer, shape (n,).
-        scaled: the level of the scaled tasks.
+        hard, scaled: their levels. v: the answer of the first, refined, shape (n,).
     """
 
     def __init__(
@@ -70,19 +62,15 @@ class Nearest:
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
         less = replace(damping, least=LESS * damping.least) if order.hard else damping
         self.hard = Level(problem, hard, problem.chain.loops.solver_rows, bounds, less)
-        self._refined = Step(problem, hard, bounds, less.least)
+        self._refined = Step(problem, hard, bounds, less)
         self.scaled = LaterLevel(problem, scaled, [hard], bounds, damping)
         self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
         """Solve the level of the hard tasks, then once more for what its answer lacks.
 
-        With so little damping solvers lose digits in proportion to the answer. So the second is
+        With so little damping solvers lose digits in proportion to the answer, so the second is
         asked for a step from the first.
-
-        Args:
-            state: of the tick.
-            kappa: gain of the drift correction.
         """
         tasks = self.hard.tasks
         tasks.update(state)
@@ -102,13 +90,7 @@ class Nearest:
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:
-    """How far a scaled task may leave its direction, r in [0, 1].
-
-    Args:
-        share: of what it wants, along its direction.
-        wanted: shape (k,).
-        near: what the nearest motion does, shape (k,).
-    """
+    """How far a task with a share of what is wanted may leave that direction for the nearest, r."""
     size = norm(wanted)
     along = max(float(wanted @ near), MET * size, 1e-300)  # times the size of what is wanted
     return max(1.0 - share * size * size / (LITTLE * along), 0.0) * max(1.0 - share / WHOLE, 0.0)

@@ -32,8 +32,8 @@ from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
-from coopqp.qp_law.level import Step, directions
-from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
+from coopqp.qp_law.level import Step
+from coopqp.rank import RANK_TOLERANCE, directions, matrix_rank, null_space
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -42,44 +42,26 @@ SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
 
-def groups(problem: ControlProblem) -> list[list[Task]]:
-    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty.
-
-    Where there are hard or scaled tasks the first level is theirs alone.
-    """
-    soft = [task for task in problem.tasks if task.mode == "soft"]
-    found = [*_by_priority(soft), *_by_priority(problem.secondary)]
-    return found if soft and len(soft) == len(problem.tasks) else [[], *found]
-
-
-def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
-    numbers = sorted({task.priority for task in tasks})
-    return [[task for task in tasks if task.priority == number] for number in numbers]
-
-
 class Order:
     """Which tasks of a problem decide when: exact ones, then soft ones level by level.
-
-    Args:
-        problem: whose tasks.
 
     Attributes:
         start: the state from which their references set out, which stays as it is.
         programs: of tasks, from there.
         hard, scaled: the tasks of these modes, which the first level has to do.
-        groups: the :func:`groups` that have anything left to decide: none after all joints are
-            decided.
+        groups: soft tasks by priority, then the secondary objectives by theirs, as long as there is
+            anything left to decide. The first is empty where there are hard or scaled tasks.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
         self.start = State(problem.chain)
         self.programs = Programs(self.start)
-        self.hard, self.scaled = (
-            [task for task in problem.tasks if task.mode == mode] for mode in ("hard", "scaled")
+        soft, self.hard, self.scaled = (
+            [task for task in problem.tasks if task.mode == mode]
+            for mode in ("soft", "hard", "scaled")
         )
-        self.groups = groups(problem)
-        self._stacks: dict[int, TaskStack] = {}
-        self._decided: dict[int, int] = {}
+        first = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
+        self.groups = [*first, *_by_priority(soft), *_by_priority(problem.secondary)]
         later = range(1, len(self.groups))
         del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
 
@@ -88,54 +70,37 @@ class Order:
         """The hard tasks, then the scaled ones."""
         return TaskStack([*self.hard, *self.scaled], self.start)
 
-    def stack(self, level: int) -> TaskStack:
-        """The soft tasks of a level."""
-        if level not in self._stacks:
-            self._stacks[level] = TaskStack(self.groups[level], self.start)
-        return self._stacks[level]
+    @cached_property
+    def stacks(self) -> list[TaskStack]:
+        """The groups' tasks."""
+        return [TaskStack(tasks, self.start) for tasks in self.groups]
 
-    def before(self, level: int) -> list[TaskStack]:
-        """What has been decided before a level."""
-        return [*(self.stack(i) for i in range(level)), self.exact]
-
-    def decided(self, level: int) -> int:
-        """How many rows of the loops and of the tasks before a level are independent in general.
+    def _nothing_left(self, level: int) -> bool:
+        """Whether the loops and the tasks before a level decide all joints in general.
 
         Only where the pose at the start is singular do others have to be looked at.
         """
-        if level not in self._decided:
-            self._decided[level] = self._rank_before(level)
-        return self._decided[level]
-
-    def _nothing_left(self, level: int) -> bool:
-        n = self.start.chain.n
-        return self._most_before(level) == n and self.decided(level) == n
-
-    def _tasks_before(self, level: int) -> list[Task]:
-        return [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
-
-    def _most_before(self, level: int) -> int:
-        """A rank that these rows cannot exceed.
-
-        Rows that see nothing but the object's twist add no more than what the loops leave of it.
-        """
-        chain = self.start.chain
+        chain, n = self.start.chain, self.start.chain.n
+        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
+        if any(task.joint_space and task.all_joints for task in tasks):
+            return True
+        # Rows that see nothing but the object's twist add no more than what the loops leave of it.
         sizes = {True: 0, False: len(chain.loops.solver_rows)}
-        for task in self._tasks_before(level):
+        for task in tasks:
             sizes[sees_twist(self.programs.of(task))] += len(task.rows(chain))
-        return min(chain.n, sizes[False] + min(sizes[True], chain.once(_freedom)))
-
-    def _rank_before(self, level: int) -> int:
-        if any(task.joint_space and task.all_joints for task in self._tasks_before(level)):
-            return self.start.chain.n
-        before, rank, most = self.before(level), 0, self._most_before(level)
+        if sizes[False] + min(sizes[True], chain.once(_freedom)) < n:
+            return False
+        stack = TaskStack(tasks, self.start)
         for state in _places(self.start):
-            for stack in before:
-                stack.update(state)
-            rank = max(rank, matrix_rank(np.vstack([state.J_loop, *(s.J for s in before)])))
-            if rank == most:
-                break
-        return rank
+            stack.update(state)
+            if matrix_rank(np.vstack([state.J_loop, stack.J])) == n:
+                return True
+        return False
+
+
+def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
+    numbers = sorted({task.priority for task in tasks})
+    return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
 def _freedom(chain: ClosedChain) -> int:
@@ -152,14 +117,7 @@ def _places(start: State) -> Iterator[State]:
 
 
 class LaterLevel(Step):
-    """A level after the first, a step in what those before it leave free.
-
-    Args:
-        problem: what to control.
-        tasks: of this level; whoever owns the stack updates it, and those before.
-        before: what was decided before it.
-        bounds: the limits; whoever owns them updates them.
-        damping: cost of |v|^2.
+    """A level after the first: a step in what those before it, of the tasks `before`, leave free.
 
     Attributes:
         share: of the step, what was made of it in the last tick.
@@ -173,8 +131,8 @@ class LaterLevel(Step):
         bounds: Bounds,
         damping: Damping,
     ) -> None:
-        super().__init__(problem, tasks, bounds, damping.least)
-        self._before, self._damping, self.share = before, damping, 1.0
+        super().__init__(problem, tasks, bounds, damping)
+        self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
     def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
