@@ -87,12 +87,9 @@ class Level(Program):
         self.qp.q[n:] = -SCALE_WEIGHT
 
     def assemble(self, state: State, kappa: float, damping: float = 0.0) -> None:
-        """Write objective, limits and loops, for which all is up to date; the caller other rows.
+        """Write objective, limits and loops; the caller writes other rows.
 
-        Args:
-            state: of the tick.
-            kappa: gain of the drift correction [1/s].
-            damping: cost of |v|^2 beside the least one.
+        kappa is the gain of the drift correction [1/s], damping is added to the least one.
         """
         qp, n, m, J = self.qp, len(self.v), len(state.e_loop), self.tasks.J
         self.curvature = self._least + damping
@@ -135,13 +132,7 @@ class Step:
         self.v, self.slope = np.zeros((2, problem.chain.n))
 
     def step(self, v: Array, Z: Array, d: float) -> Status:
-        """Find it; keep v where that fails.
-
-        Args:
-            v: from where, shape (n,).
-            Z: orthonormal directions, in rows.
-            d: damping.
-        """
+        """Find it; keep v where that fails. The rows of Z are orthonormal."""
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
             return Status.OPTIMAL

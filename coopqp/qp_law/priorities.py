@@ -4,17 +4,16 @@ Level 0 decides v_0. What its tasks and the loops see of it is fixed for the lev
 
     v = v_0 + Z z,   Z an orthonormal basis of the null space of the rows decided so far,
 
-so level 1 chooses z alone, within G Z z <= h - G v_0 and likewise for bounds, and so on: z = 0 is
-always feasible. Z comes from a singular value decomposition, which minds no redundant rows. First
-the loops, which no later level may ever open, then what the tasks add to them. Where that is next
-to nothing, as at a singular pose, its direction is noise, which would freeze another motion in each
-tick. Likewise a limit of which Z leaves next to nothing: it was decided before.
+so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z comes from singular
+value decompositions, which mind no redundant rows: of the loops, which no later level may ever
+open, then of what the tasks add to them. Where that is next to nothing, as at a singular pose, its
+direction is noise, which would freeze another motion in each tick.
 
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
 therefore not step far: y L / sigma is part of what its damping is made of, like the second
-derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where that is more than
-solvers can tell from a wall, the level's step is shortened by what is missing.
+derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where solvers cannot tell
+that from a wall, the level's step is shortened by what is missing.
 """
 
 from __future__ import annotations
@@ -136,13 +135,10 @@ class LaterLevel(Step):
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
     def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
-        """Improve v where it is still free; keep it when this level fails.
+        """Improve v where it is still free, at a state for which all is up to date.
 
-        Args:
-            state: for which tasks and bounds are up to date.
-            v: of the levels before.
-            pull: sum of |y| L / sigma over the decided rows, of the cost without its damping, shape
-                (1,); of the last tick, then of this one.
+        pull is the sum of |y| L / sigma over the decided rows, of the cost without its damping,
+        shape (1,): of the last tick, then of this one.
         """
         damping = self._damping
         needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
@@ -154,6 +150,6 @@ class LaterLevel(Step):
         _, _, free = directions(state.J_loop, RANK_TOLERANCE)
         sizes, seen, rest = directions(decided.dot(free.T), NOISE)
         found = self.step(v, rest.dot(free), d)
-        y = seen.dot(free.dot(self.slope))
-        pull[0] = held_pull(float(np.abs(y).dot(self._lever / sizes)), pull[0])
+        y = np.abs(seen.dot(free.dot(self.slope)))
+        pull[0] = held_pull(float(y.dot(self._lever / sizes)), pull[0])
         return v + self.share * (self.v - v), found

@@ -41,25 +41,18 @@ KEPT = 0.995
 class WayBack:
     """What a tick may do at all: limits, and how joints outside of them come back.
 
-    Args:
-        problem: what to control.
-        start: a state.
-        error_damping: share of the damping that rules out any overshoot.
-
     Attributes:
-        bounds: the limits of the last tick, with the way back in them.
-        probe: looks ahead at the loops.
-        active: whether a joint was outside in the last tick.
-        share: of the drift correction that the way back leaves room for, in the last tick.
-        v: the way back, when there was one in the last tick.
+        bounds: the limits of the last tick, with the way back in them. probe: looks ahead at the
+            loops. active: whether a joint was outside.
+        share: of the drift correction that the way back leaves room for.
+        v: the way back, when there was one.
     """
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
         self.probe = LoopProbe(problem)
-        self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
+        self._problem, self._start = problem, start
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        self._start = start
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
@@ -73,36 +66,32 @@ class WayBack:
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
-        lower, upper = self._chain.lower, self._chain.upper
-        self._low, self._high = state.q < lower - ROUNDING, state.q > upper + ROUNDING
+        chain = self._problem.chain
+        below, above = chain.lower - state.q, state.q - chain.upper
+        self._low, self._high = below > ROUNDING, above > ROUNDING
         self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
-        kappa = drift_gain(self._problem, state)
         self.bounds.update(state)
         if self.active:
-            self._find(state, kappa)
+            self._find(state, np.maximum(below, 0.0) - np.maximum(above, 0.0))
             self._tighten()
-            kappa = drift_gain(self._problem, state, self.share)
-        return kappa
+        return drift_gain(self._problem, state, self.share)
 
-    def _find(self, state: State, kappa: float) -> None:
-        """The fastest way back for what is outside."""
-        bounds, lower, upper = self.bounds, self._chain.lower, self._chain.upper
-        back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
-        wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
-        wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
+    def _find(self, state: State, back: Array) -> None:
+        """The fastest way back for what is outside, by how far."""
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._problem.dt, LEAST_RECOVERY)
+        wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
+        kappa, pull, n = drift_gain(self._problem, state), state.memory["recovery"], len(wish)
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
-        pull = state.memory["recovery"]
         extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
         whole, slowed = self.levels
-        for level in (whole, slowed):
-            if level is whole and state.corrected < ALL_OF_IT:
-                continue  # or it would go to and fro between all and a part
+        # What was done in part stays so, or it would go to and fro between all and a part.
+        for level in (whole, slowed) if state.corrected >= ALL_OF_IT else (slowed,):
             level.assemble(state, kappa, extra)
-            level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
-            level.qp.q[: len(wish)] = -wish * outside
+            level.qp.P[:n, :n] += np.diag(outside)
+            level.qp.q[:n] = -wish * outside
             if not level.solve().usable:
                 continue  # multipliers are then no numbers
             y = level.solution.y
