@@ -20,9 +20,9 @@ as the tasks are met. Later levels move in the null space of what is decided
 (:mod:`coopqp.qp_law.priorities`).
 
 A tick, from top to bottom: assemble, decide level by level, shorten. Joints that start outside
-their limits come back first, before all tasks (:mod:`coopqp.qp_law.way_back`). Where limits leave
-no motion that corrects all of the loops' drift, a part of it is corrected, then acceleration limits
-go (:mod:`coopqp.qp_law.drift`). Never the loop rows, never position and velocity limits. Standing
+their limits come back first, before all tasks; where limits leave no motion that corrects all of
+the loops' drift, a part of it is corrected, then acceleration limits go
+(:mod:`coopqp.qp_law.way_back`). Never the loop rows, never position and velocity limits. Standing
 still is feasible from any state inside the limits, so there is always an answer.
 """
 
@@ -34,13 +34,12 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
-from coopqp.qp_law.way_back import WayBack
+from coopqp.qp_law.way_back import DriftShare, WayBack
 from coopqp.solver import Status, norm
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
@@ -70,20 +69,20 @@ class QPLaw(Law):
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
         self.order = order = order or Order(problem)
-        self._damping = cost = Damping(damping, error_damping, problem.dt)
+        self._damping = Damping(damping, error_damping, problem.dt)
         self.way_back = WayBack(problem, order.start, error_damping)
-        self.probe, bounds = self.way_back.probe, self.way_back.bounds
+        self._given = given = Given(problem, self.way_back.bounds, self._damping)
+        self.probe = self.way_back.probe
         self.exact = exact = order.exact
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
         self.stacks = stacks = order.stacks
         rows = [*problem.chain.loops.solver_rows, *exact.rows]
         names = [task.name for task in order.scaled]
-        self.first = Level(problem, stacks[0], rows, bounds, cost, names)
+        self.first = Level(given, stacks[0], rows, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, stack, [*stacks[:i], exact], bounds, cost)
-            for i, stack in enumerate(stacks[1:], start=1)
+            LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
         ]
         self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
@@ -91,12 +90,12 @@ class QPLaw(Law):
     @cached_property
     def nearest(self) -> Nearest:
         """For ticks in which hard or scaled tasks cannot hold; built when asked for."""
-        return Nearest(self.problem, self.order, self.way_back.bounds, self._damping)
+        return Nearest(self._given, self.order)
 
     @cached_property
     def drift(self) -> DriftShare:
         """For ticks in which not all of the drift correction can be done; built when asked for."""
-        return DriftShare(self.problem, self.order.start, self.way_back, self._damping)
+        return DriftShare(self.way_back, self._damping)
 
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
@@ -155,9 +154,10 @@ class QPLaw(Law):
         """
         if not self._scaled:
             return 0.0
-        bends, wanted, missing = self.exact.bends(state.v), self.exact.wanted, state.memory["missing"]
+        bends, wanted = self.exact.bends(state.v), self.exact.wanted
         sizes = [norm(bends[p]) / (wanted[p] @ wanted[p] + LEAST_SPEED**2) for p in self._scaled]
-        return min(self._damping.of(SCALE_WEIGHT * float(missing @ sizes), state), MOST_DAMPING)
+        pull = SCALE_WEIGHT * float(state.memory["missing"] @ sizes)
+        return min(self._damping.of(pull, state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each within what those before it leave free."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,15 @@ from coopqp.task import TaskStack
 #: Share of a limit's row that directions see up to which they see nothing of it.
 DECIDED = 1e-7
 SIDES: tuple[Side, Side] = "upper", "lower"
+
+
+@dataclass(frozen=True)
+class Given:
+    """What levels share; whoever owns the limits updates them."""
+
+    problem: ControlProblem
+    bounds: Bounds
+    damping: Damping
 
 
 class Program:
@@ -52,11 +62,9 @@ class Level(Program):
         subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
     Args:
-        problem: budget, solver and sizes.
+        given: of all levels.
         tasks: the soft ones; whoever owns the stack updates it.
         equalities: the equality rows, of which the loops, eq. (14), are the first.
-        bounds: the limits; whoever owns them updates them.
-        damping: d.
         shares: names of what has one.
         slows: whether the drift correction has one, J_c v = -s kappa e, and nothing else.
 
@@ -65,16 +73,10 @@ class Level(Program):
     """
 
     def __init__(
-        self,
-        problem: ControlProblem,
-        tasks: TaskStack,
-        equalities: Sequence[Row],
-        bounds: Bounds,
-        damping: Damping,
-        shares: Sequence[str] = (),
-        *,
-        slows: bool = False,
-    ) -> None:
+        self, given: Given, tasks: TaskStack, equalities: Sequence[Row],
+        shares: Sequence[str] = (), *, slows: bool = False,
+    ) -> None:  # fmt: skip
+        problem, bounds, damping = given.problem, given.bounds, given.damping
         chain, n = problem.chain, problem.chain.n
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
@@ -114,8 +116,7 @@ class Step:
         minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2
         subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
 
-    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v. Arguments as of
-    :class:`Level`.
+    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
 
     Attributes:
         curvature: d in the last tick.
@@ -123,20 +124,17 @@ class Step:
         slope: what is left there of the gradient, of tasks and of active limits, without damping.
     """
 
-    def __init__(
-        self, problem: ControlProblem, tasks: TaskStack, bounds: Bounds, damping: Damping
-    ) -> None:
-        self._problem, self._bounds, self._damping = problem, bounds, damping
-        self._programs: dict[int, Program] = {}
-        self.tasks, self.curvature = tasks, damping.least
-        self.v, self.slope = np.zeros((2, problem.chain.n))
+    def __init__(self, given: Given, tasks: TaskStack) -> None:
+        self._given, self._programs = given, dict[int, Program]()
+        self.tasks, self.curvature = tasks, given.damping.least
+        self.v, self.slope = np.zeros((2, given.problem.chain.n))
 
     def step(self, v: Array, Z: Array, d: float) -> Status:
         """Find it; keep v where that fails. The rows of Z are orthonormal."""
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
             return Status.OPTIMAL
-        tasks, bounds, program = self.tasks, self._bounds, self._program(len(Z))
+        tasks, bounds, program = self.tasks, self._given.bounds, self._program(len(Z))
         qp, solution, program.curvature = program.qp, program.solution, d
         JW, one = tasks.J.T * tasks.weights, np.eye(len(v))
         qp.P[:] = Z.dot(JW).dot(tasks.J).dot(Z.T) + d * np.eye(len(Z))
@@ -156,9 +154,10 @@ class Step:
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
-            sides = itertools.product(SIDES, self._problem.chain.joint_names)
+            given = self._given
+            sides = itertools.product(SIDES, given.problem.chain.joint_names)
             limits = [Row(name=f"{joint}.{side}", kind="limit", side=side) for side, joint in sides]
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            rows = Rows(free, (*limits, *self._bounds.rows))
-            self._programs[size] = Program(self._problem, rows, self._damping.least)
+            rows = Rows(free, (*limits, *given.bounds.rows))
+            self._programs[size] = Program(given.problem, rows, given.damping.least)
         return self._programs[size]

@@ -13,9 +13,9 @@ which little can be had beside what v_n has of it, p_k, gives way:
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
-That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
-they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
+up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of
+v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of the hard tasks is
+too, but by what their rows lacked in the last tick, m_i, instead of what they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
 grows from there as they cease to.
 """
 
@@ -26,10 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.controller import ControlProblem
-from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import Damping
-from coopqp.qp_law.level import Level, Step
+from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.rank import RANK_TOLERANCE, directions
 from coopqp.solver import Status, norm
@@ -55,15 +52,13 @@ class Nearest:
         hard, scaled: their levels. v: the answer of the first, refined, shape (n,).
     """
 
-    def __init__(
-        self, problem: ControlProblem, order: Order, bounds: Bounds, damping: Damping
-    ) -> None:
-        self._damping = damping
+    def __init__(self, given: Given, order: Order) -> None:
+        loops, self._damping = given.problem.chain.loops, given.damping
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
-        less = replace(damping, least=LESS * damping.least) if order.hard else damping
-        self.hard = Level(problem, hard, problem.chain.loops.solver_rows, bounds, less)
-        self._refined = Step(problem, hard, bounds, less)
-        self.scaled = LaterLevel(problem, scaled, [hard], bounds, damping)
+        least = (LESS if order.hard else 1.0) * given.damping.least
+        firm = replace(given, damping=replace(given.damping, least=least))
+        self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
+        self.scaled = LaterLevel(given, scaled, [hard])
         self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:

@@ -29,9 +29,8 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
-from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
-from coopqp.qp_law.level import Step
+from coopqp.qp_law.equations import MOST_DAMPING, held_pull
+from coopqp.qp_law.level import Given, Step
 from coopqp.rank import RANK_TOLERANCE, directions, matrix_rank, null_space
 from coopqp.solver import Status
 from coopqp.state import State
@@ -122,15 +121,8 @@ class LaterLevel(Step):
         share: of the step, what was made of it in the last tick.
     """
 
-    def __init__(
-        self,
-        problem: ControlProblem,
-        tasks: TaskStack,
-        before: Sequence[TaskStack],
-        bounds: Bounds,
-        damping: Damping,
-    ) -> None:
-        super().__init__(problem, tasks, bounds, damping)
+    def __init__(self, given: Given, tasks: TaskStack, before: Sequence[TaskStack]) -> None:
+        super().__init__(given, tasks)
         self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
@@ -140,7 +132,7 @@ class LaterLevel(Step):
         pull is the sum of |y| L / sigma over the decided rows, of the cost without its damping,
         shape (1,): of the last tick, then of this one.
         """
-        damping = self._damping
+        damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
         d = damping.least + own + min(needed, MOST_DAMPING)
         self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
