@@ -141,14 +141,16 @@ class Step:
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
         limits = np.concatenate([one, -one, bounds.G])
         slack = np.concatenate([bounds.ub - v, v - bounds.lb, bounds.h - bounds.G.dot(v)])
-        qp.G[:], qp.h[:] = limits.dot(Z.T), np.maximum(slack, 0.0)
-        decided = np.linalg.norm(qp.G, axis=1) <= DECIDED * np.linalg.norm(limits, axis=1)
-        qp.G[decided], qp.h[decided] = 0.0, np.inf
+        sizes = np.linalg.norm(limits.dot(Z.T), axis=1)
+        left = sizes > DECIDED * np.linalg.norm(limits, axis=1)
+        push = limits[left] / sizes[left, None]  # or solvers would take short rows for none
+        qp.G[:], qp.h[:] = 0.0, np.inf
+        qp.G[left], qp.h[left] = push.dot(Z.T), np.maximum(slack[left], 0.0) / sizes[left]
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE
         self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
-        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z.dot(limits)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z[left].dot(push)
         return status
 
     def _program(self, size: int) -> Program:
