@@ -89,12 +89,12 @@ class QPLaw(Law):
 
     @cached_property
     def nearest(self) -> Nearest:
-        """For ticks in which hard or scaled tasks cannot hold; built when asked for."""
+        """Built when hard or scaled tasks cannot hold."""
         return Nearest(self._given, self.order)
 
     @cached_property
     def drift(self) -> DriftShare:
-        """For ticks in which not all of the drift correction can be done; built when asked for."""
+        """Built when not all of the drift correction can be done."""
         return DriftShare(self.way_back, self._damping)
 
     def prepare(self) -> QPLaw:
