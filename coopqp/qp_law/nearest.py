@@ -15,8 +15,9 @@ which little can be had beside what v_n has of it, p_k, gives way:
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
 up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of
 v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of the hard tasks is
-too, but by what their rows lacked in the last tick, m_i, instead of what they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
-grows from there as they cease to.
+too, but by what their rows lacked in the last tick, m_i, instead of what they ask for: d = c dt
+sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and grows from there as
+they cease to.
 """
 
 from __future__ import annotations
