@@ -40,6 +40,7 @@ from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import DriftShare, WayBack
+from coopqp.rank import null_space
 from coopqp.solver import Status, norm
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
@@ -164,8 +165,9 @@ class QPLaw(Law):
         v, causes = self._decide_first(state, kappa)
         if causes[0].usable:
             pulls = state.memory["later pulls"].reshape(-1, 1)
+            free = null_space(state.J_loop).T if self._later else state.J_loop
             for later, pull in zip(self._later, pulls, strict=True):
-                v, status = later.improve(state, v, pull)
+                v, status = later.improve(state, free, v, pull)
                 causes = (*causes, status)
         return v, causes
 

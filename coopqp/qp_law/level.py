@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -134,32 +133,44 @@ class Step:
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
             return Status.OPTIMAL
-        tasks, bounds, program = self.tasks, self._given.bounds, self._program(len(Z))
+        tasks, bounds, program, n = self.tasks, self._given.bounds, self._program(len(Z)), len(v)
         qp, solution, program.curvature = program.qp, program.solution, d
-        JW, one = tasks.J.T * tasks.weights, np.eye(len(v))
-        qp.P[:] = Z.dot(JW).dot(tasks.J).dot(Z.T) + d * np.eye(len(Z))
+        JW, seen = tasks.J.T * tasks.weights, Z.T
+        np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
+        qp.P.flat[:: len(Z) + 1] += d
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        limits = np.concatenate([one, -one, bounds.G])
-        slack = np.concatenate([bounds.ub - v, v - bounds.lb, bounds.h - bounds.G.dot(v)])
-        sizes = np.linalg.norm(limits.dot(Z.T), axis=1)
-        left = sizes > DECIDED * np.linalg.norm(limits, axis=1)
-        push = limits[left] / sizes[left, None]  # or solvers would take short rows for none
-        qp.G[:], qp.h[:] = 0.0, np.inf
-        qp.G[left], qp.h[left] = push.dot(Z.T), np.maximum(slack[left], 0.0) / sizes[left]
+        rows, whole, slack = seen, np.ones(n), bounds.ub - v
+        if len(bounds.G):
+            rows = np.concatenate([seen, bounds.G.dot(seen)])
+            whole = np.concatenate([whole, np.linalg.norm(bounds.G, axis=1)])
+            slack = np.concatenate([slack, bounds.h - bounds.G.dot(v)])
+        sizes = np.sqrt(np.einsum("ij,ij->i", rows, rows))
+        sizes[sizes <= DECIDED * whole] = np.inf  # their rows are zero, and ask for nothing
+        rows = rows / sizes[:, None]  # of length one, or solvers would take short ones for none
+        qp.G[: len(rows)], qp.G[len(rows) :] = rows, -rows[:n]
+        slack = np.maximum(np.concatenate([slack, v - bounds.lb]), 0.0)
+        wide = np.concatenate([sizes, sizes[:n]])
+        qp.h[:] = np.inf
+        np.divide(slack, wide, out=qp.h, where=wide < np.inf)
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE
-        self.v[:] = np.clip(v + solution.v.dot(Z), bounds.lb, bounds.ub)
-        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + solution.z[left].dot(push)
+        z = solution.z / wide
+        np.minimum(np.maximum(v + seen.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted)
+        self.slope += z[:n] - z[len(rows) :] + z[n : len(rows)].dot(bounds.G)
         return status
 
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
             given = self._given
-            sides = itertools.product(SIDES, given.problem.chain.joint_names)
-            limits = [Row(name=f"{joint}.{side}", kind="limit", side=side) for side, joint in sides]
+            names = given.problem.chain.joint_names
+            above, below = (
+                [Row(name=f"{joint}.{side}", kind="limit", side=side) for joint in names]
+                for side in SIDES
+            )
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            rows = Rows(free, (*limits, *given.bounds.rows))
+            rows = Rows(free, (*above, *given.bounds.rows, *below))
             self._programs[size] = Program(given.problem, rows, given.damping.least)
         return self._programs[size]

@@ -29,7 +29,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
-from coopqp.rank import RANK_TOLERANCE, directions
+from coopqp.rank import null_space
 from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -75,14 +75,15 @@ class Nearest:
         status = self.hard.solve()
         if not status.usable:
             return status
-        free = directions(state.J_loop, RANK_TOLERANCE)[2]
-        return self._refined.step(self.hard.v, free, self.hard.curvature)
+        return self._refined.step(self.hard.v, null_space(state.J_loop).T, self.hard.curvature)
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
         """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        return self.scaled.improve(state, v, state.memory["scaled pull"])
+        return self.scaled.improve(
+            state, null_space(state.J_loop).T, v, state.memory["scaled pull"]
+        )
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

@@ -31,7 +31,7 @@ from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
-from coopqp.rank import RANK_TOLERANCE, directions, matrix_rank, null_space
+from coopqp.rank import directions, matrix_rank, null_space
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -126,9 +126,10 @@ class LaterLevel(Step):
         self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
-    def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
+    def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v where it is still free, at a state for which all is up to date.
 
+        loops is an orthonormal basis of the joint motions that the loops leave, one a row.
         pull is the sum of |y| L / sigma over the decided rows, of the cost without its damping,
         shape (1,): of the last tick, then of this one.
         """
@@ -139,9 +140,8 @@ class LaterLevel(Step):
         decided = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(decided).all():
             return v, Status.INACCURATE
-        _, _, free = directions(state.J_loop, RANK_TOLERANCE)
-        sizes, seen, rest = directions(decided.dot(free.T), NOISE)
-        found = self.step(v, rest.dot(free), d)
-        y = np.abs(seen.dot(free.dot(self.slope)))
+        sizes, seen, rest = directions(decided.dot(loops.T), NOISE)
+        found = self.step(v, rest.dot(loops), d)
+        y = np.abs(seen.dot(loops.dot(self.slope)))
         pull[0] = held_pull(float(y.dot(self._lever / sizes)), pull[0])
         return v + self.share * (self.v - v), found
