@@ -35,6 +35,13 @@ def null_space(matrix: Array) -> Array:
     return basis
 
 
+def directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
+    """Singular values above ``least``, orthonormal directions that have these, and all others."""
+    _, values, Vt = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > least))
+    return values[:rank], Vt[:rank], Vt[rank:]
+
+
 def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
     """Indices of a largest set of independent rows, in their own order, by pivoted QR.
 

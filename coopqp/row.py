@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
-Kind = Literal["joint", "share", "loop", "task", "limit", "decided", "dynamics", "motor", "hand"]
+Kind = Literal["joint", "share", "loop", "task", "limit", "free", "dynamics", "motor", "hand"]
 Side = Literal["lower", "upper"]
 
 

@@ -16,9 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checked import Array
+from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT
 from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
+from coopqp.qp_law.priorities import LaterLevel
 from coopqp.solver import Status
 from coopqp.state import State
 
@@ -58,26 +60,34 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
     n = len(state.q)
     if relaxed and law.order.scaled:
         raise UndeterminedError
-    levels = list(law.levels)
-    if relaxed:
-        levels[0] = law.nearest.hard
+    levels = [law.nearest.hard if relaxed else law.first, *law.levels[1:]]
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
-    for before, level in enumerate(levels):
-        A, b = level.qp.A, level.qp.b.astype(LONG)
-        if before:
+    for level in levels:
+        if isinstance(level, Level):
+            program, share, there = _first(level), 1.0, level.solution.v
+        else:
             A = np.vstack([state.J_loop, decided])
-            b = A.astype(LONG) @ v
-        share = law._later[before - 1].share if before else 1.0  # of the step that is made
-        program = _program(level, A, b)
-        at_limits = np.flatnonzero(program.h - program.G @ level.solution.v < ACTIVE).tolist()
-        v = v + share * (solved(program, at_limits)[:n] - v)
-        decided = np.vstack([decided, *(() if before else [law.exact.J]), level.tasks.J])
+            program, share, there = _later(level, law.way_back.bounds, A, v), level.share, level.v
+        at_limits = np.flatnonzero(program.h - program.G @ there < ACTIVE).tolist()
+        v = v + share * (solved(program, at_limits)[:n] - v)  # the step that is made
+        decided = np.vstack([decided, *([law.exact.J] * (level is levels[0])), level.tasks.J])
     return v
 
 
-def _program(level: Level, A: Array, b: Array) -> Program:
-    qp, tasks = level.qp, level.tasks
-    n, all_of_it = tasks.J.shape[1], qp.n
+def _first(level: Level) -> Program:
+    qp = level.qp
+    return _program(level, (qp.A, qp.b), (qp.lb, qp.ub, qp.G, qp.h))
+
+
+def _later(level: LaterLevel, bounds: Bounds, A: Array, v: Array) -> Program:
+    return _program(level, (A, A.astype(LONG) @ v), (bounds.lb, bounds.ub, bounds.G, bounds.h))
+
+
+def _program(
+    level: Level | LaterLevel, rows: tuple[Array, Array], limits: tuple[Array, Array, Array, Array]
+) -> Program:
+    tasks, (A, b), (lb, ub, G, h) = level.tasks, rows, limits
+    n, all_of_it = tasks.J.shape[1], A.shape[1]
     roots = np.sqrt(tasks.weights.astype(LONG))
     M = np.zeros((len(roots) + all_of_it, all_of_it), LONG)
     m = np.zeros(len(M), LONG)
@@ -87,7 +97,7 @@ def _program(level: Level, A: Array, b: Array) -> Program:
     M[len(roots) + n :, n:] = np.sqrt(LONG(SCALE_WEIGHT)) * np.eye(all_of_it - n)
     m[len(roots) + n :] = np.sqrt(LONG(SCALE_WEIGHT))
     unit = np.eye(all_of_it)
-    G, h = np.vstack([unit, -unit, qp.G]), np.concatenate([qp.ub, -qp.lb, qp.h])
+    G, h = np.vstack([unit, -unit, G]), np.concatenate([ub, -lb, h])
     kept = np.isfinite(h)
     return Program(M, m, A.astype(LONG), b.astype(LONG), G[kept].astype(LONG), h[kept].astype(LONG))
 

@@ -47,7 +47,7 @@ class Damping:
 
     Attributes:
         least: what d is where nothing bends.
-        share: of the damping that rules out any overshoot.
+        share: c, of the damping that rules out any overshoot.
         dt: control period [s].
     """
 
@@ -65,10 +65,6 @@ class Damping:
         Its share has the cost w (1 - s)^2. Near a singular pose what is left of a millimetre would
         ask for full speed, and for full speed back in the next tick. As above, dt w L / |kappa e|
         is enough for one arm of reach L, twice that for two.
-
-        Args:
-            state: of the tick.
-            kappa: gain of the drift correction [1/s].
         """
         if state.corrected >= ALL_OF_IT:
             return 0.0
@@ -77,15 +73,10 @@ class Damping:
 
 
 def note_swing(state: State, v: Array, dt: float) -> None:
-    """Remember whether joints swing back, for the damping of the next ticks.
+    """Remember whether joints swing back in v after state.v, for the damping of the next ticks.
 
-    In one tick they also do so where a reference turns.
-
-    Args:
-        state: of the tick, with the last velocity; "swing" of its memory is how much more than its
-            own the damping is, and whether a joint swung back in the last tick.
-        v: what is commanded now, shape (n,).
-        dt: control period [s].
+    Kept are how much more than its own the damping is, and whether a joint swung back in the last
+    tick: in one tick they also do so where a reference turns.
     """
     swing, before = state.memory["swing"], np.abs(state.v).max(initial=0.0)
     now = np.abs(v).max(initial=0.0)
@@ -98,11 +89,6 @@ def note_swing(state: State, v: Array, dt: float) -> None:
 
 
 def held_pull(new: float, old: float) -> float:
-    """What a later level pulls at the rows decided before it, for the damping of the next tick.
-
-    Args:
-        new: in this tick.
-        old: as remembered from the last.
-    """
+    """What a later level pulls at decided rows, for the next tick; old is of the tick before."""
     held = LETS_GO * old
     return max(new, held) if held > FIRM else new

@@ -20,9 +20,9 @@ as the tasks are met. Later levels move in the null space of what is decided
 (:mod:`coopqp.qp_law.priorities`).
 
 A tick, from top to bottom: assemble, decide level by level, shorten. Joints that start outside
-their limits come back first, before all tasks (:mod:`coopqp.qp_law.way_back`). Where limits leave
-no motion that corrects all of the loops' drift, a part of it is corrected, then acceleration limits
-go (:mod:`coopqp.qp_law.drift`). Never the loop rows, never position and velocity limits. Standing
+their limits come back first, before all tasks; where limits leave no motion that corrects all of
+the loops' drift, a part of it is corrected, then acceleration limits go
+(:mod:`coopqp.qp_law.way_back`). Never the loop rows, never position and velocity limits. Standing
 still is feasible from any state inside the limits, so there is always an answer.
 """
 
@@ -34,13 +34,13 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.qp_law.drift import DriftShare
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
-from coopqp.qp_law.way_back import WayBack
+from coopqp.qp_law.way_back import DriftShare, WayBack
+from coopqp.rank import null_space
 from coopqp.solver import Status, norm
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
@@ -49,29 +49,13 @@ ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 
 
 class QPLaw(Law):
-    """The QPs of one problem, with their arrays.
-
-    Args:
-        problem: what to control.
-        damping: cost of |v|^2.
-        error_damping: c, share of the damping that rules out any overshoot.
-        squeezer: who presses by measured forces, if anybody does.
-        order: of the problem's tasks, where it is known.
+    """The QPs of one problem, with their arrays; c is error_damping.
 
     Attributes:
-        order: of the tasks.
         exact: the hard tasks, then the scaled ones. stacks: the soft tasks of each level.
         first: the level that holds the loops, the exact and the first soft tasks; qp and solution
-            are its program and answer in the last tick.
-        levels: all of them.
+            are its program and answer in the last tick. levels: all of them.
         way_back: the limits, and of joints outside of them. probe: its look at the loops.
-        memory_sizes: of the last tick: "stopped" is 1 after a stop; "recovery" what the way back
-            pulled at the loops; "missed" what the rows of hard tasks lacked, J v - wanted, zero
-            where that is rounding; "missing" what the share of each scaled task lacked to 1;
-            "scaled pull" and "later pulls" what the scaled tasks, where they left their directions,
-            and each later level pulled at the rows decided before, :meth:`LaterLevel.improve`;
-            "swing" how much more damping there is because joints swing back,
-            :func:`coopqp.qp_law.equations.note_swing`; and what the squeezer needs.
     """
 
     engine = "python"
@@ -86,34 +70,33 @@ class QPLaw(Law):
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
         self.order = order = order or Order(problem)
-        self._damping = cost = Damping(damping, error_damping, problem.dt)
+        self._damping = Damping(damping, error_damping, problem.dt)
         self.way_back = WayBack(problem, order.start, error_damping)
-        self.probe, bounds = self.way_back.probe, self.way_back.bounds
-        self.exact = order.exact
-        self._hard = sum(self.exact.sizes[: len(order.hard)])
-        self._scaled = self.exact.slices[len(order.hard) :]
-        self._at_rest = 0.0 if self.exact.tasks else 1.0  # the scale where these do nothing
-        self.stacks = [order.stack(level) for level in range(len(order.groups))]
-        rows = [*problem.chain.loops.solver_rows, *self.exact.rows]
+        self._given = given = Given(problem, self.way_back.bounds, self._damping)
+        self.probe = self.way_back.probe
+        self.exact = exact = order.exact
+        self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
+        self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
+        self.stacks = stacks = order.stacks
+        rows = [*problem.chain.loops.solver_rows, *exact.rows]
         names = [task.name for task in order.scaled]
-        self.first = Level(problem, self.stacks[0], rows, bounds, cost, names)
+        self.first = Level(given, stacks[0], rows, names)
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
-            LaterLevel(problem, stack, order.before(i), order.decided(i), bounds, cost)
-            for i, stack in enumerate(self.stacks[1:], start=1)
+            LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
         ]
-        self.levels = (self.first, *(later.level for later in self._later))
+        self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
 
     @cached_property
     def nearest(self) -> Nearest:
-        """For ticks in which hard or scaled tasks cannot hold; built when asked for."""
-        return Nearest(self.problem, self.order, self.way_back.bounds, self._damping)
+        """Built when hard or scaled tasks cannot hold."""
+        return Nearest(self._given, self.order)
 
     @cached_property
     def drift(self) -> DriftShare:
-        """For ticks in which not all of the drift correction can be done; built when asked for."""
-        return DriftShare(self.problem, self.order.start, self.way_back, self._damping)
+        """Built when not all of the drift correction can be done."""
+        return DriftShare(self.way_back, self._damping)
 
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
@@ -122,10 +105,10 @@ class QPLaw(Law):
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify, level by level; the command is safe whatever happened."""
+        command, way_back = self.command, self.way_back
+        command.scale, command.drift = (0.0 if self.exact.tasks else 1.0), 1.0
         if state.memory["stopped"][0]:
             return self._stand_still(Status.INFEASIBLE)
-        command, way_back = self.command, self.way_back
-        command.scale, command.drift = 1.0, 1.0
         kappa = self.assemble(state)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
@@ -136,10 +119,16 @@ class QPLaw(Law):
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
-        command.say(*_said(causes))
+        relaxed = dict.fromkeys(cause for cause in causes if cause is not Status.OPTIMAL)
+        command.say(*(relaxed or (Status.OPTIMAL,)))
         self.probe.shorten(state, command)
         note_swing(state, command.v, self.problem.dt)
         return command
+
+    def _stand_still(self, *causes: Status) -> Command:
+        self.command.v[:] = 0.0
+        self.command.say(*causes)
+        return self.command
 
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
@@ -153,8 +142,7 @@ class QPLaw(Law):
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m, first = self.problem.chain.n, len(state.e_loop), self.first
         bend = self._damping.of(first.tasks.bend(state.v), state)
-        first.assemble(self.way_back.bounds, bend + self._scaled_damping(state))
-        first.close_loops(state, kappa)
+        first.assemble(state, kappa, bend + self._scaled_damping(state))
         A, b = self.qp.A[m:], self.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):
@@ -167,74 +155,59 @@ class QPLaw(Law):
         """
         if not self._scaled:
             return 0.0
-        bends, pull = self.exact.bends(state.v), 0.0
-        for part, missing in zip(self._scaled, state.memory["missing"], strict=True):
-            wanted = self.exact.wanted[part]
-            pull += missing * norm(bends[part]) / (wanted @ wanted + LEAST_SPEED**2)
-        return min(self._damping.of(SCALE_WEIGHT * pull, state), MOST_DAMPING)
+        bends, wanted = self.exact.bends(state.v), self.exact.wanted
+        sizes = [norm(bends[p]) / (wanted[p] @ wanted[p] + LEAST_SPEED**2) for p in self._scaled]
+        pull = SCALE_WEIGHT * float(state.memory["missing"] @ sizes)
+        return min(self._damping.of(pull, state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each within what those before it leave free."""
         v, causes = self._decide_first(state, kappa)
-        if not causes[0].usable:
-            return v, causes
-        status, pulls = causes[-1], state.memory["later pulls"].reshape(-1, 1)
-        for later, pull in zip(self._later, pulls, strict=True):
-            v, status = later.improve(state, self.way_back.bounds, v, status, pull)
-        return v, (*causes[:-1], status)
+        if causes[0].usable:
+            pulls = state.memory["later pulls"].reshape(-1, 1)
+            free = null_space(state.J_loop).T if self._later else state.J_loop
+            for later, pull in zip(self._later, pulls, strict=True):
+                v, status = later.improve(state, free, v, pull)
+                causes = (*causes, status)
+        return v, causes
 
     def _decide_first(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones."""
-        relaxes = bool(self.exact.tasks) and self.problem.on_infeasible == "scale"
-        tried, status = not state.memory["missed"].any(), Status.INFEASIBLE
-        if tried:
-            status = self.first.solve()
-            if status.usable and not (relaxes and self.first.scale < WHOLE):
-                self._remember(state, self.first.v, 0.0)
-                return self.first.v, (status,)
-        if not relaxes:
-            return self.first.v, (status,)
-        before = state.memory.numbers.copy()
-        v, causes = self._come_near(state, kappa, status)
-        if tried or not causes[0].usable or state.memory["missed"].any():
-            return v, causes
-        state.memory.numbers[:] = before
-        self._assemble_first(state, kappa, self.exact.wanted)  # hard tasks can hold again
-        status = self.first.solve()
-        return self._come_near(state, kappa, status) if status.usable else (v, causes)
+        """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones.
 
-    def _come_near(
-        self, state: State, kappa: float, whole: Status
-    ) -> tuple[Array, tuple[Status, ...]]:
-        """The levels of hard and of scaled tasks where not all they ask can be done.
-
-        Args:
-            state: of the tick.
-            kappa: gain of the drift correction.
-            whole: of the first level; usable where no more is the matter than a blocked direction.
+        Where hard tasks lacked something in the last tick they are asked for the nearest first.
         """
-        nearest, v, status, leaves = self.nearest, self.first.v, whole, 0.0
-        if not whole.usable:
-            status, v = nearest.of_hard(state, kappa), nearest.v
-            if not status.usable:
-                return v, (status,)
-            if self._scaled:
-                v, leaves = self._scale_beside(state, kappa, v)
-        if self._scaled and (leaves > 0.0 or self.first.scale < WHOLE):
-            near, status = nearest.of_scaled(state, v)
-            leaves = 1.0 if leaves == 1.0 else max(leaves, self._leaves_direction(near))
-            v = near if leaves == 1.0 else v + leaves * (near - v)
+        missed, first = state.memory["missed"], self.first
+        was, v = missed.copy(), first.v
+        whole = status = Status.INFEASIBLE if was.any() else first.solve()
+        if not whole.usable and self._relaxes:
+            status, v = self.nearest.of_hard(state, kappa), self.nearest.v
+            if was.any() and status.usable and not self._missed(v).any():
+                whole = first.solve()  # hard tasks can hold again
+        if not status.usable:
+            return v, (status,)
+        if whole.usable:
+            v, leaves, status = first.v, 0.0, whole
+        else:
+            v, leaves = self._scale_beside(state, kappa, v)
+        if self._relaxes and (leaves > 0.0 or first.scale < WHOLE):
+            near, status = self.nearest.of_scaled(state, v)
+            leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
+            v = (1.0 - leaves) * v + leaves * near
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
-        relaxed = leaves > 0.0 or state.memory["missed"].any()
-        return v, (Status.TASKS_RELAXED, status) if relaxed else (status,)
+        if leaves > 0.0 or missed.any():
+            return v, (Status.TASKS_RELAXED, status)
+        if not whole.usable:
+            missed[:] = was
+        return v, (status,)
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares that the motion v of hard tasks leaves; how far these may be left."""
-        wanted, hard = self.exact.wanted, slice(self._hard)
-        got = wanted.copy()
-        got[hard] = self.exact.J[hard] @ v
+        if not self._scaled:
+            return v, 0.0
+        wanted, hard = self.exact.wanted, self._scaled[0].start
+        got = np.concatenate([self.exact.J[:hard] @ v, wanted[hard:]])
         leaves = min(norm(got - wanted) / SLOW, 1.0)
         if leaves < 1.0:
             self._assemble_first(state, kappa, got)
@@ -242,67 +215,59 @@ class QPLaw(Law):
                 return self.first.v, leaves
         return v, 1.0
 
-    def _leaves_direction(self, near: Array) -> float:
+    def _leaves_directions(self, near: Array) -> float:
         """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
-        shares, exact = self.solution.v[self.problem.chain.n :].tolist(), self.exact
-        parts = zip(self._scaled, shares, strict=True)
-        return max(blocked(s, exact.wanted[p], exact.J[p] @ near) for p, s in parts)
+        wanted, J = self.exact.wanted, self.exact.J
+        parts = zip(self._scaled, self.first.shares.tolist(), strict=True)
+        return max(blocked(share, wanted[p], J[p] @ near) for p, share in parts)
+
+    def _missed(self, v: Array) -> Array:
+        """What rows of hard tasks lack, zero where that is rounding."""
+        hard = slice(self.memory_sizes["missed"])
+        missed = self.exact.J[hard] @ v - self.exact.wanted[hard]
+        return np.where(np.abs(missed) > MET, missed, 0.0)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
-        exact, shares, hard = self.exact, self.solution.v[self.problem.chain.n :], self._hard
-        missed = exact.J[:hard] @ v - exact.wanted[:hard]
-        state.memory["missed"][:] = np.where(np.abs(missed) > MET, missed, 0.0)
-        missing = state.memory["missing"]
-        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * shares
-        parts = ((missed[p], exact.wanted[p]) for p in exact.slices[: len(self.order.hard)])
-        lacks = [norm(of) / max(norm(wanted), norm(of), MET) for of, wanted in parts]
+        wanted, missed, missing = self.exact.wanted, state.memory["missed"], state.memory["missing"]
+        missed[:] = self._missed(v)
+        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self.first.shares
+        sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
+        lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""
-        self.command.scale = self._at_rest
-        if self.problem.on_infeasible == "stop":
-            state.memory["stopped"][0] = 1.0
         if self.problem.on_infeasible != "scale":
+            state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)
-        relaxed = self.drift.find(state)
+        relaxed, drift = self.drift.find(state), self.drift
+        self.command.drift = drift.share if relaxed[0].usable else 0.0
         if not relaxed[0].usable:
-            self.command.drift = 0.0
-            return self.drift.v, (failed,)
-        self.command.drift = self.drift.share
-        kappa = self.drift.share * drift_gain(self.problem, state)
+            return drift.v, (failed,)
+        kappa = drift.share * drift_gain(self.problem, state)
         self._assemble_first(state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver
                 return v, (failed,)
-            v, causes = self.drift.v, ()
+            v, causes = drift.v, ()
         if failed is not Status.INFEASIBLE:
             relaxed = (Status.SOLVER_FAILED,)
         return v, (*relaxed, *causes)
-
-    def _stand_still(self, *causes: Status) -> Command:
-        self.command.v[:], self.command.scale = 0.0, self._at_rest
-        self.command.say(*causes)
-        return self.command
-
-
-def _said(causes: tuple[Status, ...]) -> tuple[Status, ...]:
-    """Each cause once; OPTIMAL only where there is no other."""
-    others = tuple(dict.fromkeys(c for c in causes if c is not Status.OPTIMAL))
-    return others or (Status.OPTIMAL,)
 
 
 def memory_sizes(
     problem: ControlProblem, levels: int, squeezer: Squeezer | None = None
 ) -> dict[str, int]:
-    """What the law remembers between ticks, :attr:`QPLaw.memory_sizes`.
+    """What the law remembers of the last tick, and in how many numbers.
 
-    Args:
-        problem: what to control.
-        levels: how many there are.
-        squeezer: who presses by measured forces, if anybody does.
+    "stopped" is 1 after a stop; "recovery" what the way back pulled at the loops; "missed" what the
+    rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
+    task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they left their
+    directions, and each later level pulled at the rows decided before (:meth:`LaterLevel.improve`);
+    "swing" how much more damping there is because joints swing back
+    (:func:`coopqp.qp_law.equations.note_swing`); the others are the squeezer's.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")

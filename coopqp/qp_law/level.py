@@ -1,105 +1,176 @@
-"""One QP of a tick: soft tasks as the objective, limits, and equality rows."""
+"""The QPs of a tick: all of v, or a step from where the levels before have come to."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.qp import QP, Rows
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
-from coopqp.row import Row, joint_rows
+from coopqp.row import Row, Side, joint_rows
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.state import State
 from coopqp.task import TaskStack
 
+#: Share of a limit's row that directions see up to which they see nothing of it.
+DECIDED = 1e-7
+SIDES: tuple[Side, Side] = "upper", "lower"
 
-class Level:
-    """A QP with its arrays, its solver and its verification.
 
-    Args:
-        problem: budget, solver and sizes.
-        tasks: the soft tasks of this level; whoever owns the stack updates it.
-        equalities: the equality rows.
-        bounds: the limits.
-        damping: cost of |v|^2.
-        shares: names of what may be done in part only, each with a share s in [0, 1], the largest
-            that is possible.
-        slows: whether the drift correction is that, and nothing else.
+@dataclass(frozen=True)
+class Given:
+    """What levels share; whoever owns the limits updates them."""
+
+    problem: ControlProblem
+    bounds: Bounds
+    damping: Damping
+
+
+class Program:
+    """A QP with its arrays, its solver and the verification of its answers.
 
     Attributes:
-        qp, solution: of the last tick. qp's variables are v, then s.
-        tasks: as given.
-        v: the velocities of the answer, shape (n,).
+        qp, solution: of the last tick.
         curvature: smallest eigenvalue that P has at least, its damping in the last tick.
-        certified: curvature by which the answer is judged at least.
     """
 
-    def __init__(
-        self,
-        problem: ControlProblem,
-        tasks: TaskStack,
-        equalities: Sequence[Row],
-        bounds: Bounds,
-        damping: Damping,
-        shares: Sequence[str] = (),
-        *,
-        slows: bool = False,
-    ) -> None:
-        chain, n = problem.chain, problem.chain.n
-        shares = ["drift correction"] if slows else shares
-        scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
-        variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        self.tasks, self._least, self._slows = tasks, damping.least, slows
-        self._n, self._eye = n, np.eye(n)
-        self.qp = qp = QP(Rows(variables, bounds.rows, tuple(equalities)))
-        self.solution = Solution(qp)
-        self.v, self._shares = self.solution.v[:n], self.solution.v[n:]
-        qp.lb[n:], qp.ub[n:] = 0.0, 1.0
-        np.fill_diagonal(qp.P[n:, n:], SCALE_WEIGHT)
-        qp.q[n:] = -SCALE_WEIGHT
-        self.curvature = self.certified = damping.least
-        self._verifier = Verifier(qp, self.solution, problem.budget, damping.least)
-        self._solve = problem.solver.open(qp, self.solution)
-
-    def assemble(self, bounds: Bounds, damping: float = 0.0) -> None:
-        """Objective and limits, for which tasks and bounds are up to date.
-
-        The caller fills the equality rows.
-
-        Args:
-            bounds: the limits.
-            damping: cost of |v|^2 beside the least one.
-        """
-        qp, n, J, wanted = self.qp, self._n, self.tasks.J, self.tasks.wanted
-        self.curvature = self._least + damping
-        JW = J.T * self.tasks.weights
-        qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
-        qp.q[:n] = -JW.dot(wanted)
-        qp.lb[:n], qp.ub[:n] = bounds.lb, bounds.ub
-        qp.G[:, :n], qp.h[:] = bounds.G, bounds.h
-
-    def close_loops(self, state: State, kappa: float) -> None:
-        """Write J_c v = -kappa e, eq. (14) with the drift correction, as the first equality rows.
-
-        Or J_c v = -s kappa e where a share s of the correction is a variable, the first after v.
-        """
-        A, b, n, m = self.qp.A, self.qp.b, self._n, len(state.e_loop)
-        A[:m, :n], b[:m] = state.J_loop, -kappa * state.e_loop
-        if self._slows:
-            A[:m, n], b[:m] = kappa * state.e_loop, 0.0
+    def __init__(self, problem: ControlProblem, rows: Rows, damping: float) -> None:
+        self.qp = QP(rows)
+        self.solution, self.curvature = Solution(self.qp), damping
+        self._verifier = Verifier(self.qp, self.solution, problem.budget, damping)
+        self._solve = problem.solver.open(self.qp, self.solution)
 
     def solve(self) -> Status:
         """Solve and verify."""
         self.qp.seal()
         self._solve()
-        self._verifier.curvature = min(max(self.curvature, self.certified), SCALE_WEIGHT)
+        self._verifier.curvature = min(self.curvature, SCALE_WEIGHT)
         self.solution.status = status = self._verifier.check()
         return status
+
+
+class Level(Program):
+    """A program over v, then over shares s of what may be done in part only, the largest possible.
+
+        minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2 + W |1 - s|^2
+        subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
+
+    Args:
+        given: of all levels.
+        tasks: the soft ones; whoever owns the stack updates it.
+        equalities: the equality rows, of which the loops, eq. (14), are the first.
+        shares: names of what has one.
+        slows: whether the drift correction has one, J_c v = -s kappa e, and nothing else.
+
+    Attributes:
+        v, shares: of the answer.
+    """
+
+    def __init__(
+        self, given: Given, tasks: TaskStack, equalities: Sequence[Row],
+        shares: Sequence[str] = (), *, slows: bool = False,
+    ) -> None:  # fmt: skip
+        problem, bounds, damping = given.problem, given.bounds, given.damping
+        chain, n = problem.chain, problem.chain.n
+        shares = ["drift correction"] if slows else shares
+        scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
+        variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
+        super().__init__(problem, Rows(variables, bounds.rows, tuple(equalities)), damping.least)
+        self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
+        self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
+        self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0
+        np.fill_diagonal(self.qp.P[n:, n:], SCALE_WEIGHT)
+        self.qp.q[n:] = -SCALE_WEIGHT
+
+    def assemble(self, state: State, kappa: float, damping: float = 0.0) -> None:
+        """Write objective, limits and loops; the caller writes other rows.
+
+        kappa is the gain of the drift correction [1/s], damping is added to the least one.
+        """
+        qp, n, m, J = self.qp, len(self.v), len(state.e_loop), self.tasks.J
+        self.curvature = self._least + damping
+        JW = J.T * self.tasks.weights
+        qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
+        qp.q[:n] = -JW.dot(self.tasks.wanted)
+        qp.lb[:n], qp.ub[:n] = self._bounds.lb, self._bounds.ub
+        qp.G[:, :n], qp.h[:] = self._bounds.G, self._bounds.h
+        qp.A[:m, :n], qp.b[:m] = state.J_loop, -kappa * state.e_loop
+        if self._slows:
+            qp.A[:m, n], qp.b[:m] = kappa * state.e_loop, 0.0
 
     @property
     def scale(self) -> float:
         """Least share of the answer; 1 without shares."""
-        return float(self._shares.min(initial=1.0))
+        return float(self.shares.min(initial=1.0))
+
+
+class Step:
+    """The best step from a motion v that is inside the limits, in given directions Z.
+
+        minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2
+        subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
+
+    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
+
+    Attributes:
+        curvature: d in the last tick.
+        v: where it ends, shape (n,).
+        slope: what is left there of the gradient, of tasks and of active limits, without damping.
+    """
+
+    def __init__(self, given: Given, tasks: TaskStack) -> None:
+        self._given, self._programs = given, dict[int, Program]()
+        self.tasks, self.curvature = tasks, given.damping.least
+        self.v, self.slope = np.zeros((2, given.problem.chain.n))
+
+    def step(self, v: Array, Z: Array, d: float) -> Status:
+        """Find it; keep v where that fails. The rows of Z are orthonormal."""
+        self.v[:], self.slope[:], self.curvature = v, 0.0, d
+        if not len(Z):
+            return Status.OPTIMAL
+        tasks, bounds, program, n = self.tasks, self._given.bounds, self._program(len(Z)), len(v)
+        qp, solution, program.curvature = program.qp, program.solution, d
+        JW, seen = tasks.J.T * tasks.weights, Z.T
+        np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
+        qp.P.flat[:: len(Z) + 1] += d
+        qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
+        rows, whole, slack = seen, np.ones(n), bounds.ub - v
+        if len(bounds.G):
+            rows = np.concatenate([seen, bounds.G.dot(seen)])
+            whole = np.concatenate([whole, np.linalg.norm(bounds.G, axis=1)])
+            slack = np.concatenate([slack, bounds.h - bounds.G.dot(v)])
+        sizes = np.sqrt(np.einsum("ij,ij->i", rows, rows))
+        sizes[sizes <= DECIDED * whole] = np.inf  # their rows are zero, and ask for nothing
+        rows = rows / sizes[:, None]  # of length one, or solvers would take short ones for none
+        qp.G[: len(rows)], qp.G[len(rows) :] = rows, -rows[:n]
+        slack = np.maximum(np.concatenate([slack, v - bounds.lb]), 0.0)
+        wide = np.concatenate([sizes, sizes[:n]])
+        qp.h[:] = np.inf
+        np.divide(slack, wide, out=qp.h, where=wide < np.inf)
+        status = program.solve()
+        if not status.usable:
+            return Status.INACCURATE
+        z = solution.z / wide
+        np.minimum(np.maximum(v + seen.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted)
+        self.slope += z[:n] - z[len(rows) :] + z[n : len(rows)].dot(bounds.G)
+        return status
+
+    def _program(self, size: int) -> Program:
+        """For so many directions; at singular poses there are more."""
+        if size not in self._programs:
+            given = self._given
+            names = given.problem.chain.joint_names
+            above, below = (
+                [Row(name=f"{joint}.{side}", kind="limit", side=side) for joint in names]
+                for side in SIDES
+            )
+            free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
+            rows = Rows(free, (*above, *given.bounds.rows, *below))
+            self._programs[size] = Program(given.problem, rows, given.damping.least)
+        return self._programs[size]

@@ -13,11 +13,11 @@ which little can be had beside what v_n has of it, p_k, gives way:
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares can be had at all. Later levels keep
-what was got. The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`).
-That of the hard tasks is too, but by what their rows lacked in the last tick, m_i, instead of what
-they ask for: d = c dt sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and
-grows from there as they cease to.
+up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of
+v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of the hard tasks is
+too, but by what their rows lacked in the last tick, m_i, instead of what they ask for: d = c dt
+sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and grows from there as
+they cease to.
 """
 
 from __future__ import annotations
@@ -27,11 +27,9 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.controller import ControlProblem
-from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import Damping
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.rank import null_space
 from coopqp.solver import Status, norm
 from coopqp.state import State
 from coopqp.task import TaskStack
@@ -51,67 +49,45 @@ MET = 1e-6
 class Nearest:
     """The nearest motion to what hard tasks, and scaled ones after them, want.
 
-    Args:
-        problem: what to control.
-        order: of its tasks.
-        bounds: the limits.
-        damping: cost of |v|^2.
-
     Attributes:
-        v: the answer of the level of the hard tasks, shape (n,).
+        hard, scaled: their levels. v: the answer of the first, refined, shape (n,).
     """
 
-    def __init__(
-        self, problem: ControlProblem, order: Order, bounds: Bounds, damping: Damping
-    ) -> None:
-        self._exact, self._bounds, self._damping = order.exact, bounds, damping
-        self._count, loops = sum(order.exact.sizes[: len(order.hard)]), problem.chain.loops
-        hard, scaled = TaskStack(order.hard, order.start), TaskStack(order.scaled, order.start)
-        self._hard_tasks, self._scaled_tasks = hard, scaled
-        less = replace(damping, least=LESS * damping.least) if order.hard else damping
-        self.hard = Level(problem, hard, loops.solver_rows, bounds, less)
-        self.hard.certified = damping.least  # it decides what rows do, not all of v
-        decided = min(len(loops.solver_rows) + self._count, problem.chain.n)
-        self.scaled = LaterLevel(problem, scaled, [hard], decided, bounds, damping)
-        self.v = self.hard.v
+    def __init__(self, given: Given, order: Order) -> None:
+        loops, self._damping = given.problem.chain.loops, given.damping
+        hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
+        least = (LESS if order.hard else 1.0) * given.damping.least
+        firm = replace(given, damping=replace(given.damping, least=least))
+        self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
+        self.scaled = LaterLevel(given, scaled, [hard])
+        self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks; the exact stack is up to date.
+        """Solve the level of the hard tasks, then once more for what its answer lacks.
 
-        Args:
-            state: of the tick.
-            kappa: gain of the drift correction.
+        With so little damping solvers lose digits in proportion to the answer, so the second is
+        asked for a step from the first.
         """
-        self._update()
-        lacks = np.abs(state.memory["missed"]) * self._hard_tasks.levers
-        bend = float(self._hard_tasks.weights @ lacks)
-        self.hard.assemble(self._bounds, self._damping.of(bend, state))
-        self.hard.close_loops(state, kappa)
-        return self.hard.solve()
+        tasks = self.hard.tasks
+        tasks.update(state)
+        bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
+        self.hard.assemble(state, kappa, self._damping.of(bend, state))
+        status = self.hard.solve()
+        if not status.usable:
+            return status
+        return self._refined.step(self.hard.v, null_space(state.J_loop).T, self.hard.curvature)
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
         """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
-        self._update()
-        pull = state.memory["scaled pull"]
-        return self.scaled.improve(state, self._bounds, v, Status.OPTIMAL, pull)
-
-    def _update(self) -> None:
-        exact, hard = self._exact, self._count
-        for stack, rows in (
-            (self._hard_tasks, slice(hard)), (self._scaled_tasks, slice(hard, None))
-        ):  # fmt: skip
-            for name in ("e", "rate", "wanted", "J"):
-                getattr(stack, name)[:] = getattr(exact, name)[rows]
+        for stack in (self.hard.tasks, self.scaled.tasks):
+            stack.update(state)
+        return self.scaled.improve(
+            state, null_space(state.J_loop).T, v, state.memory["scaled pull"]
+        )
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:
-    """How far a scaled task may leave its direction, r in [0, 1].
-
-    Args:
-        share: of what it wants, along its direction.
-        wanted: shape (k,).
-        near: what the nearest motion does, shape (k,).
-    """
+    """How far a task with a share of what is wanted may leave that direction for the nearest, r."""
     size = norm(wanted)
     along = max(float(wanted @ near), MET * size, 1e-300)  # times the size of what is wanted
     return max(1.0 - share * size * size / (LITTLE * along), 0.0) * max(1.0 - share / WHOLE, 0.0)

@@ -2,16 +2,18 @@
 
 Level 0 decides v_0. What its tasks and the loops see of it is fixed for the levels after:
 
-    Q v = Q v_0,   Q an orthonormal basis of the rows decided so far,
+    v = v_0 + Z z,   Z an orthonormal basis of the null space of the rows decided so far,
 
-so that level 1 moves in their null space alone, and so on. Q comes from a singular value
-decomposition, which minds no redundant rows.
+so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z comes from singular
+value decompositions, which mind no redundant rows: of the loops, which no later level may ever
+open, then of what the tasks add to them. Where that is next to nothing, as at a singular pose, its
+direction is noise, which would freeze another motion in each tick.
 
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
 therefore not step far: y L / sigma is part of what its damping is made of, like the second
-derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where that is more than
-solvers can tell from a wall, the level's step is shortened by what is missing.
+derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where solvers cannot tell
+that from a wall, the level's step is shortened by what is missing.
 """
 
 from __future__ import annotations
@@ -27,11 +29,9 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.program import Programs, sees_twist
-from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import MOST_DAMPING, Damping, held_pull
-from coopqp.qp_law.level import Level
-from coopqp.rank import RANK_TOLERANCE, matrix_rank, null_space
-from coopqp.row import Row
+from coopqp.qp_law.equations import MOST_DAMPING, held_pull
+from coopqp.qp_law.level import Given, Step
+from coopqp.rank import directions, matrix_rank, null_space
 from coopqp.solver import Status
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
@@ -40,44 +40,26 @@ SAMPLES = 6  # configurations at which ranks are taken, beside the start
 NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
 
 
-def groups(problem: ControlProblem) -> list[list[Task]]:
-    """Soft tasks by priority, then the secondary objectives by theirs; the first may be empty.
-
-    Where there are hard or scaled tasks the first level is theirs alone.
-    """
-    soft = [task for task in problem.tasks if task.mode == "soft"]
-    found = [*_by_priority(soft), *_by_priority(problem.secondary)]
-    return found if soft and len(soft) == len(problem.tasks) else [[], *found]
-
-
-def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
-    numbers = sorted({task.priority for task in tasks})
-    return [[task for task in tasks if task.priority == number] for number in numbers]
-
-
 class Order:
     """Which tasks of a problem decide when: exact ones, then soft ones level by level.
-
-    Args:
-        problem: whose tasks.
 
     Attributes:
         start: the state from which their references set out, which stays as it is.
         programs: of tasks, from there.
         hard, scaled: the tasks of these modes, which the first level has to do.
-        groups: the :func:`groups` that have anything left to decide: none after all joints are
-            decided.
+        groups: soft tasks by priority, then the secondary objectives by theirs, as long as there is
+            anything left to decide. The first is empty where there are hard or scaled tasks.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
         self.start = State(problem.chain)
         self.programs = Programs(self.start)
-        self.hard, self.scaled = (
-            [task for task in problem.tasks if task.mode == mode] for mode in ("hard", "scaled")
+        soft, self.hard, self.scaled = (
+            [task for task in problem.tasks if task.mode == mode]
+            for mode in ("soft", "hard", "scaled")
         )
-        self.groups = groups(problem)
-        self._stacks: dict[int, TaskStack] = {}
-        self._decided: dict[int, int] = {}
+        first = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
+        self.groups = [*first, *_by_priority(soft), *_by_priority(problem.secondary)]
         later = range(1, len(self.groups))
         del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
 
@@ -86,54 +68,37 @@ class Order:
         """The hard tasks, then the scaled ones."""
         return TaskStack([*self.hard, *self.scaled], self.start)
 
-    def stack(self, level: int) -> TaskStack:
-        """The soft tasks of a level."""
-        if level not in self._stacks:
-            self._stacks[level] = TaskStack(self.groups[level], self.start)
-        return self._stacks[level]
+    @cached_property
+    def stacks(self) -> list[TaskStack]:
+        """The groups' tasks."""
+        return [TaskStack(tasks, self.start) for tasks in self.groups]
 
-    def before(self, level: int) -> list[TaskStack]:
-        """What has been decided before a level."""
-        return [*(self.stack(i) for i in range(level)), self.exact]
-
-    def decided(self, level: int) -> int:
-        """How many rows of the loops and of the tasks before a level are independent in general.
+    def _nothing_left(self, level: int) -> bool:
+        """Whether the loops and the tasks before a level decide all joints in general.
 
         Only where the pose at the start is singular do others have to be looked at.
         """
-        if level not in self._decided:
-            self._decided[level] = self._rank_before(level)
-        return self._decided[level]
-
-    def _nothing_left(self, level: int) -> bool:
-        n = self.start.chain.n
-        return self._most_before(level) == n and self.decided(level) == n
-
-    def _tasks_before(self, level: int) -> list[Task]:
-        return [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
-
-    def _most_before(self, level: int) -> int:
-        """A rank that these rows cannot exceed.
-
-        Rows that see nothing but the object's twist add no more than what the loops leave of it.
-        """
-        chain = self.start.chain
+        chain, n = self.start.chain, self.start.chain.n
+        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
+        if any(task.joint_space and task.all_joints for task in tasks):
+            return True
+        # Rows that see nothing but the object's twist add no more than what the loops leave of it.
         sizes = {True: 0, False: len(chain.loops.solver_rows)}
-        for task in self._tasks_before(level):
+        for task in tasks:
             sizes[sees_twist(self.programs.of(task))] += len(task.rows(chain))
-        return min(chain.n, sizes[False] + min(sizes[True], chain.once(_freedom)))
-
-    def _rank_before(self, level: int) -> int:
-        if any(task.joint_space and task.all_joints for task in self._tasks_before(level)):
-            return self.start.chain.n
-        before, rank, most = self.before(level), 0, self._most_before(level)
+        if sizes[False] + min(sizes[True], chain.once(_freedom)) < n:
+            return False
+        stack = TaskStack(tasks, self.start)
         for state in _places(self.start):
-            for stack in before:
-                stack.update(state)
-            rank = max(rank, matrix_rank(np.vstack([state.J_loop, *(s.J for s in before)])))
-            if rank == most:
-                break
-        return rank
+            stack.update(state)
+            if matrix_rank(np.vstack([state.J_loop, stack.J])) == n:
+                return True
+        return False
+
+
+def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
+    numbers = sorted({task.priority for task in tasks})
+    return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
 def _freedom(chain: ClosedChain) -> int:
@@ -149,90 +114,34 @@ def _places(start: State) -> Iterator[State]:
     yield from states_along(start.chain, start.chain.sample(np.random.default_rng(0), SAMPLES))
 
 
-class LaterLevel:
-    """A level after the first.
-
-    Args:
-        problem: what to control.
-        tasks: of this level; whoever owns the stack updates it, and those before.
-        before: what was decided before it.
-        decided: how many rows of that, loops included, are independent.
-        bounds: the limits.
-        damping: cost of |v|^2.
+class LaterLevel(Step):
+    """A level after the first: a step in what those before it, of the tasks `before`, leave free.
 
     Attributes:
-        level: its QP.
-        share: of its step that was made in the last tick.
+        share: of the step, what was made of it in the last tick.
     """
 
-    def __init__(
-        self,
-        problem: ControlProblem,
-        tasks: TaskStack,
-        before: Sequence[TaskStack],
-        decided: int,
-        bounds: Bounds,
-        damping: Damping,
-    ) -> None:
-        self._before, self._damping, self.share = before, damping, 1.0
+    def __init__(self, given: Given, tasks: TaskStack, before: Sequence[TaskStack]) -> None:
+        super().__init__(given, tasks)
+        self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
-        rows = [Row(name=f"decided[{i}]", kind="decided") for i in range(decided)]
-        self.level = Level(problem, tasks, rows, bounds, damping)
 
-    def improve(
-        self, state: State, bounds: Bounds, v: Array, status: Status, pull: Array
-    ) -> tuple[Array, Status]:
-        """Improve v where it is still free; keep it when this level fails.
+    def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
+        """Improve v where it is still free, at a state for which all is up to date.
 
-        Args:
-            state: for which tasks and bounds are up to date.
-            bounds: the limits.
-            v: of the levels before.
-            status: likewise.
-            pull: sum of |y| L / sigma over the decided rows, of the cost without its damping, shape
-                (1,); of the last tick, then of this one.
+        loops is an orthonormal basis of the joint motions that the loops leave, one a row.
+        pull is the sum of |y| L / sigma over the decided rows, of the cost without its damping,
+        shape (1,): of the last tick, then of this one.
         """
-        level, A, b = self.level, self.level.qp.A, self.level.qp.b
-        needed = self._damping.of(pull[0], state)
-        own = self._damping.of(level.tasks.bend(state.v), state)
-        level.assemble(bounds, own + min(needed, MOST_DAMPING))
-        turns = self._decide(state, A)
-        b[:] = A.dot(v)
-        found = level.solve()
-        if not found.usable:
-            pull[0] = 0.0
+        damping = self._given.damping
+        needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
+        d = damping.least + own + min(needed, MOST_DAMPING)
+        self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
+        decided = np.concatenate([stack.J for stack in self._before])
+        if not np.isfinite(decided).all():
             return v, Status.INACCURATE
-        # Damping pulls at the rows too; left in, it would feed itself.
-        pull[0] = held_pull(np.abs(level.solution.y + level.curvature * b).dot(turns), pull[0])
-        if needed > MOST_DAMPING:
-            self.share = MOST_DAMPING / needed
-            v = v + self.share * (level.v - v)
-        else:
-            self.share, v = 1.0, level.v
-        return v, status if found is Status.OPTIMAL else found
-
-    def _decide(self, state: State, Q: Array) -> Array:
-        """Write the basis of what is decided, shape (rank, n); how fast its rows turn, L / sigma.
-
-        First the loops, which no later level may ever open and which do not count as turning; then
-        what the tasks add to them. Where that is next to nothing, as at a singular pose, its
-        direction is noise, which would freeze another motion in each tick: such rows are zero.
-        """
-        Q[:], turns = 0.0, np.zeros(len(Q))
-        tasks = np.concatenate([stack.J for stack in self._before])
-        if not np.isfinite(tasks).all():
-            Q[:] = np.nan
-            return turns
-        loops, _ = _directions(state.J_loop, RANK_TOLERANCE)
-        added, sizes = _directions(tasks - tasks.dot(loops.T).dot(loops), NOISE)
-        m, free = len(loops), len(Q) - len(loops)
-        end = m + len(added[:free])
-        Q[:m], Q[m:end], turns[m:end] = loops, added[:free], self._lever / sizes[:free]
-        return turns
-
-
-def _directions(rows: Array, least: float) -> tuple[Array, Array]:
-    """Orthonormal basis of the rows with singular values above ``least``, and these values."""
-    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    kept = values > least
-    return Vt[kept], values[kept]
+        sizes, seen, rest = directions(decided.dot(loops.T), NOISE)
+        found = self.step(v, rest.dot(loops), d)
+        y = np.abs(seen.dot(loops.dot(self.slope)))
+        pull[0] = held_pull(float(y.dot(self._lever / sizes)), pull[0])
+        return v + self.share * (self.v - v), found

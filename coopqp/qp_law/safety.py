@@ -22,9 +22,6 @@ class LoopProbe:
     sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
     0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only where that is not within the
     budget are the kinematics after the step computed.
-
-    Args:
-        problem: chain, period and budget.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -61,14 +58,9 @@ class LoopProbe:
 
 
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
-    """Gain of the drift correction: the problem's, or more where the budget is half used up.
+    """Gain of the drift correction: a share of the problem's, or more as the budget is used up.
 
     With the paper's kappa = 0 nothing else would ever close a loop again.
-
-    Args:
-        problem: what is controlled.
-        state: of the tick.
-        share: of the problem's gain that is wanted.
     """
     slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
     if slow >= most:

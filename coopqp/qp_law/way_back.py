@@ -1,6 +1,6 @@
-"""Limits, and the way back for joints that start outside of them, before all tasks.
+"""Limits, and the QPs without tasks: the way back into them, and the drift correction in part.
 
-It has a QP of its own, with nothing else to want than to be inside again:
+Joints that start outside come back before all tasks, by a QP with nothing else to want:
 
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
     subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
@@ -11,6 +11,14 @@ largest that is worth it.
 
 What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
 back at least almost as fast.
+
+Where limits leave no motion that does all of the drift correction the largest share is found by
+
+    minimise    W (1 - s)^2 + d |v|^2
+    subject to  J_c v = -s kappa e,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
+
+first with all limits; where that leaves nothing, without acceleration limits, and with limits in
+space that ask for no motion. The share takes the place of 1 in all levels of the tick.
 """
 
 from __future__ import annotations
@@ -24,7 +32,7 @@ from coopqp.controller import ControlProblem
 from coopqp.limit import ROUNDING
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
-from coopqp.qp_law.level import Level
+from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.safety import LoopProbe, drift_gain
 from coopqp.solver import Status
 from coopqp.state import State
@@ -36,30 +44,24 @@ LEAST_RECOVERY = 0.02
 LEAST_MOTION = 1e-4
 #: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
 KEPT = 0.995
+#: What of the largest share is done, so that the tick's levels have an answer to the last digit.
+INSIDE = 1.0 - 1e-4
 
 
 class WayBack:
     """What a tick may do at all: limits, and how joints outside of them come back.
 
-    Args:
-        problem: what to control.
-        start: a state.
-        error_damping: share of the damping that rules out any overshoot.
-
     Attributes:
-        bounds: the limits of the last tick, with the way back in them.
-        probe: looks ahead at the loops.
-        active: whether a joint was outside in the last tick.
-        share: of the drift correction that the way back leaves room for, in the last tick.
-        v: the way back, when there was one in the last tick.
+        bounds: the limits of the last tick, with the way back in them. probe: looks ahead at the
+            loops. active: whether a joint was outside.
+        share: of the drift correction that the way back leaves room for.
+        v: the way back, when there was one.
     """
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
-        self.probe = LoopProbe(problem)
-        self._problem, self._chain, self._dt = problem, problem.chain, problem.dt
+        self.probe, self.problem, self._nothing = LoopProbe(problem), problem, TaskStack((), start)
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        self._start = start
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
         self.v: Array | None = None
@@ -67,43 +69,41 @@ class WayBack:
     @cached_property
     def levels(self) -> tuple[Level, Level]:
         """With all of the drift correction, and with a share of it; built when asked for."""
-        problem, nothing = self._problem, TaskStack((), self._start)
-        given = problem, nothing, problem.chain.loops.solver_rows, self.bounds, self._damping
-        return Level(*given), Level(*given, slows=True)
+        return self.level(self._damping), self.level(self._damping, slows=True)
+
+    def level(self, damping: Damping, *, slows: bool = False) -> Level:
+        """One without tasks."""
+        rows = self.problem.chain.loops.solver_rows
+        return Level(Given(self.problem, self.bounds, damping), self._nothing, rows, slows=slows)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
-        lower, upper = self._chain.lower, self._chain.upper
-        self._low, self._high = state.q < lower - ROUNDING, state.q > upper + ROUNDING
+        chain = self.problem.chain
+        below, above = chain.lower - state.q, state.q - chain.upper
+        self._low, self._high = below > ROUNDING, above > ROUNDING
         self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
-        kappa = drift_gain(self._problem, state)
         self.bounds.update(state)
         if self.active:
-            self._find(state, kappa)
+            self._find(state, np.maximum(below, 0.0) - np.maximum(above, 0.0))
             self._tighten()
-            kappa = drift_gain(self._problem, state, self.share)
-        return kappa
+        return drift_gain(self.problem, state, self.share)
 
-    def _find(self, state: State, kappa: float) -> None:
-        """The fastest way back for what is outside."""
-        bounds, lower, upper = self.bounds, self._chain.lower, self._chain.upper
-        back = np.maximum(lower - state.q, 0.0) - np.maximum(state.q - upper, 0.0)
-        wish = np.sign(back) * np.maximum(np.abs(back) / self._dt, LEAST_RECOVERY)
-        wish, outside = np.clip(wish, bounds.lb, bounds.ub), self._low | self._high
+    def _find(self, state: State, back: Array) -> None:
+        """The fastest way back for what is outside, by how far."""
+        wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
+        wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
+        kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
-        pull = state.memory["recovery"]
         extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
         whole, slowed = self.levels
-        for level in (whole, slowed):
-            if level is whole and state.corrected < ALL_OF_IT:
-                continue  # or it would go to and fro between all and a part
-            level.assemble(bounds, extra)
-            level.qp.P[: len(wish), : len(wish)] += np.diag(outside)
-            level.qp.q[: len(wish)] = -wish * outside
-            level.close_loops(state, kappa)
+        # What was done in part stays so, or it would go to and fro between all and a part.
+        for level in (whole, slowed) if state.corrected >= ALL_OF_IT else (slowed,):
+            level.assemble(state, kappa, extra)
+            level.qp.P[:n, :n] += np.diag(outside)
+            level.qp.q[:n] = -wish * outside
             if not level.solve().usable:
                 continue  # multipliers are then no numbers
             y = level.solution.y
@@ -134,3 +134,36 @@ class WayBack:
         if not causes[0].usable and self.v is not None:
             return self.v, (Status.RECOVERING, *causes)
         return v, (*causes, Status.RECOVERING)
+
+
+class DriftShare:
+    """The largest share of the drift correction, and a motion v that does it."""
+
+    def __init__(self, way_back: WayBack, damping: Damping) -> None:
+        self._way_back, self._damping = way_back, damping
+        self._level = way_back.level(damping, slows=True)
+        self.share, self.v = 1.0, self._level.v
+
+    def find(self, state: State) -> tuple[Status, ...]:
+        """What is relaxed so that there is a share, or why there is none, which is not usable.
+
+        The limits are then as they were when it was found.
+        """
+        causes = []
+        status = self._solve(state)
+        if not status.usable:
+            if self._way_back.release(state):
+                causes.append(Status.ACCELERATION_GIVEN_UP)
+            status = self._solve(state)
+        if not status.usable:
+            return (status,)
+        self.share = self._level.scale
+        if self.share < ALL_OF_IT:
+            self.share *= INSIDE
+            causes.append(Status.DRIFT_SLOWED)
+        return tuple(causes) or (Status.SOLVER_FAILED,)
+
+    def _solve(self, state: State) -> Status:
+        kappa = drift_gain(self._way_back.problem, state)
+        self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+        return self._level.solve()

@@ -215,7 +215,7 @@ def record_tick(
         v=state.v.tolist(),
         memory=memory,
         dt=problem.dt,
-        damping=max(level.curvature, level.certified),
+        damping=level.curvature,
         budget=problem.budget,
         P=qp.P.tolist(),
         q_cost=qp.q.tolist(),
