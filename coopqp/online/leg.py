@@ -13,7 +13,7 @@ from coopqp.errors import InvalidValueError
 from coopqp.input import Inputs
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.braking import Braking
-from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Phase
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 

@@ -11,10 +11,11 @@ import json
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -30,7 +31,7 @@ from ruamel.yaml.events import (
     StreamStartEvent,
 )
 
-from coopqp.errors import Fault, ScenarioError, UnreadableFileError
+from coopqp.errors import CoopqpError, Fault, ScenarioError, UnreadableFileError
 from coopqp.reading import read_text
 from coopqp.wording import Location, dotted
 
@@ -69,6 +70,20 @@ class _Node:
     inside: dict[str | int, tuple[int, _Node]] = field(default_factory=dict)
 
 
+class Wrong(NamedTuple):
+    """Something that is wrong with a file.
+
+    Attributes:
+        place: keys and indices to the value that is named.
+        message: what is wrong with it, and what to do about it.
+        inside: from it to the value whose line counts.
+    """
+
+    place: Location
+    message: str
+    inside: Location = ()
+
+
 @dataclass(frozen=True)
 class YamlFile:
     """A mapping read from a file.
@@ -98,6 +113,33 @@ class YamlFile:
             line, node = node.inside[key]
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
+
+    def refuse(self, found: Iterable[Wrong]) -> None:
+        """Raise all that is wrong with the file, each with its line; nothing if there is nothing.
+
+        Raises:
+            ScenarioError: with each of them once.
+        """
+        faults = [Fault(self.place(one.place, one.inside), one.message) for one in found]
+        if faults:
+            raise ScenarioError(list(dict.fromkeys(faults)))
+
+    @contextmanager
+    def blamed(self, location: Location) -> Iterator[None]:
+        """Give an error of what is built meanwhile the place of what it is built from.
+
+        Raises:
+            ScenarioError: with one fault.
+        """
+        try:
+            yield
+        except ScenarioError:
+            raise
+        except CoopqpError as error:
+            wrong = Wrong(location, str(error), error.keys)
+        else:
+            return
+        self.refuse([wrong])
 
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file.
