@@ -1,12 +1,13 @@
 """What of a scenario can only be checked with its parts together, or by building it.
 
-Checks yield what is wrong as :class:`coopqp.scenario.yaml.Wrong`, and the file refuses it.
+Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines` knows the lines.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,7 +18,7 @@ from coopqp.closed_loop.admittance import unstated
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import TELL_APART, problem_faults
 from coopqp.controllers.qp import QPController
-from coopqp.errors import CoopqpError, MissingDependencyError, unknown_name
+from coopqp.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
 from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import wanted
 from coopqp.limits import JointAcceleration, JointPosition
@@ -27,7 +28,7 @@ from coopqp.scenario.known import Checked, Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.unit_hints import like_degrees, too_large
-from coopqp.scenario.yaml import Wrong, YamlFile
+from coopqp.scenario.yaml import MisplacedError, Wrong
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location
@@ -37,6 +38,31 @@ Placed = tuple[Location, Task, Phase]
 
 #: A control period that no robot has; with it, dt is what makes a run too long [s].
 SHORT = 1e-4
+
+
+def refuse(found: Iterable[Wrong]) -> None:
+    """Raise all that is wrong; nothing if there is nothing.
+
+    Raises:
+        MisplacedError: with all of it.
+    """
+    if listed := list(found):
+        raise MisplacedError(listed)
+
+
+@contextmanager
+def at(place: Location) -> Iterator[None]:
+    """Give an error of what is built meanwhile the place of what it is built from.
+
+    Raises:
+        MisplacedError: with it alone.
+    """
+    try:
+        yield
+    except ScenarioError:
+        raise
+    except CoopqpError as error:
+        raise MisplacedError([Wrong(place, str(error), error.keys)]) from None
 
 
 def contradictions(
@@ -119,71 +145,69 @@ def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
         yield ["secondary", j], task, shortest
 
 
-def check_start(file: YamlFile, scenario: Scenario, known: Known) -> None:
+def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
     """Build what can fail and refuse a start outside the limits.
 
     Args:
-        file: of the scenario.
+        data: of the scenario's file.
         scenario: as read.
         known: what is the same as before is not tried again; written.
     """
-    key = "start" if "start" in file.data else "start_deg"
-    allowed = file.data.get("start_outside", False)
-    with file.blamed(["robot"]):
+    key = "start" if "start" in data else "start_deg"
+    allowed = data.get("start_outside", False)
+    with at(["robot"]):
         robot = scenario.robot_model
-    with file.blamed([key]):
+    with at([key]):
         of_robot, passive = start_of(robot, scenario.start)
         q = robot.configuration(of_robot)
-    with file.blamed(["weights"]):
+    with at(["weights"]):
         arm_weights(robot, scenario.weights)
-    with file.blamed(["grasps"]):
+    with at(["grasps"]):
         grasp_of_each(robot, scenario.grasps)
     outside = [] if allowed else outside_limits(robot, of_robot, q, key)
-    file.refuse([*_released(scenario), *outside])
-    with file.blamed(_longest(scenario)):
+    refuse([*_released(scenario), *outside])
+    with at(_longest(scenario)):
         scenario.check_size()
-    alike = known.lend_chain(file.data, scenario)
-    chain = _closed(file, scenario, key)
+    alike, schedule = known.lend_chain(data, scenario), scenario.schedule
+    chain = _closed(data, scenario, key)
     if wrong := too_large(chain):
-        file.refuse([Wrong(["object", "size"], wrong)])
+        refuse([Wrong(["object", "size"], wrong)])
     if not allowed:
-        file.refuse(_passive_outside(chain, passive, key))
+        refuse(_passive_outside(chain, passive, key))
     problems = scenario.problems(lambda _: chain.q_start)
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
         phase.name: Places(problem.chain, alike.place(phase.name))
-        for phase, problem in zip(scenario.schedule, problems, strict=True)
+        for phase, problem in zip(schedule, problems, strict=True)
     }
-    file.refuse(_badly_held(file.data, places))
+    refuse(_badly_held(data, places))
     tasks = [placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])]
-    wrong_plugins = [*_broken_tasks(tasks, places)]
-    if not alike.limits:
+    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not alike.limits
+    if new_limits:
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
-    file.refuse(wrong_plugins)
-    wrong_starts = [*_broken_inputs(file.data, scenario, tasks, places)]
-    if not allowed and not wrong_starts and not alike.limits:
+    refuse(wrong_plugins)
+    wrong_starts = [*_broken_inputs(data, scenario, tasks, places)]
+    if not allowed and not wrong_starts and new_limits:
         for i, limit in enumerate(scenario.limits):
             wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
-    file.refuse(wrong_starts)
-    _check_plant(file, scenario)
-    known.last = Checked(file.data, scenario, places)
+    refuse(wrong_starts)
+    _check_plant(scenario)
+    known.last = Checked(data, scenario, places)
 
 
-def _closed(file: YamlFile, scenario: Scenario, key: str) -> ClosedChain:
+def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
     """The closed chain, or what of the file keeps it from closing."""
     try:
         return scenario.chain
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
-        grasp = "grasps" if "grasps" in file.data else "grasp"
+        grasp = "grasps" if "grasps" in data else "grasp"
         location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
-        wrong = Wrong(where, str(error))
-    file.refuse([wrong])
-    raise AssertionError  # it is refused
+        raise MisplacedError([Wrong(where, str(error))]) from None
 
 
-def _check_plant(file: YamlFile, scenario: Scenario) -> None:
+def _check_plant(scenario: Scenario) -> None:
     """Build what is controlled, unless a package for it is missing: running says so."""
     try:
         with blamed(scenario.plant, "build"):
@@ -192,10 +216,7 @@ def _check_plant(file: YamlFile, scenario: Scenario) -> None:
         return
     except CoopqpError as error:
         location = "disturbance" if "disturbance" in error.keys else "plant"
-        wrong = Wrong([location], str(error), error.keys)
-    else:
-        return
-    file.refuse([wrong])
+        raise MisplacedError([Wrong([location], str(error), error.keys)]) from None
 
 
 def _badly_held(data: Mapping[str, Any], places: Mapping[str, Places]) -> Iterator[Wrong]:
@@ -301,9 +322,7 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
             yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
 
 
-def _passive_outside(
-    chain: ClosedChain, passive: Mapping[str, float], key: str
-) -> Iterator[Wrong]:
+def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str) -> Iterator[Wrong]:
     """Passive joints that start outside their limits."""
     for name in passive:
         i = chain.joint_names.index(name)

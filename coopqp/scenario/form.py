@@ -34,7 +34,7 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.literal import mistaken
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
-from coopqp.scenario.yaml import Wrong, YamlFile
+from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile
 from coopqp.signal import Signal
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
@@ -174,7 +174,7 @@ def _named(default: Any) -> Any:
 
 
 def _type(hint: Any, catalog: Catalog) -> Any:
-    """What a file has where Python has a type: slots for plug-ins, lists and dicts for all others."""
+    """What a file has where Python has a type: a slot for a plug-in, a list for a tuple."""
     for kind, idea in COLLECTIONS.items():
         if hint is idea:
             return one_of(catalog, kind)
@@ -213,7 +213,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     """Check a file against the form that a catalogue gives it.
 
     Raises:
-        ScenarioError: with every fault and its line.
+        MisplacedError: with every fault.
     """
     model = file_model(catalog)
     robot, signal_slot = _adapters(catalog)
@@ -245,7 +245,8 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         found.append(Wrong([], wording.raised(error)))
     else:
         found += [Wrong(*wrong) for wrong in mistaken(file.data, read)]
-    file.refuse(found)
+    if found:
+        raise MisplacedError(found)
     return read
 
 

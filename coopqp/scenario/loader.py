@@ -14,7 +14,7 @@ from coopqp.plant import Plant
 from coopqp.reading import absolute
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import check_start, contradictions
+from coopqp.scenario.checks import at, check_start, contradictions, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
 from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
@@ -66,15 +66,21 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
     Raises:
         ScenarioError: as :func:`load`.
     """
-    known, scenario = known or Known(), _read(file, catalog)
+    with file.lines():
+        scenario = _checked(file, catalog, known or Known())
+    return scenario
+
+
+def _checked(file: YamlFile, catalog: Catalog, known: Known) -> Scenario:
+    scenario = _read(file, catalog)
     known.lend_robot(file.data, scenario)
     if file.data.get("start") == SOLVE:
         scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
     elif file.data.get("start_deg") is not None:
-        with file.blamed(["robot"]):
+        with at(["robot"]):
             robot = scenario.robot_model
         scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
-    check_start(file, scenario, known)
+    check_start(file.data, scenario, known)
     return scenario
 
 
@@ -96,7 +102,7 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
             "catalog": catalog,
         }
     )
-    file.refuse(contradictions(keys, scenario, needs_start=needs_start))
+    refuse(contradictions(keys, scenario, needs_start=needs_start))
     return scenario
 
 
@@ -126,21 +132,23 @@ def load_and_solve(
         ScenarioError: with every fault, its line and its likely fix.
     """
     file = read_yaml(find(path))
-    scenario = _read(file, catalog or Catalog(), needs_start=False)
-    return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
+    with file.lines():
+        scenario = _read(file, catalog or Catalog(), needs_start=False)
+        solution = _solved(file, scenario, scenario.seed if seed is None else seed, progress)
+    return solution
 
 
 def _solved(
     file: YamlFile, scenario: Scenario, seed: int, progress: Progress | None
 ) -> StartSolution:
-    with file.blamed(["robot"]):
+    with at(["robot"]):
         robot = scenario.robot_model
     near: Start = file.data.get("start_near") or {}
-    with file.blamed(["start_near"]):
+    with at(["start_near"]):
         robot.configuration(near)
-    with file.blamed(["grasps"]):
+    with at(["grasps"]):
         grasp_of_each(robot, scenario.grasps)
-    with file.blamed(["start"]):
+    with at(["start"]):
         grasps, held = scenario.grasps, scenario.held
         begin = near or _given_start(file, robot, scenario)
         if held.pose is None and begin:

@@ -171,7 +171,9 @@ class Scenario:
     catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        looked_at = ((name, _stranger(getattr(self, name), hint)) for name, hint in _types().items())
+        looked_at = (
+            (name, _stranger(getattr(self, name), hint)) for name, hint in _types().items()
+        )
         if strange := [f"{name}: {words}" for name, words in looked_at if words]:
             raise InvalidValueError("\n".join(strange))
         wrong = period_fault(self.dt)

@@ -11,7 +11,7 @@ import json
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,7 +31,7 @@ from ruamel.yaml.events import (
     StreamStartEvent,
 )
 
-from coopqp.errors import CoopqpError, Fault, ScenarioError, UnreadableFileError
+from coopqp.errors import Fault, ScenarioError, UnreadableFileError
 from coopqp.reading import read_text
 from coopqp.wording import Location, dotted
 
@@ -84,6 +84,14 @@ class Wrong(NamedTuple):
     inside: Location = ()
 
 
+class MisplacedError(Exception):
+    """All that a check has found wrong, for who knows the file (:meth:`YamlFile.lines`)."""
+
+    def __init__(self, found: Sequence[Wrong]) -> None:
+        super().__init__(found)
+        self.found = found
+
+
 @dataclass(frozen=True)
 class YamlFile:
     """A mapping read from a file.
@@ -114,32 +122,21 @@ class YamlFile:
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
 
-    def refuse(self, found: Iterable[Wrong]) -> None:
-        """Raise all that is wrong with the file, each with its line; nothing if there is nothing.
-
-        Raises:
-            ScenarioError: with each of them once.
-        """
-        faults = [Fault(self.place(one.place, one.inside), one.message) for one in found]
-        if faults:
-            raise ScenarioError(list(dict.fromkeys(faults)))
-
     @contextmanager
-    def blamed(self, location: Location) -> Iterator[None]:
-        """Give an error of what is built meanwhile the place of what it is built from.
+    def lines(self) -> Iterator[None]:
+        """Give all that checks find meanwhile its line in the file.
 
         Raises:
-            ScenarioError: with one fault.
+            ScenarioError: with each of it once.
         """
         try:
             yield
-        except ScenarioError:
-            raise
-        except CoopqpError as error:
-            wrong = Wrong(location, str(error), error.keys)
+        except MisplacedError as error:
+            found = error.found
         else:
             return
-        self.refuse([wrong])
+        faults = [Fault(self.place(one.place, one.inside), one.message) for one in found]
+        raise ScenarioError(list(dict.fromkeys(faults)))
 
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file.

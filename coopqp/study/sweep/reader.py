@@ -281,7 +281,8 @@ class _Reader:
     def _wrong(self, file: YamlFile) -> list[Fault]:
         """What is wrong with the form of a scenario."""
         try:
-            check(file, self._catalog)
+            with file.lines():
+                check(file, self._catalog)
         except ScenarioError as error:
             return list(error.faults)
         except CoopqpError as error:
