@@ -44,44 +44,42 @@ SOLVE = "solve"
 Joints = dict[str, float | list[float]]
 
 
-class _Start:
-    """Lets the start be the word solve, also in the JSON Schema."""
+def _start(value: Any) -> Any:
+    """Joint values; none yet where they shall be solved for."""
+    if value == SOLVE:
+        return {}
+    if value is not None and not isinstance(value, dict):
+        raise ValueError(f"needs joint values by arm or joint, or the word {SOLVE}")
+    return value
 
-    @staticmethod
-    def read(value: Any) -> Any:
-        """Joint values; none yet where they shall be solved for."""
-        if value == SOLVE:
-            return {}
-        if value is not None and not isinstance(value, dict):
-            raise ValueError(f"needs joint values by arm or joint, or the word {SOLVE}")
-        return value
+
+@dataclass(frozen=True)
+class Words:
+    """Shows in a JSON Schema the words that may stand instead of a value."""
+
+    words: Sequence[str]
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [{"const": SOLVE}, handler(core)]}
+        return {"anyOf": [{"enum": [*self.words]}, handler(core)]}
 
 
-class _Spelling:
-    """Reads the spellings of a plug-in slot and shows them in the JSON Schema."""
+def _spelt(kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> Any:
+    """Reads any spelling of a plug-in slot as {name: fields}."""
+    known, others = sorted(names), sorted(aliases)
 
-    def __init__(self, kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> None:
-        self.kind, self.names, self.aliases = kind, sorted(names), sorted(aliases)
-
-    def read(self, value: Any) -> Any:
-        """Any spelling as {name: fields}."""
+    def read(value: Any) -> Any:
         given = {value: {}} if isinstance(value, str) else value
         if not isinstance(given, dict) or len(given) != 1:
-            raise ValueError(f"needs one {self.kind} by name, such as '{self.names[0]}'")
+            raise ValueError(f"needs one {kind} by name, such as '{known[0]}'")
         ((name, options),) = given.items()
-        if name in self.aliases and not options:
+        if name in others and not options:
             return {"qpsolvers": {"backend": name}}
-        if name not in self.names:
-            words = unknown_name(self.kind, str(name), [*self.names, *self.aliases])
+        if name not in known:
+            words = unknown_name(kind, str(name), [*known, *others])
             raise ValueError(f"{words}; those of your own need --plugins FOLDER")
         return {name: {} if options is None else options}
 
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        """A bare name, or one name with its fields."""
-        return {"anyOf": [{"enum": [*self.names, *self.aliases]}, handler(core)]}
+    return BeforeValidator(read)
 
 
 class Slot(BaseModel):
@@ -100,8 +98,8 @@ def one_of(catalog: Catalog, kind: str) -> Any:
     }
     model = create_model(f"One{word.capitalize()}", __base__=Slot, **options)
     aliases = set(qpsolvers_backends.installed()) - set(entries) if kind == "solvers" else ()
-    spelling = _Spelling(word, entries, aliases)
-    return Annotated[model, BeforeValidator(spelling.read), spelling]
+    names = (*sorted(entries), *sorted(aliases))
+    return Annotated[model, _spelt(word, entries, aliases), Words(names)]
 
 
 def chosen(slot: BaseModel) -> tuple[str, Any]:
@@ -120,7 +118,7 @@ class FileKeys:
     """How every arm holds the object; rigid if omitted."""
     grasps: Mapping[str, Grasp] | None = None
     """How each arm holds it, by arm; instead of grasp."""
-    start: Annotated[Joints | None, BeforeValidator(_Start.read), _Start()] = None
+    start: Annotated[Joints | None, BeforeValidator(_start), Words((SOLVE,))] = None
     """Joint values by arm (base first), joint or passive joint [rad, m]; or solve, to find them
     from object.pose and the grasps' object_in_hand."""
     start_near: Joints | None = None

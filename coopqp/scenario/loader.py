@@ -66,22 +66,18 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
     Raises:
         ScenarioError: as :func:`load`.
     """
+    known = known or Known()
     with file.lines():
-        scenario = _checked(file, catalog, known or Known())
-    return scenario
-
-
-def _checked(file: YamlFile, catalog: Catalog, known: Known) -> Scenario:
-    scenario = _read(file, catalog)
-    known.lend_robot(file.data, scenario)
-    if file.data.get("start") == SOLVE:
-        scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
-    elif file.data.get("start_deg") is not None:
-        with at(["robot"]):
-            robot = scenario.robot_model
-        scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
-    check_start(file.data, scenario, known)
-    return scenario
+        scenario = _read(file, catalog)
+        known.lend_robot(file.data, scenario)
+        if file.data.get("start") == SOLVE:
+            scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
+        elif file.data.get("start_deg") is not None:
+            with at(["robot"]):
+                robot = scenario.robot_model
+            scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
+        check_start(file.data, scenario, known)
+        return scenario
 
 
 def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scenario:
@@ -134,8 +130,7 @@ def load_and_solve(
     file = read_yaml(find(path))
     with file.lines():
         scenario = _read(file, catalog or Catalog(), needs_start=False)
-        solution = _solved(file, scenario, scenario.seed if seed is None else seed, progress)
-    return solution
+        return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
 
 
 def _solved(
@@ -152,9 +147,10 @@ def _solved(
         grasps, held = scenario.grasps, scenario.held
         begin = near or _given_start(file, robot, scenario)
         if held.pose is None and begin:
-            return close_start(robot, grasps, held, begin)
-        return solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
-    raise AssertionError  # what is wrong is refused
+            solution = close_start(robot, grasps, held, begin)
+        else:
+            solution = solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
+    return solution
 
 
 def _given_start(file: YamlFile, robot: RobotModel, scenario: Scenario) -> Start:

@@ -12,7 +12,6 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,21 +121,9 @@ class YamlFile:
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
 
-    @contextmanager
-    def lines(self) -> Iterator[None]:
-        """Give all that checks find meanwhile its line in the file.
-
-        Raises:
-            ScenarioError: with each of it once.
-        """
-        try:
-            yield
-        except MisplacedError as error:
-            found = error.found
-        else:
-            return
-        faults = [Fault(self.place(one.place, one.inside), one.message) for one in found]
-        raise ScenarioError(list(dict.fromkeys(faults)))
+    def lines(self) -> FaultLines:
+        """With it, all that checks find has its line in the file."""
+        return FaultLines(self)
 
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file.
@@ -145,6 +132,27 @@ class YamlFile:
             data: plain, such as JSON can hold.
         """
         return replace(self, data=data, text=json.dumps(data) + "\n")
+
+
+@dataclass(frozen=True)
+class FaultLines:
+    """Where places become lines: checks below it do not know the file.
+
+    Raises:
+        ScenarioError: with all that checks found, each of it once.
+    """
+
+    file: YamlFile
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if isinstance(error, MisplacedError):
+            found = dict.fromkeys(
+                Fault(self.file.place(one.place, one.inside), one.message) for one in error.found
+            )
+            raise ScenarioError(list(found)) from None
 
 
 def read_yaml(path: Path) -> YamlFile:
