@@ -13,8 +13,7 @@ from coopqp.errors import InvalidValueError
 from coopqp.input import Inputs
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.braking import Braking
-from coopqp.scenario.scenario import Phase
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.state import State
 
 #: What force sensors say arrives as an input of this name with every tick; ``State.hand_wrench``.

@@ -6,8 +6,7 @@ from coopqp.controller import ControlProblem, Law
 from coopqp.online.leg import Leg
 from coopqp.online.legs import Legs
 from coopqp.online.played_again import text_of_begun
-from coopqp.scenario.scenario import Phase
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.state import State
 
 

@@ -34,7 +34,7 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.literal import mistaken
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
-from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile
+from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
@@ -211,7 +211,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     """Check a file against the form that a catalogue gives it.
 
     Raises:
-        MisplacedError: with every fault.
+        ScenarioError: with every fault and its line.
     """
     model = file_model(catalog)
     robot, signal_slot = _adapters(catalog)
@@ -235,7 +235,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     try:
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        slots = {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")}
+        slots: dict[type, Any] = {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")}
         found += [Wrong(*wrong) for wrong in wording.faults(error, file.data, model, slots)]
     except (CoopqpError, KeyboardInterrupt):
         raise
@@ -244,7 +244,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     else:
         found += [Wrong(*wrong) for wrong in mistaken(file.data, read)]
     if found:
-        raise MisplacedError(found)
+        raise file.refused(found)
     return read
 
 

@@ -11,7 +11,7 @@ import json
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -121,6 +121,11 @@ class YamlFile:
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
 
+    def refused(self, found: Iterable[Wrong]) -> ScenarioError:
+        """All that checks have found, each of it once and with its line."""
+        faults = (Fault(self.place(one.place, one.inside), one.message) for one in found)
+        return ScenarioError(list(dict.fromkeys(faults)))
+
     def lines(self) -> FaultLines:
         """With it, all that checks find has its line in the file."""
         return FaultLines(self)
@@ -149,10 +154,7 @@ class FaultLines:
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if isinstance(error, MisplacedError):
-            found = dict.fromkeys(
-                Fault(self.file.place(one.place, one.inside), one.message) for one in error.found
-            )
-            raise ScenarioError(list(found)) from None
+            raise self.file.refused(error.found) from None
 
 
 def read_yaml(path: Path) -> YamlFile:

@@ -88,26 +88,28 @@ def _metric(name: str, info: ValidationInfo) -> str:
     return name
 
 
-_ONE: Any = {"minProperties": 1, "maxProperties": 1}
 Count = Annotated[int, Field(ge=1, le=MOST), BeforeValidator(_count)]
+_KINDS: dict[str, Any] = {
+    kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
+    for kind, (form, build, about) in space.KINDS.items()
+}
 Over: Any = create_model(
     "Over",
-    __config__=ConfigDict(**STRICT, json_schema_extra=_ONE),
+    __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 1}),
     __doc__="What a key is varied over.",
-    **{
-        kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
-        for kind, (form, build, about) in space.KINDS.items()
-    },
+    **_KINDS,
 )
+_WAYS: dict[str, Any] = {
+    way: (Count | None if way == GRID else Count, Field(default=None, description=about))
+    for way, about in SAMPLES.items()
+}
+_SEED: Any = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
 Samples: Any = create_model(
     "Samples",
     __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 2}),
     __doc__="How many variants, and how they are chosen.",
-    **{
-        way: (Count | None if way == GRID else Count, Field(default=None, description=about))
-        for way, about in SAMPLES.items()
-    },
-    **{SEED: (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))},
+    **_WAYS,
+    **{SEED: _SEED},
 )
 
 

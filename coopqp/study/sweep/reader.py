@@ -82,7 +82,7 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
     if not kept and not wrong:
         wrong += _tried(file, varied, scenario, base, catalog)
     refuse(wrong)
-    points, varied = _points(form, varied)
+    points, levelled = _points(form, varied)
     count = form.sampled[1]
     notes = []
     if form.sampled[0] == "sobol" and count & (count - 1):
@@ -95,7 +95,7 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
         scenario=base,
         scenario_text=(absolute(scenario.path), scenario.text),
         catalog=catalog,
-        varied=tuple(varied),
+        varied=tuple(levelled),
         controllers=tuple(map(_name, listed)),
         points=points,
         metrics=tuple(dict.fromkeys((*ALWAYS, *form.metrics))),
@@ -215,8 +215,7 @@ def _own_faults(
 def _faults(file: YamlFile, catalog: Catalog) -> Sequence[Fault]:
     """What is wrong with the form of a scenario."""
     try:
-        with file.lines():
-            check(file, catalog)
+        check(file, catalog)
     except ScenarioError as error:
         return error.faults
     except CoopqpError as error:
