@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp.errors import one_line
+from coopqp.study.statistics.paired import Difference
 from coopqp.study.statistics.summary import Share
 from coopqp.study.sweep.summary import Line, Summary
 
@@ -37,6 +38,48 @@ def table(name: str, summary: Summary) -> Table:
     for line in summary.lines:
         found.add_row(*_cells(line))
     return found
+
+
+def paired(summary: Summary) -> Table | None:
+    """What differs from the reference on the same variants, one row a controller; None if alone."""
+    if not summary.pairs:
+        return None
+    title = f"less {summary.pairs[0].reference}, on the same variants: 95 % interval, p of a test"
+    found = Table(
+        title=Text(one_line(title), style="bold"),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+        show_edge=False,
+    )
+    found.add_column("controller", overflow="fold", min_width=12)
+    for heading in ("success, points", "error, median (m, rad)", "margin, median (m, rad)"):
+        found.add_column(heading, justify="right", no_wrap=True)
+    for pair in summary.pairs:
+        *errors, margin = pair.numbers.values()
+        cells = (points(pair.success.difference), "\n".join(map(difference, errors)))
+        found.add_row(Text(one_line(pair.controller), style="bold"), *cells, difference(margin))
+    return found
+
+
+def points(found: Difference) -> str:
+    """Such as "-12.5 -18.0 to -7.0, p 0.0003", in per cent of the variants."""
+    if not found.of:
+        return "-"
+    value, low, high = (100.0 * x for x in (found.value, found.low, found.high))
+    return f"{value:+.1f} {low:+.1f} to {high:+.1f}, {chance(found.p)}"
+
+
+def difference(found: Difference) -> str:
+    """The same of a number; a dash where there is none."""
+    if not found.of:
+        return "-"
+    return f"{found.value:+.2g} {found.low:+.2g} to {found.high:+.2g}, {chance(found.p)}"
+
+
+def chance(p: float) -> str:
+    """Such as "p 0.03"."""
+    return f"p {p:.1g}" if p >= 1e-4 else "p < 1e-4"
 
 
 def _cells(line: Line) -> Iterator[Text]:
