@@ -214,15 +214,15 @@ def _paired(found: Sequence[Pair]) -> str:
         return ""
     heads = [
         f"Less {breakable(found[0].reference)}, on the same variants", "both succeed", "only this",
-        "only the reference", "neither", "success<small>points, 95 % interval, p</small>",
-        *(f"{text(name)}<small>median, 95 % interval, p</small>" for name in found[0].numbers),
+        "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
+        *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in found[0].numbers),
     ]  # fmt: skip
     rows = [
         [
             breakable(p.controller),
             *(f"{n:,}" for n in _counts(p.success)),
-            points(p.success.difference),
-            *map(difference, p.numbers.values()),
+            points(p.success.difference).replace("\n", "<br>"),
+            *(difference(x).replace("\n", "<br>") for x in p.numbers.values()),
         ]
         for p in found
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -44,7 +44,7 @@ def paired(summary: Summary) -> Table | None:
     """What differs from the reference on the same variants, one row a controller; None if alone."""
     if not summary.pairs:
         return None
-    title = f"less {summary.pairs[0].reference}, on the same variants: 95 % interval, p of a test"
+    title = f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval"
     found = Table(
         title=Text(one_line(title), style="bold"),
         title_justify="left",
@@ -52,7 +52,8 @@ def paired(summary: Summary) -> Table | None:
         padding=(0, 1),
         show_edge=False,
     )
-    found.add_column("controller", overflow="fold", min_width=12)
+    names = [len(one_line(pair.controller)) for pair in summary.pairs]
+    found.add_column("controller", overflow="fold", min_width=min(24, max(names)))
     for heading in ("success, points", "error, median (m, rad)", "margin, median (m, rad)"):
         found.add_column(heading, justify="right", no_wrap=True)
     for pair in summary.pairs:
@@ -63,18 +64,20 @@ def paired(summary: Summary) -> Table | None:
 
 
 def points(found: Difference) -> str:
-    """Such as "-12.5 -18.0 to -7.0, p 0.0003", in per cent of the variants."""
-    if not found.of:
-        return "-"
-    value, low, high = (100.0 * x for x in (found.value, found.low, found.high))
-    return f"{value:+.1f} {low:+.1f} to {high:+.1f}, {chance(found.p)}"
+    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants."""
+    return _two_lines(found, lambda x: f"{100.0 * x:+.1f}")
 
 
 def difference(found: Difference) -> str:
-    """The same of a number; a dash where there is none."""
+    """The same of a number."""
+    return _two_lines(found, lambda x: f"{x:+.2g}")
+
+
+def _two_lines(found: Difference, said: Callable[[float], str]) -> str:
+    """A dash where there is none."""
     if not found.of:
         return "-"
-    return f"{found.value:+.2g} {found.low:+.2g} to {found.high:+.2g}, {chance(found.p)}"
+    return f"{said(found.value)}, {chance(found.p)}\n{said(found.low)} to {said(found.high)}"
 
 
 def chance(p: float) -> str:
