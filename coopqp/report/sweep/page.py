@@ -221,8 +221,8 @@ def _paired(found: Sequence[Pair]) -> str:
         [
             breakable(p.controller),
             *(f"{n:,}" for n in _counts(p.success)),
-            points(p.success.difference).replace("\n", "<br>"),
-            *(difference(x).replace("\n", "<br>") for x in p.numbers.values()),
+            _unbroken(points(p.success.difference)),
+            *(_unbroken(difference(x)) for x in p.numbers.values()),
         ]
         for p in found
     ]
@@ -231,6 +231,11 @@ def _paired(found: Sequence[Pair]) -> str:
         "median of the differences, with order statistics as its interval, and the sign test.</p>"
     )
     return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
+
+
+def _unbroken(lines: str) -> str:
+    """Lines that are not broken where the page is narrow."""
+    return f'<span style="white-space:nowrap">{lines.replace(chr(10), "<br>")}</span>'
 
 
 def _counts(found: Success) -> tuple[int, ...]:
