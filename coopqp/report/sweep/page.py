@@ -235,7 +235,7 @@ def _paired(found: Sequence[Pair]) -> str:
 
 def _unbroken(lines: str) -> str:
     """Lines that are not broken where the page is narrow."""
-    return f'<span style="white-space:nowrap">{lines.replace(chr(10), "<br>")}</span>'
+    return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
 
 
 def _counts(found: Success) -> tuple[int, ...]:
