@@ -78,7 +78,7 @@ class Phase:
     """
 
     name: Annotated[str, Key(form=Name, default=...)] = ""
-    """Yours; empty where the scenario has one phase only."""
+    """Yours."""
     duration: Positive
     """Length [s]; time begins anew in each phase."""
     released: tuple[str, ...] = ()

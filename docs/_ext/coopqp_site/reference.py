@@ -131,7 +131,10 @@ def _long(cls: type) -> str:
 def study_keys() -> str:
     """The keys of a study file."""
     text = "# Keys of a study\n\nSee [studies](../studies.md).\n\n"
-    text += keys(StudyFile.model_json_schema())
+    schema = StudyFile.model_json_schema()
+    text += keys(schema)
+    for part in ("Over", "Samples"):
+        text += f"\n## {part}\n\n{keys(schema['$defs'][part])}"
     always = ", ".join(f"[`{name}`](metrics.md#{name})" for name in reader.ALWAYS)
     text += f"\nMeasured always: {always}.\n"
     for module, title in ((space, "Under `vary`"), (points, "Under `samples`")):
