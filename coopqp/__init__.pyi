@@ -50,7 +50,7 @@ from coopqp.robot import RobotModel as RobotModel
 from coopqp.row import Row as Row
 from coopqp.scenario.catalog import Catalog as Catalog
 from coopqp.scenario.loader import load as load
-from coopqp.scenario.phase import Phase as Phase
+from coopqp.scenario.scenario import Phase as Phase
 from coopqp.scenario.scenario import Scenario as Scenario
 from coopqp.signal import Course as Course
 from coopqp.signal import Instant as Instant

@@ -16,8 +16,7 @@ from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.errors import InvalidValueError
 from coopqp.input import Feed, Inputs
 from coopqp.plant import PlantModel
-from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.state import State
 
 

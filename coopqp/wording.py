@@ -170,7 +170,7 @@ def _fault(
     needs = detail["msg"].removeprefix("Value error, ")
     for theirs, ours in WORDS.items():
         needs = re.sub(theirs, ours, needs)
-    if needs.startswith("unknown "):
+    if needs.startswith(("unknown ", "found ", "is empty")):
         return location, needs
     return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
 

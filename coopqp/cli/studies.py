@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
 from coopqp.cli.options import JSON, WRITTEN, catalogued, engined, read_tick, read_trace, say
+from coopqp.errors import CoopqpError
 from coopqp.reading import absolute
 
 FORMATS = ("mcap", "rosbag2", "parquet")
@@ -225,9 +228,10 @@ def stress(
 @click.command()
 @click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
+@click.option("--out", type=WRITTEN, help="File that keeps each goal; goes on from what it has.")
 @engined
 @JSON
-def statistics(goals: int, seed: int, engine: Any, as_json: bool) -> None:
+def statistics(goals: int, seed: int, out: Path | None, engine: Any, as_json: bool) -> None:
     """Count how often each law reaches random goals inside all limits."""
     from dataclasses import asdict
 
@@ -235,9 +239,11 @@ def statistics(goals: int, seed: int, engine: Any, as_json: bool) -> None:
     from coopqp.report.terminal import console, progress_bars
     from coopqp.study import statistics as study
 
-    with progress_bars(["goals"], goals * len(study.arenas())) as progress:
+    bars = progress_bars(["goals"], goals * len(study.arenas()))
+    with _kept_goals(out) as (known, keep), bars as progress:
         report = (lambda done: progress("goals", done)) if progress else None
-        done = study.statistics(goals, seed=seed, engine=engine, progress=report)
+        where: Any = {"seed": seed, "engine": engine, "progress": report}
+        done = study.statistics(goals, **where, known=known, keep=keep)
     lines = study.summarize(done)
     if as_json:
         data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
@@ -245,3 +251,25 @@ def statistics(goals: int, seed: int, engine: Any, as_json: bool) -> None:
         return
     for table in study.tables(lines):
         console().print(table, "")
+
+
+@contextmanager
+def _kept_goals(path: Path | None) -> Iterator[tuple[list[Any], Callable[[Any], None] | None]]:
+    """Goals that a file has, and who writes others to it as they are done."""
+    from dataclasses import asdict
+
+    from coopqp import __version__
+    from coopqp.study.statistics import kept
+    from coopqp.study.sweep.journal import FORM, Journal, head_of, records
+
+    if path is None:
+        yield [], None
+        return
+    head = {"form": FORM, "statistics": __version__}
+    before = head_of(path) if path.exists() else None
+    if before is not None and before.get("statistics") != __version__:
+        words = "has no goals of this version of coopqp; give another --out"
+        raise CoopqpError(f"'{path}' {words}")
+    with Journal.opened(path, head) as journal:
+        known = [kept(line["goal"]) for _, line in records(path) if line]
+        yield known, lambda goal: journal.append([{"goal": asdict(goal)}])

@@ -118,6 +118,8 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
         click.echo(strict_json.text(table.as_json(study.name, summary)))
     else:
         console().print(table.table(study.name, summary))
+        if compared := table.paired(summary):
+            console().print("", compared)
         for sentence in table.sentences(summary):
             say(sentence, aside=False)
         if summary.rows < study.rows:

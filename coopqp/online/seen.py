@@ -6,8 +6,7 @@ from coopqp.controller import ControlProblem, Law
 from coopqp.online.phases import Phases
 from coopqp.online.played_again import text_of_begun
 from coopqp.phase_run import PhaseRun
-from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.state import State
 
 

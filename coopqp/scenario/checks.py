@@ -1,39 +1,37 @@
-"""What of a scenario can only be checked by building it: start, grasps, phases and tasks."""
+"""What of a scenario can only be checked with its parts together, or by building it.
+
+Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines` knows the lines.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
-from coopqp.checked import Array
+from coopqp.checked import Array, taken_names
 from coopqp.closed_chain import ClosedChain
+from coopqp.closed_loop.admittance import unstated
 from coopqp.closed_loop.forces import contact_faults
-from coopqp.controller import TELL_APART
-from coopqp.errors import (
-    CoopqpError,
-    Fault,
-    MissingDependencyError,
-    ScenarioError,
-    unknown_name,
-)
+from coopqp.controller import TELL_APART, problem_faults
+from coopqp.controllers.qp import QPController
+from coopqp.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
 from coopqp.hold import arm_weights, grasp_of_each
 from coopqp.input import Feed, Inputs, wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
-from coopqp.scenario.known import Alike, Checked, Known
-from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario, Start, arm_names, start_of
+from coopqp.scenario.known import Checked, Known
+from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.unit_hints import like_degrees, too_large
-from coopqp.scenario.yaml import YamlFile
+from coopqp.scenario.yaml import MisplacedError, Wrong
 from coopqp.state import State
 from coopqp.task import Task
 from coopqp.wording import Location
 
-T = TypeVar("T")
 Placed = tuple[Location, Task, Phase]
 """A task with its place in the file, and its phase."""
 
@@ -41,99 +39,193 @@ Placed = tuple[Location, Task, Phase]
 SHORT = 1e-4
 
 
+def refuse(found: Iterable[Wrong]) -> None:
+    """Raise all that is wrong; nothing if there is nothing.
+
+    Raises:
+        MisplacedError: with all of it.
+    """
+    if listed := list(found):
+        raise MisplacedError(listed)
+
+
+@contextmanager
+def at(place: Location) -> Iterator[None]:
+    """Give an error of what is built meanwhile the place of what it is built from.
+
+    Raises:
+        MisplacedError: with it alone.
+    """
+    try:
+        yield
+    except ScenarioError:
+        raise
+    except CoopqpError as error:
+        raise MisplacedError([Wrong(place, str(error), error.keys)]) from None
+
+
+def contradictions(
+    given: Mapping[str, Any], scenario: Scenario, *, needs_start: bool
+) -> Iterator[Wrong]:
+    """What only shows with all keys together, and nothing is built for.
+
+    Args:
+        given: by key of the file.
+        scenario: made of it.
+        needs_start: whether the file must say where it begins.
+    """
+    if given.get("grasp") and given.get("grasps"):
+        yield Wrong(["grasps"], "give grasp (all arms) or grasps (by arm), not both")
+    starts = [key for key in ("start", "start_deg") if key in given]
+    if len(starts) == 2 or (needs_start and not starts):
+        place = ["start_deg"] if "start" in given else []
+        yield Wrong(place, "give one of start (radians) and start_deg (degrees)")
+    for i, taken in taken_names([phase.name for phase in scenario.phases]):
+        yield Wrong(["phases", i, "name"], taken)
+    for i, taken in taken_names([controller.name for controller in given["controllers"]]):
+        yield Wrong(["controllers", i], f"{taken}; {TELL_APART}")
+    yield from _of_problems(scenario)
+    for name in scenario.grasp_of:
+        if name not in scenario.controllers:
+            words = unknown_name("controller", name, scenario.controllers)
+            yield Wrong(["grasp_of", name], words)
+    needs_masses = scenario.disturbance != scenario.disturbance.kinematic
+    if needs_masses and not scenario.plant.takes_torques:
+        yield Wrong(["disturbance"], "has no effect on this plant; use one with masses")
+
+
+def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
+    """What of each phase a controller could not be built for, and what it cannot end."""
+    schedule = scenario.schedule
+    if scenario.dt > min(phase.duration for phase in schedule):
+        yield Wrong(["dt"], f"found {scenario.dt} s; needs at most the duration")
+    for i, phase in enumerate(schedule):
+        inside: Location = ["phases", i] if scenario.phases else []
+        found = problem_faults(scenario.dt, scenario.drift_gain, phase.tasks, scenario.secondary)
+        for place, message in found:
+            yield Wrong([*inside, *place] if place[0] == "tasks" else place, message)
+    tasks = list(placed_tasks(scenario))
+    for place, task, phase in tasks:
+        yield from _of_end(place, task, phase.duration)
+        if task.of_forces and not scenario.plant.takes_torques:
+            words = f"asks '{task.name}' for a force, and this plant has none"
+            yield Wrong(place, f"{words}; use plant: rigid_body or mujoco")
+    forces = [task.name for _, task, _ in tasks if task.of_forces]
+    for i, controller in enumerate(scenario.controllers.values()):
+        if forces and isinstance(controller, QPController) and not controller.admittance:
+            yield Wrong(["controllers", i], unstated(forces[0]))
+
+
+def _of_end(place: Location, task: Task, duration: float) -> Iterator[Wrong]:
+    """Whether a reference arrives before its phase ends [s]."""
+    try:
+        with blamed(task):
+            end = task.end
+    except CoopqpError as error:
+        yield Wrong(place, str(error))
+        return
+    if not end <= duration + 1e-9:
+        yield Wrong(
+            place,
+            f"the reference of '{task.name}' arrives at {end:g} s, after the end at {duration:g} "
+            "s; make it shorter or the duration longer",
+        )
+
+
 def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
     """Every task with its place in the file; secondary ones count in the shortest phase."""
-    for i, phase in enumerate(scenario.schedule):
+    schedule = scenario.schedule
+    for i, phase in enumerate(schedule):
         inside: Location = ["phases", i] if scenario.phases else []
         for j, task in enumerate(phase.tasks):
             yield [*inside, "tasks", j], task, phase
-    shortest = min(scenario.schedule, key=lambda phase: phase.duration)
+    shortest = min(schedule, key=lambda phase: phase.duration)
     for j, task in enumerate(scenario.secondary):
         yield ["secondary", j], task, shortest
 
 
-def check_start(file: YamlFile, scenario: Scenario, known: Known) -> None:
+def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
     """Build what can fail and refuse a start outside the limits.
 
     Args:
-        file: of the scenario.
+        data: of the scenario's file.
         scenario: as read.
         known: what is the same as before is not tried again; written.
     """
-    key = "start" if "start" in file.data else "start_deg"
-    robot = built(file, ["robot"], lambda: scenario.robot_model)
-    of_robot, passive = built(file, [key], lambda: start_of(robot, scenario.start))
-    q = built(file, [key], lambda: robot.configuration(of_robot))
-    built(file, ["weights"], lambda: arm_weights(robot, scenario.weights))
-    built(file, ["grasps"], lambda: grasp_of_each(robot, scenario.grasps))
-    allowed = file.data.get("start_outside", False)
-    faults = _released(file, scenario)
+    key = "start" if "start" in data else "start_deg"
+    allowed = data.get("start_outside", False)
+    with at(["robot"]):
+        robot = scenario.robot_model
+    with at([key]):
+        of_robot, passive = start_of(robot, scenario.start)
+        q = robot.configuration(of_robot)
+    with at(["weights"]):
+        arm_weights(robot, scenario.weights)
+    with at(["grasps"]):
+        grasp_of_each(robot, scenario.grasps)
+    outside = [] if allowed else outside_limits(robot, of_robot, q, key)
+    refuse([*_released(scenario), *outside])
+    with at(_longest(scenario)):
+        scenario.check_size()
+    alike, schedule = known.lend_chain(data, scenario), scenario.schedule
+    chain = _closed(data, scenario, key)
+    if wrong := too_large(chain):
+        refuse([Wrong(["object", "size"], wrong)])
     if not allowed:
-        faults += [
-            Fault(file.place(location), message)
-            for location, message in outside_limits(robot, of_robot, q, key)
-        ]
-    if faults:
-        raise ScenarioError(faults)
-    built(file, _longest(scenario), scenario.check_size)
-    alike = known.lend_chain(file.data, scenario)
+        refuse(_passive_outside(chain, passive, key))
+    problems = scenario.problems(lambda _: chain.q_start)
+    # Later phases are tried where the first begins: nobody knows yet where the motion leads.
+    places = {
+        phase.name: Places(problem.chain, alike.place(phase.name))
+        for phase, problem in zip(schedule, problems, strict=True)
+    }
+    refuse(_badly_held(data, places))
+    tasks = [placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])]
+    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not alike.limits
+    if new_limits:
+        wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
+    refuse(wrong_plugins)
+    wrong_starts = [*_broken_inputs(data, scenario, tasks, places)]
+    if not allowed and not wrong_starts and new_limits:
+        for i, limit in enumerate(scenario.limits):
+            wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
+    refuse(wrong_starts)
+    _check_plant(scenario)
+    known.last = Checked(data, scenario, places)
+
+
+def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
+    """The closed chain, or what of the file keeps it from closing."""
     try:
-        chain = scenario.chain
+        return scenario.chain
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
-        grasp = "grasps" if "grasps" in file.data else "grasp"
+        grasp = "grasps" if "grasps" in data else "grasp"
         location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
-        raise ScenarioError([Fault(file.place(where), str(error))]) from None
-    if wrong := too_large(chain):
-        raise ScenarioError([Fault(file.place(["object", "size"]), wrong)])
-    if not allowed:
-        _check_passive(file, chain, passive, key)
-    places = _places(scenario, alike)
-    _check_contacts(file, places)
-    first, others = places[scenario.schedule[0].name], [
-        placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])
-    ]  # fmt: skip
-    faults = _broken_tasks(file, others, places)
-    faults += [] if alike.limits else _broken_limits(file, scenario, first)
-    faults = faults or list(_broken_inputs(file, scenario, others, places))
-    if not allowed and not faults and not alike.limits:
-        faults = [
-            Fault(file.place(["limits", i]), words)
-            for i, limit in enumerate(scenario.limits)
-            for words in limit.start_faults(scenario.chain)
-        ]
-    if faults:
-        raise ScenarioError(faults)
-    _check_plant(file, scenario)
-    known.last = Checked(file.data, scenario, places)
+        raise MisplacedError([Wrong(where, str(error))]) from None
 
 
-def _check_plant(file: YamlFile, scenario: Scenario) -> None:
+def _check_plant(scenario: Scenario) -> None:
     """Build what is controlled, unless a package for it is missing: running says so."""
-    problem = next(scenario.problems(lambda _: scenario.chain.q_start))
     try:
         with blamed(scenario.plant, "build"):
-            scenario.plant.build(problem, scenario.seed, scenario.disturbance)
+            scenario.plant.build(scenario.problem(), scenario.seed, scenario.disturbance)
     except MissingDependencyError:
         return
     except CoopqpError as error:
         location = "disturbance" if "disturbance" in error.keys else "plant"
-        raise ScenarioError([_fault(file, [location], error)]) from None
+        raise MisplacedError([Wrong([location], str(error), error.keys)]) from None
 
 
-def _check_contacts(file: YamlFile, places: Mapping[str, Places]) -> None:
-    """Refuse hands that press away from the object, or cannot hold it at rest, in some phase."""
-    faults = []
+def _badly_held(data: Mapping[str, Any], places: Mapping[str, Places]) -> Iterator[Wrong]:
+    """Hands that press away from the object, or cannot hold it at rest, in some phase."""
     found = (fault for place in places.values() for fault in contact_faults(place.start.chain))
     for arm, words in dict.fromkeys(found):
-        where: Location = ["grasps", arm] if arm and "grasps" in file.data else ["grasps"]
-        place = where if "grasps" in file.data else ["grasp"]
-        faults.append(
-            Fault(file.place(place), words if where[1:] or not arm else f"{arm}: {words}")
-        )
-    if faults:
-        raise ScenarioError(faults)
+        if "grasps" in data:
+            yield Wrong(["grasps", arm] if arm else ["grasps"], words)
+        else:
+            yield Wrong(["grasp"], f"{arm}: {words}" if arm else words)
 
 
 def _longest(scenario: Scenario) -> Location:
@@ -144,64 +236,51 @@ def _longest(scenario: Scenario) -> Location:
     return ["phases", durations.index(max(durations)), "duration"] if durations else ["duration"]
 
 
-def _released(file: YamlFile, scenario: Scenario) -> list[Fault]:
+def _released(scenario: Scenario) -> Iterator[Wrong]:
     """Phases in which an arm lets go that does not exist, or all of them."""
-    arms, faults = arm_names(scenario.robot_model), []
+    arms = arm_names(scenario.robot_model)
     for i, phase in enumerate(scenario.phases):
-        place = file.place(["phases", i, "released"])
-        strangers = [name for name in phase.released if name not in arms]
-        faults += [Fault(place, unknown_name("arm", name, arms)) for name in strangers]
+        place: Location = ["phases", i, "released"]
+        for name in phase.released:
+            if name not in arms:
+                yield Wrong(place, unknown_name("arm", name, arms))
         if arms.issubset(phase.released):
-            faults.append(Fault(place, "no arm is left that holds the object; keep at least one"))
-    return faults
+            yield Wrong(place, "no arm is left that holds the object; keep at least one")
 
 
-def _places(scenario: Scenario, alike: Alike) -> dict[str, Places]:
-    """Where plug-ins are tried, by phase.
-
-    The later phases are tried where the first begins: nobody knows yet where the motion leads.
-    """
-    problems = scenario.problems(lambda _: scenario.chain.q_start)
-    phases = zip(scenario.schedule, problems, strict=True)
-    return {phase.name: Places(problem.chain, alike.place(phase.name)) for phase, problem in phases}
-
-
-def _broken_tasks(
-    file: YamlFile, tasks: Sequence[Placed], places: Mapping[str, Places]
-) -> list[Fault]:
+def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:
     """Tasks that name what is not there or break a promise; each is tried in its phase."""
-    faults = []
     for place, task, phase in tasks:
         try:
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
-            faults.append(_fault(file, place, error))
-    return faults
+            yield Wrong(place, str(error), error.keys)
 
 
 def _broken_inputs(
-    file: YamlFile, scenario: Scenario, tasks: Sequence[Placed], places: Mapping[str, Places]
-) -> Iterator[Fault]:
+    data: Mapping[str, Any],
+    scenario: Scenario,
+    tasks: Sequence[Placed],
+    places: Mapping[str, Places],
+) -> Iterator[Wrong]:
     """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
     for place, task, phase in tasks:
-        start, used = State(places[phase.name].start.chain), partial(_used, file.data, place)
+        start, used = State(places[phase.name].start.chain), partial(_used, data, place)
         for name, (_, here) in wanted([task], start).items():
             if name not in scenario.inputs:
-                words = unknown_name("input", name, scenario.inputs)
-                yield Fault(file.place(used(name)), words)
+                yield Wrong(used(name), unknown_name("input", name, scenario.inputs))
                 continue
             try:
                 asked = (task, *scenario.secondary)
                 Feed(scenario.inputs, Inputs(scenario.inputs, asked, start, scenario.dt))
             except CoopqpError as error:
-                where = used(name) if here is None else ["inputs", name]
-                yield Fault(file.place(where), str(error))
+                yield Wrong(used(name) if here is None else ["inputs", name], str(error))
     try:
         for phase in scenario.schedule:
             chain = places[phase.name].start.chain
             wanted((*phase.tasks, *scenario.secondary), State(chain))
     except CoopqpError as error:
-        yield Fault(file.place(["inputs"]), str(error))
+        yield Wrong(["inputs"], str(error))
 
 
 def _used(data: Any, place: Location, name: str) -> Location:
@@ -219,60 +298,44 @@ def _used(data: Any, place: Location, name: str) -> Location:
     return place
 
 
-def _broken_limits(file: YamlFile, scenario: Scenario, places: Places) -> list[Fault]:
+def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
     """Limits that name what is not there or break a promise, and two rows with one name."""
-    taken, faults = set[str](), []
+    taken = set[str]()
     for i, limit in enumerate(scenario.limits):
         try:
             try_limit(limit, places, scenario.dt)
         except CoopqpError as error:
-            faults.append(_fault(file, ["limits", i], error))
+            yield Wrong(["limits", i], str(error), error.keys)
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
             cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
-            words = f"another limit has a row '{twice[0]}' too; {cure}"
-            faults.append(Fault(file.place(["limits", i]), words))
+            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {cure}")
         taken |= rows
-    return [*faults, *_late_brakes(file, scenario)]
-
-
-def _late_brakes(file: YamlFile, scenario: Scenario) -> list[Fault]:
-    """Joints that would brake for a bound behind the one that they must not pass."""
+    # Joints that would brake for a bound behind the one that they must not pass.
     margin = max((k.margin for k in scenario.limits if isinstance(k, JointPosition)), default=0.0)
-    return [
-        Fault(
-            file.place(["limits", i]),
-            f"margin: found {limit.margin:g}, needs at least joint_position's {margin:g}, so that "
-            "joints brake in time",
-        )
-        for i, limit in enumerate(scenario.limits)
-        if isinstance(limit, JointAcceleration) and limit.margin < margin
-    ]
+    for i, limit in enumerate(scenario.limits):
+        if isinstance(limit, JointAcceleration) and limit.margin < margin:
+            words = f"needs at least joint_position's {margin:g}, so that joints brake in time"
+            yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
 
 
-def _check_passive(
-    file: YamlFile, chain: ClosedChain, passive: Mapping[str, float], key: str
-) -> None:
-    faults = []
+def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str) -> Iterator[Wrong]:
+    """Passive joints that start outside their limits."""
     for name in passive:
         i = chain.joint_names.index(name)
         value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
         if not low <= value <= high:
             words = _outside(name, value, (low, high), _unit(chain.joint_units[i], key))
-            faults.append(Fault(file.place([key, name]), words))
-    if faults:
-        raise ScenarioError(faults)
+            yield Wrong([key, name], words)
 
 
-def outside_limits(
-    robot: RobotModel, start: Start, q: Array, key: str
-) -> list[tuple[Location, str]]:
+def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
     """Where a start leaves the position limits, and by how much."""
     if key == "start" and like_degrees(robot, q):
         words = "found angles of more than a turn, which are inside the limits in degrees"
-        return [([key], f"{words}; did you mean start_deg?")]
-    faults: list[tuple[Location, str]] = []
+        yield Wrong([key], f"{words}; did you mean start_deg?")
+        return
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
     joints_of_robot = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
@@ -283,8 +346,7 @@ def outside_limits(
         for arm, joints in arms.items():
             if arm in start and joint in joints and joint not in start:
                 location = [key, arm, joints.index(joint)]
-        faults.append((location, _outside(joint, value, (low, high), _unit(unit, key))))
-    return faults
+        yield Wrong(location, _outside(joint, value, (low, high), _unit(unit, key)))
 
 
 def _unit(unit: str, key: str) -> str:
@@ -299,22 +361,3 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
         f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
     )
-
-
-def built(file: YamlFile, location: Location, build: Callable[[], T]) -> T:
-    """What a function builds; its error gets a place in the file.
-
-    Raises:
-        ScenarioError: with one fault.
-    """
-    try:
-        return build()
-    except ScenarioError:
-        raise
-    except CoopqpError as error:
-        raise ScenarioError([_fault(file, location, error)]) from None
-
-
-def _fault(file: YamlFile, location: Location, error: CoopqpError) -> Fault:
-    """An error that was raised by what is at a location, or by what is in it."""
-    return Fault(file.place(location, error.keys), str(error))

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import functools
 import json
+import operator
 import types
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any
 
 from pydantic import (
@@ -24,65 +26,66 @@ from pydantic import (
 )
 
 from coopqp import wording
-from coopqp.checked import NonNegative, Positive
-from coopqp.controller import OnInfeasible
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, Fault, ScenarioError, unknown_name
-from coopqp.held_object import HeldObject
-from coopqp.input import InputSettings
+from coopqp.checked import told, type_name
+from coopqp.errors import CoopqpError, unknown_name
+from coopqp.grasp import Grasp
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.literal import mistaken
-from coopqp.scenario.yaml import YamlFile
+from coopqp.scenario.plugin import COLLECTIONS
+from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
+from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
-from coopqp.solver import Budget
 from coopqp.solvers import qpsolvers as qpsolvers_backends
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
 #: What a file says instead of joint values to have the start solved for.
 SOLVE = "solve"
+Joints = dict[str, float | list[float]]
 
 
-class _Start:
-    """Lets the start be the word solve, also in the JSON Schema."""
+def _start(value: Any) -> Any:
+    """Joint values; none yet where they shall be solved for."""
+    if value == SOLVE:
+        return {}
+    if value is not None and not isinstance(value, dict):
+        raise ValueError(f"needs joint values by arm or joint, or the word {SOLVE}")
+    return value
 
-    @staticmethod
-    def read(value: Any) -> Any:
-        """Joint values; none yet where they shall be solved for."""
-        if value == SOLVE:
-            return {}
-        if value is not None and not isinstance(value, dict):
-            raise ValueError(f"needs joint values by arm or joint, or the word {SOLVE}")
-        return value
+
+@dataclass(frozen=True)
+class Words:
+    """Shows in a JSON Schema the words that may stand instead of a value."""
+
+    words: Sequence[str]
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [{"const": SOLVE}, handler(core)]}
+        return {"anyOf": [{"enum": [*self.words]}, handler(core)]}
 
 
-class _Spelling:
-    """Reads the spellings of a plug-in slot and shows them in the JSON Schema."""
+def _spelt(kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> Any:
+    """Reads any spelling of a plug-in slot as {name: fields}."""
+    known, others = sorted(names), sorted(aliases)
 
-    def __init__(self, kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> None:
-        self.kind, self.names, self.aliases = kind, sorted(names), sorted(aliases)
-
-    def read(self, value: Any) -> Any:
-        """Any spelling as {name: fields}."""
+    def read(value: Any) -> Any:
         given = {value: {}} if isinstance(value, str) else value
         if not isinstance(given, dict) or len(given) != 1:
-            raise ValueError(f"needs one {self.kind} by name, such as '{self.names[0]}'")
+            raise ValueError(f"needs one {kind} by name, such as '{known[0]}'")
         ((name, options),) = given.items()
-        if name in self.aliases and not options:
+        if name in others and not options:
             return {"qpsolvers": {"backend": name}}
-        if name not in self.names:
-            words = unknown_name(self.kind, str(name), [*self.names, *self.aliases])
+        if name not in known:
+            words = unknown_name(kind, str(name), [*known, *others])
             raise ValueError(f"{words}; those of your own need --plugins FOLDER")
         return {name: {} if options is None else options}
 
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        """A bare name, or one name with its fields."""
-        return {"anyOf": [{"enum": [*self.names, *self.aliases]}, handler(core)]}
+    return BeforeValidator(read)
+
+
+class Slot(BaseModel):
+    """Where a file has one plug-in; a field for each that it can be."""
+
+    model_config = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
 
 def one_of(catalog: Catalog, kind: str) -> Any:
@@ -93,25 +96,38 @@ def one_of(catalog: Catalog, kind: str) -> Any:
         name: (entry.cls | None, Field(default=None, description=entry.help))
         for name, entry in entries.items()
     }
-    extra: Any = {"minProperties": 1, "maxProperties": 1}
-    model = create_model(
-        f"One{word.capitalize()}",
-        __config__=ConfigDict(**STRICT, json_schema_extra=extra),
-        **options,
-    )
+    model = create_model(f"One{word.capitalize()}", __base__=Slot, **options)
     aliases = set(qpsolvers_backends.installed()) - set(entries) if kind == "solvers" else ()
-    spelling = _Spelling(word, entries, aliases)
-    return Annotated[model, BeforeValidator(spelling.read), spelling]
-
-
-def _list_of(catalog: Catalog, kind: str) -> Any:
-    return types.GenericAlias(list, (one_of(catalog, kind),))
+    names = (*sorted(entries), *sorted(aliases))
+    return Annotated[model, _spelt(word, entries, aliases), Words(names)]
 
 
 def chosen(slot: BaseModel) -> tuple[str, Any]:
     """Name and instance of the plug-in in a slot."""
     ((name, instance),) = ((k, v) for k, v in slot if v is not None)
     return name, instance
+
+
+@dataclass(kw_only=True)
+class FileKeys:
+    """The keys from which a file makes the fields of a scenario that have none of their own."""
+
+    folder: str = ""
+    """Where relative paths begin; the file's own folder if omitted."""
+    grasp: Grasp | None = None
+    """How every arm holds the object; rigid if omitted."""
+    grasps: Mapping[str, Grasp] | None = None
+    """How each arm holds it, by arm; instead of grasp."""
+    start: Annotated[Joints | None, BeforeValidator(_start), Words((SOLVE,))] = None
+    """Joint values by arm (base first), joint or passive joint [rad, m]; or solve, to find them
+    from object.pose and the grasps' object_in_hand."""
+    start_near: Joints | None = None
+    """Posture that a solved start is to be near, by arm or joint [rad, m]; far from all limits if
+    omitted."""
+    start_deg: Joints | None = None
+    """The same with degrees for radians; joints that slide keep metres."""
+    start_outside: bool = False
+    """Whether joints may start outside their limits."""
 
 
 @functools.lru_cache(maxsize=8)
@@ -121,178 +137,74 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
     Args:
         catalog: what the file can name; equal ones share a model.
     """
-    keys: dict[str, Any] = {
-        "description": (str, Field(default="", description="One sentence for the report.")),
-        "folder": (
-            str,
-            Field(
-                default="",
-                description="Where relative paths begin; the file's own folder if omitted.",
-            ),
-        ),
-        "robot": (one_of(catalog, "robots"), Field(description="Which robot.")),
-        "grasp": (
-            one_of(catalog, "grasps") | None,
-            Field(default=None, description="How every arm holds the object; rigid if omitted."),
-        ),
-        "grasps": (
-            types.GenericAlias(dict, (str, one_of(catalog, "grasps"))) | None,
-            Field(default=None, description="How each arm holds it, by arm; instead of grasp."),
-        ),
-        "grasp_of": (
-            types.GenericAlias(dict, (str, one_of(catalog, "grasps"))),
-            Field(default={}, description="Grasp of controllers that hold it otherwise, by name."),
-        ),
-        "object": (HeldObject, Field(default=HeldObject(), description="What is held.")),
-        "weights": (
-            dict[str, NonNegative] | None,
-            Field(
-                default=None,
-                description="Weight of each arm in the object's pose, sum 1; the same if omitted.",
-            ),
-        ),
-        "start": (
-            Annotated[
-                dict[str, float | list[float]] | None, BeforeValidator(_Start.read), _Start()
-            ],
-            Field(
-                default=None,
-                description="Joint values by arm (base first), joint or passive joint [rad, m]; "
-                "or solve, to find them from object.pose and the grasps' object_in_hand.",
-            ),
-        ),
-        "start_near": (
-            dict[str, float | list[float]] | None,
-            Field(
-                default=None,
-                description="Posture that a solved start is to be near, by arm or joint [rad, m]; "
-                "far from all limits if omitted.",
-            ),
-        ),
-        "start_deg": (
-            dict[str, float | list[float]] | None,
-            Field(
-                default=None,
-                description="The same with degrees for radians; joints that slide keep metres.",
-            ),
-        ),
-        "tasks": (
-            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)] | None,
-            Field(default=None, description="What the object shall do."),
-        ),
-        "phases": (
-            Annotated[types.GenericAlias(list, (_phase(catalog),)), Field(min_length=1)] | None,
-            Field(
-                default=None,
-                description="One after the other, instead of tasks and duration, when arms let go "
-                "of the object or take hold of it.",
-            ),
-        ),
-        "secondary": (
-            _list_of(catalog, "tasks"),
-            Field(default=[], description="Objectives for what the tasks leave free."),
-        ),
-        "limits": (
-            _list_of(catalog, "limits"),
-            Field(
-                default=[{"joint_position": {}}, {"joint_velocity": {}}],
-                validate_default=True,
-                description="Hard bounds; joint position and velocity if omitted.",
-            ),
-        ),
-        "controllers": (
-            Annotated[_list_of(catalog, "controllers"), Field(min_length=1)],
-            Field(
-                default=["qp", "pseudoinverse", "pseudoinverse_null_space"],
-                validate_default=True,
-                description="What is compared.",
-            ),
-        ),
-        "plant": (
-            one_of(catalog, "plants"),
-            Field(default="kinematic", validate_default=True, description="What is controlled."),
-        ),
-        "inputs": (
-            dict[str, InputSettings],
-            Field(
-                default={},
-                description="Values that arrive from outside while it runs, by name; tasks follow "
-                "them by input: NAME.",
-            ),
-        ),
-        "disturbance": (
-            Disturbance,
-            Field(default=Disturbance(), description="What the controllers are not told."),
-        ),
-        "solver": (
-            one_of(catalog, "solvers"),
-            Field(default="daqp", validate_default=True, description="For the QP controllers."),
-        ),
-        "budget": (Budget, Field(default=Budget(), description="What a solution may be off by.")),
-        "dt": (Positive, Field(default=0.01, description="Control period [s].")),
-        "duration": (
-            Positive | None,
-            Field(default=None, description="Length of the run [s]."),
-        ),
-        "kappa": (
-            NonNegative | None,
-            Field(
-                default=None,
-                description="Drift gain in J_c v = -kappa e [1/s]; at most 1/dt, which it is if "
-                "omitted; 0 is the paper's law.",
-            ),
-        ),
-        "on_infeasible": (
-            OnInfeasible,
-            Field(default="scale", description="scale, hold or stop when not all can hold."),
-        ),
-        "start_outside": (
-            bool,
-            Field(default=False, description="Whether joints may start outside their limits."),
-        ),
-        "seed": (
-            Annotated[int, Field(ge=0)],
-            Field(default=0, description="Of everything random."),
-        ),
-    }  # fmt: skip
     needed: Any = {"anyOf": [{"required": list(WITHOUT_PHASES)}, {"required": ["phases"]}]}
+    keys = {**dict(_keys(Scenario, catalog)), **dict(_keys(FileKeys, catalog))}
     config = ConfigDict(**STRICT, json_schema_extra=needed)
     return create_model("Scenario", __config__=config, **keys)
 
 
-def _phase(catalog: Catalog) -> type[BaseModel]:
-    """Form of a phase."""
-    keys: dict[str, Any] = {
-        "name": (Annotated[str, Field(min_length=1)], Field(description="Yours.")),
-        "duration": (Positive, Field(description="Length [s]; time begins anew in each phase.")),
-        "released": (
-            list[str],
-            Field(default=[], description="Arms that do not hold the object; all others do."),
-        ),
-        "tasks": (
-            Annotated[_list_of(catalog, "tasks"), Field(min_length=1)],
-            Field(description="What shall happen."),
-        ),
-    }
-    return create_model("Phase", __config__=STRICT, **keys)
+def _keys(cls: Any, catalog: Catalog) -> Iterator[tuple[str, Any]]:
+    """Keys of a file, with the types and defaults that the fields of a class give them."""
+    words = told(cls)
+    for found, hint, key in _fields(cls):
+        default = found.default if found.default_factory is MISSING else found.default_factory()
+        default = _named(default) if key.default is MISSING else key.default
+        more = {} if default in (MISSING, ...) else {"default": default, "validate_default": True}
+        about = Field(**more, description=" ".join(words.get(found.name, "").split()))
+        yield key.name or found.name, (_type(key.form or hint, catalog), about)
+
+
+@functools.cache
+def _fields(cls: Any) -> list[tuple[Any, Any, Key]]:
+    """The fields of a class for which a file has a key, with their types and how it says them."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    keys = {name: next((x for x in marks[name] if isinstance(x, Key)), Key()) for name in hints}
+    found = [(field, hints[field.name], keys[field.name]) for field in fields(cls)]
+    return [one for one in found if one[2] is not NO_KEY]
+
+
+def _named(default: Any) -> Any:
+    """A default as a file would say it: plug-ins by name."""
+    if isinstance(default, tuple):
+        return list(map(_named, default))
+    return type_name(type(default)) if isinstance(default, tuple(COLLECTIONS.values())) else default
+
+
+def _type(hint: Any, catalog: Catalog) -> Any:
+    """What a file has where Python has a type: a slot for a plug-in, a list for a tuple."""
+    for kind, idea in COLLECTIONS.items():
+        if hint is idea:
+            return one_of(catalog, kind)
+    if hint is Phase:
+        return create_model("Phase", __config__=STRICT, **dict(_keys(Phase, catalog)))
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        kept = [x for x in parts[1:] if not isinstance(x, Key)]
+        return functools.reduce(lambda one, x: Annotated[one, x], kept, _type(parts[0], catalog))
+    if origin in UNIONS:
+        return functools.reduce(operator.or_, (_type(part, catalog) for part in parts))
+    if origin in (tuple, list, Sequence):
+        return types.GenericAlias(list, (_type(parts[0], catalog),))
+    if origin is Mapping:
+        return types.GenericAlias(dict, (str, _type(parts[1], catalog)))
+    return hint
 
 
 #: Keys that each phase has for itself, where there are phases.
 WITHOUT_PHASES = ("tasks", "duration")
 
 
-def _phases_or_not(file: YamlFile) -> list[Fault]:
+def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
     """What is missing or too much, with phases or without."""
-    if "phases" in file.data and not file.data["phases"]:
-        return [Fault(file.place(["phases"]), "needs at least one phase")]
-    if "phases" not in file.data:
-        missing = [key for key in WITHOUT_PHASES if key not in file.data]
-        return [Fault(file.place([]), f"needs the key '{key}'") for key in missing]
-    return [
-        Fault(file.place([key]), "belongs into each phase, where there are phases; move it there")
-        for key in WITHOUT_PHASES
-        if key in file.data
-    ]
+    if "phases" not in data:
+        missing = [key for key in WITHOUT_PHASES if key not in data]
+        yield from (Wrong([], f"needs the key '{key}'") for key in missing)
+    elif not data["phases"]:
+        yield Wrong(["phases"], "needs at least one phase")
+    else:
+        words = "belongs into each phase, where there are phases; move it there"
+        yield from (Wrong([key], words) for key in WITHOUT_PHASES if key in data)
 
 
 def check(file: YamlFile, catalog: Catalog) -> BaseModel:
@@ -319,26 +231,45 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         return signal
 
     context = {"folder": folder, "robot": read_robot, "signal": read_signal}
-    faults = _phases_or_not(file)
+    found = list(_phases_or_not(file.data))
     try:
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        found = wording.faults(
-            error,
-            file.data,
-            model,
-            {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")},
-        )
-        faults += [Fault(file.place(location), message) for location, message in found]
+        slots: dict[type, Any] = {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")}
+        found += [Wrong(*wrong) for wrong in wording.faults(error, file.data, model, slots)]
     except (CoopqpError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # from the __post_init__ of a plug-in
-        raise ScenarioError([*faults, Fault(file.place([]), wording.raised(error))]) from error
+    except BaseException as error:  # noqa: BLE001 - from the __post_init__ of a plug-in
+        found.append(Wrong([], wording.raised(error)))
     else:
-        faults += [Fault(file.place(place), words) for place, words in mistaken(file.data, read)]
-    if faults:
-        raise ScenarioError(faults)
+        found += [Wrong(*wrong) for wrong in mistaken(file.data, read)]
+    if found:
+        raise file.refused(found)
     return read
+
+
+def given(read: BaseModel) -> dict[str, Any]:
+    """What a file says by key, or its form for it: plug-ins themselves, in tuples and dicts."""
+    found = {key: value for key, value in read if value is not None}
+    return {
+        key: tuple(map(_plain, value)) if isinstance(value, list) else _plain(value)
+        for key, value in found.items()
+    }
+
+
+def fields_of(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a file are fields of a scenario, by field."""
+    names = {found.name: key.name or found.name for found, _, key in _fields(Scenario)}
+    return {field: keys[name] for field, name in names.items() if name in keys}
+
+
+def _plain(value: Any) -> Any:
+    """A plug-in for its slot, a phase for its form; other values as they are."""
+    if isinstance(value, dict):
+        return {key: _plain(inside) for key, inside in value.items()}
+    if isinstance(value, Slot):
+        return chosen(value)[1]
+    return Phase(**given(value)) if isinstance(value, BaseModel) else value
 
 
 def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:

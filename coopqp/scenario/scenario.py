@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
+import types
+import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, replace
 from functools import cached_property
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from coopqp.checked import Array, array, near, type_name
+from coopqp.checked import Array, Name, NonNegative, Positive, array, near, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.disturbance import Disturbance
@@ -30,7 +34,6 @@ from coopqp.plant import Plant
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.phase import Phase
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
@@ -42,28 +45,64 @@ from coopqp.task import Task
 MOST_KEPT = 4_000_000
 
 Start = Mapping[str, float | Sequence[float]]
+UNIONS = (typing.Union, types.UnionType)
+
+
+class Key(NamedTuple):
+    """How a file says a field, where it does so otherwise than Python.
+
+    Attributes:
+        name: there; the field's own if empty.
+        form: type there; the field's own if None.
+        default: there; the field's own if omitted, and the key is needed if ``...``.
+    """
+
+    name: str = ""
+    form: Any = None
+    default: Any = MISSING
+
+
+#: Marks a field that no key of a file stands for alone.
+NO_KEY = Key("-")
+
+Tasks = Annotated[tuple[Task, ...], Field(min_length=1)]
+"""What a file has in it where it has tasks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A part of a scenario in which the same arms hold the object and the same tasks count.
+
+    Between two phases arms let go of the object or take hold of it
+    (:meth:`ClosedChain.handed_over`). Time, and with it every reference, begins anew in each phase.
+    """
+
+    name: Annotated[str, Key(form=Name, default=...)] = ""
+    """Yours."""
+    duration: Positive
+    """Length [s]; time begins anew in each phase."""
+    released: tuple[str, ...] = ()
+    """Arms that do not hold the object; all others do."""
+    tasks: Annotated[Sequence[Task], Key(form=Tasks)]
+    """What shall happen."""
+
+    def ticks(self, dt: float) -> int:
+        """Number of control periods of dt [s]."""
+        return max(1, round(self.duration / dt))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """One motion to be controlled, and with what.
 
+    The fields with a docstring are the keys of a scenario file, with those that only files have
+    (:class:`coopqp.scenario.form.FileKeys`).
+
     Attributes:
         name: of its file.
-        robot, held, grasps, start: who holds what, how, and where it begins (start by arm, joint
-            or passive joint [rad, m]).
-        weights: of the arms in the object's pose, by arm; all the same when None.
-        grasp_of: grasps of controllers that hold the object otherwise, by controller.
-        tasks, secondary, limits: what shall happen and what must not.
-        phases: instead of tasks and duration, when arms let go or take hold on the way.
-        controllers: by name; what is compared.
-        inputs: values that arrive from outside, by name: how they are followed.
-        plant, disturbance: what is controlled, and what the controllers are not told of it.
-        solver, solver_name, budget: how QPs are solved.
-        dt, duration: [s]; the latter is 0 where there are phases. kappa: drift correction [1/s],
-            1/dt when omitted.
-        seed: of everything random.
-        on_infeasible: see :class:`coopqp.controller.ControlProblem`.
+        start: where it begins, by arm, joint or passive joint [rad, m].
+        grasps: how the arms hold the object; one for all, or by arm.
+        solver_name: of the solver.
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.
@@ -72,37 +111,70 @@ class Scenario:
         InvalidValueError: dt or a duration is no time; a field is of another type.
     """
 
-    name: str
-    robot: Robot
-    start: Start
-    tasks: tuple[Task, ...] = ()
-    duration: float = 0.0
-    phases: tuple[Phase, ...] = ()
+    name: Annotated[str, NO_KEY]
     description: str = ""
-    grasps: Grasp | Mapping[str, Grasp] = field(default_factory=Rigid)
+    """One sentence for the report."""
+    robot: Robot
+    """Which robot."""
+    start: Annotated[Start, NO_KEY]
+    grasps: Annotated[Grasp | Mapping[str, Grasp], NO_KEY] = field(default_factory=Rigid)
     grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
-    held: HeldObject = field(default_factory=HeldObject)
-    weights: Mapping[str, float] | None = None
+    """Grasp of controllers that hold it otherwise, by name."""
+    held: Annotated[HeldObject, Key("object")] = field(default_factory=HeldObject)
+    """What is held."""
+    weights: Mapping[str, NonNegative] | None = None
+    """Weight of each arm in the object's pose, sum 1; the same if omitted."""
+    tasks: Annotated[tuple[Task, ...], Key(form=Tasks | None, default=None)] = ()
+    """What the object shall do."""
+    phases: Annotated[
+        tuple[Phase, ...],
+        Key(form=Annotated[list[Phase], Field(min_length=1)] | None, default=None),
+    ] = ()
+    """One after the other, instead of tasks and duration, when arms let go of the object or take
+    hold of it."""
     secondary: tuple[Task, ...] = ()
+    """Objectives for what the tasks leave free."""
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
-    controllers: Mapping[str, Controller] = field(default_factory=dict)
+    """Hard bounds; joint position and velocity if omitted."""
+    controllers: Annotated[
+        Mapping[str, Controller],
+        Key(
+            form=Annotated[list[Controller], Field(min_length=1)],
+            default=["qp", "pseudoinverse", "pseudoinverse_null_space"],
+        ),
+    ] = field(default_factory=dict)
+    """What is compared."""
     plant: Plant = field(default_factory=Kinematic)
+    """What is controlled."""
     inputs: Mapping[str, InputSettings] = field(default_factory=dict)
+    """Values that arrive from outside while it runs, by name; tasks follow them by input: NAME."""
     disturbance: Disturbance = field(default_factory=Disturbance)
+    """What the controllers are not told."""
     solver: Solver = field(default_factory=Daqp)
-    solver_name: str = "daqp"
+    """For the QP controllers."""
+    solver_name: Annotated[str, NO_KEY] = "daqp"
     budget: Budget = field(default_factory=Budget)
-    dt: float = 0.01
-    kappa: float = math.inf
-    seed: int = 0
+    """What a solution may be off by."""
+    dt: Positive = 0.01
+    """Control period [s]."""
+    duration: Annotated[float, Key(form=Positive | None, default=None)] = 0.0
+    """Length of the run [s]."""
+    kappa: Annotated[float, Key(form=NonNegative | None, default=None)] = math.inf
+    """Drift gain in J_c v = -kappa e [1/s]; at most 1/dt, which it is if omitted; 0 is the paper's
+    law."""
     on_infeasible: OnInfeasible = "scale"
-    source: str = ""
-    folder: Path | None = None
-    catalog: Catalog = field(default_factory=Catalog, repr=False, compare=False)
+    """scale, hold or stop when not all can hold."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of everything random."""
+    source: Annotated[str, NO_KEY] = ""
+    folder: Annotated[Path | None, NO_KEY] = None
+    catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        strange = list(_strangers(self))
-        if strange:
+        looked_at = (
+            (name, _stranger(getattr(self, name), hint)) for name, hint in _types().items()
+        )
+        if strange := [f"{name}: {words}" for name, words in looked_at if words]:
             raise InvalidValueError("\n".join(strange))
         wrong = period_fault(self.dt)
         found = [f"dt: {wrong}"] if wrong else []
@@ -245,37 +317,34 @@ class Scenario:
         return found
 
 
-#: What the fields of a scenario are, and what is in those that hold several.
-KINDS: dict[str, tuple[Any, Any]] = {
-    "name": (str, None), "description": (str, None), "source": (str, None),
-    "solver_name": (str, None), "robot": (Robot, None), "start": (Mapping, None),
-    "tasks": (Sequence, Task), "secondary": (Sequence, Task), "limits": (Sequence, Limit),
-    "phases": (Sequence, Phase), "controllers": (Mapping, Controller), "grasp_of": (Mapping, Grasp),
-    "grasps": (Grasp | Mapping, Grasp), "weights": (Mapping | None, Real), "plant": (Plant, None),
-    "held": (HeldObject, None), "disturbance": (Disturbance, None), "solver": (Solver, None),
-    "budget": (Budget, None), "seed": (Integral, None), "dt": (Real, None),
-    "duration": (Real, None), "kappa": (Real, None), "on_infeasible": (str, None),
-    "inputs": (Mapping, InputSettings), "catalog": (Catalog, None), "folder": (Path | None, None),
+#: What Python may give where a field says so, and what it is called in messages.
+WIDER: dict[Any, tuple[Any, str]] = {
+    float: (Real, "a number"), int: (Integral, "a whole number"), str: (str, "a text"),
+    Literal: (str, "a text"), tuple: (Sequence, "a Sequence"), Mapping: (Mapping, "a mapping"),
 }  # fmt: skip
 
 
-def _strangers(scenario: Scenario) -> Iterator[str]:
-    """Fields that are of another type than they must be."""
-    for name, (kind, part) in KINDS.items():
-        value = getattr(scenario, name)
-        text = isinstance(value, str) and kind is Sequence
-        if text or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            yield f"{name}: found {value!r:.60}, needs {_called(kind)}"
-        elif part is not None and isinstance(value, Mapping | Sequence):
+@functools.cache
+def _types() -> dict[str, Any]:
+    """Types of a scenario's fields."""
+    return typing.get_type_hints(Scenario)
+
+
+def _stranger(value: Any, hint: Any) -> str:
+    """What is wrong with a value that is of another type than it must be; empty where it is not."""
+    options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
+    needed = []
+    for option in options:
+        origin = typing.get_origin(option) or option
+        kind, called = WIDER.get(origin, (origin, f"a {origin.__name__}"))
+        truth = isinstance(value, bool) or (isinstance(value, str) and kind is Sequence)
+        if isinstance(value, kind) and not truth:
+            part = [p for p in typing.get_args(option) if isinstance(p, type) and p is not str]
             inside = value.values() if isinstance(value, Mapping) else value
-            for found in inside:
-                if not isinstance(found, part):
-                    yield f"{name}: found {found!r:.60} in it, needs {_called(part)}"
-
-
-def _called(kind: Any) -> str:
-    words = {Real: "a number", Integral: "a whole number", str: "a text", Mapping: "a mapping"}
-    return words.get(kind) or f"a {getattr(kind, '__name__', str(kind))}"
+            words = [words for x in inside if (words := _stranger(x, part[0]))] if part else []
+            return words[0].replace(", needs", " in it, needs") if words else ""
+        needed += [called] if option is not type(None) else []
+    return f"found {value!r:.60}, needs {' or '.join(needed)}"
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:

@@ -11,10 +11,10 @@ import json
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -69,6 +69,28 @@ class _Node:
     inside: dict[str | int, tuple[int, _Node]] = field(default_factory=dict)
 
 
+class Wrong(NamedTuple):
+    """Something that is wrong with a file.
+
+    Attributes:
+        place: keys and indices to the value that is named.
+        message: what is wrong with it, and what to do about it.
+        inside: from it to the value whose line counts.
+    """
+
+    place: Location
+    message: str
+    inside: Location = ()
+
+
+class MisplacedError(Exception):
+    """All that a check has found wrong, for who knows the file (:meth:`YamlFile.lines`)."""
+
+    def __init__(self, found: Sequence[Wrong]) -> None:
+        super().__init__(found)
+        self.found = found
+
+
 @dataclass(frozen=True)
 class YamlFile:
     """A mapping read from a file.
@@ -99,6 +121,15 @@ class YamlFile:
         where = f"{self.path}:{line}"
         return f"{where}: {dotted(location)}" if location else where
 
+    def refused(self, found: Iterable[Wrong]) -> ScenarioError:
+        """All that checks have found, each of it once and with its line."""
+        faults = (Fault(self.place(one.place, one.inside), one.message) for one in found)
+        return ScenarioError(list(dict.fromkeys(faults)))
+
+    def lines(self) -> FaultLines:
+        """With it, all that checks find has its line in the file."""
+        return FaultLines(self)
+
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file.
 
@@ -106,6 +137,24 @@ class YamlFile:
             data: plain, such as JSON can hold.
         """
         return replace(self, data=data, text=json.dumps(data) + "\n")
+
+
+@dataclass(frozen=True)
+class FaultLines:
+    """Where places become lines: checks below it do not know the file.
+
+    Raises:
+        ScenarioError: with all that checks found, each of it once.
+    """
+
+    file: YamlFile
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if isinstance(error, MisplacedError):
+            raise self.file.refused(error.found) from None
 
 
 def read_yaml(path: Path) -> YamlFile:

@@ -18,7 +18,7 @@ from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.robot import Robot, RobotModel
 from coopqp.robots import NaoT14
 from coopqp.scenario.loader import load
-from coopqp.scenario.phase import Phase
+from coopqp.scenario.scenario import Phase
 
 PAGE = 600_000  # most that a robot may add to a page, for each controller [characters]
 

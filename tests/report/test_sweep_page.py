@@ -12,7 +12,7 @@ import pytest
 from coopqp.report.sweep import table
 from coopqp.report.sweep.bins import BINS, Binned, bins_for
 from coopqp.report.sweep.page import write
-from coopqp.report.sweep.pairs import pairs, worst_error, worst_rows
+from coopqp.report.sweep.worst import worst_error, worst_rows
 from coopqp.study.sweep import Study, read_study
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import summarize
@@ -107,41 +107,26 @@ def test_ribbons_have_all_rows_that_are_done(study: Study, columns: Columns) -> 
         assert sum(count for _, _, _, count in flow) == good
 
 
-def test_controllers_are_compared_on_the_same_variants(study: Study, columns: Columns) -> None:
-    binned, error = Binned.of(study, columns), worst_error(columns)
-    (pair,) = pairs(binned, error, columns)
+def test_controllers_are_compared_on_the_same_variants(columns: Columns, study: Study) -> None:
+    summary = summarize(columns)
+    (pair,) = summary.pairs
     gain, mass = (columns.numbers(name)[::2] for name in study.columns[:2])
     mass = mass[gain >= 2.0]
-    assert (pair.one, pair.other) == ("qp", "pseudoinverse")
-    assert (pair.both, pair.only_other) == ((mass < 1.0).sum(), 0)
-    assert pair.only_one == ((mass >= 1.0) & (mass < 5.0)).sum()
-    assert pair.neither == (mass >= 5.0).sum()
-    assert pair.nearer == 0.0  # the second ends at half the distance
-
-
-def test_noise_and_broken_limits_make_nobody_nearer(study: Study, columns: Columns) -> None:
-    """The second ends at half the distance: nearer where it broke nothing and not both arrive."""
-
-    class Made:
-        def __init__(self, broken: int) -> None:
-            self.broken = broken
-
-        def numbers(self, name: str) -> np.ndarray:
-            return columns.numbers(name)
-
-        def codes(self, name: str) -> tuple[np.ndarray, list[str]]:
-            return np.full(len(columns), self.broken), ["", "left_1"]
-
-    binned, error = Binned.of(study, columns), worst_error(columns)
-    turned = error.reshape(-1, 2)[:, ::-1].ravel()
-    (pair,) = pairs(binned, turned, Made(0))  # type: ignore[arg-type]
-    gain, mass = (columns.numbers(name)[::2] for name in study.columns[:2])
-    assert pair.nearer == pytest.approx((mass[gain >= 2.0] >= 1.0).mean())
-    (pair,) = pairs(binned, turned, Made(1))  # type: ignore[arg-type]
-    assert pair.nearer == 0.0
-    close = np.where(np.arange(len(error)) % 2, 1.04, 1.0)
-    (pair,) = pairs(binned, close, Made(0))  # type: ignore[arg-type]
-    assert pair.nearer == 0.0
+    assert (pair.controller, pair.reference) == ("pseudoinverse", "qp")
+    found, only_qp = pair.success, int(((mass >= 1.0) & (mass < 5.0)).sum())
+    assert (found.both, found.only_one) == ((mass < 1.0).sum(), 0)
+    assert (found.only_reference, found.neither) == (only_qp, (mass >= 5.0).sum())
+    assert found.difference.value == pytest.approx(-only_qp / len(mass))
+    assert found.difference.high < 0.0
+    error = pair.numbers["task_error.slide"]  # the second ends at half the distance
+    assert error.value == pytest.approx(np.median(-0.5 * mass))
+    assert error.low < error.value < error.high < 0.0
+    assert error.p < 1e-9
+    same = pair.numbers["limit_margin_min"]
+    assert (same.value, same.low, same.high, same.p) == (0.0, 0.0, 0.0, 1.0)
+    shown = table.paired(summary)
+    assert shown is not None
+    assert "p < 1e-4" in table.points(found.difference)
 
 
 def test_the_worst_rows_end_farthest(study: Study, columns: Columns) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from coopqp.study.statistics import (
     one_goal,
     summarize,
     tables,
+    trial,
     wilson,
 )
 from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
@@ -66,6 +69,44 @@ def test_the_command_draws_the_same_from_the_same_seed(
     printed = json.loads(result.stdout)
     assert printed["goals"] == json.loads(strict_json.text([asdict(small[3])]))
     assert {x["robot"] for x in printed["lines"]} == {"all", "planar_pair"}
+
+
+def test_the_command_goes_on_from_what_it_has_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planar = {"planar_pair": OWN["planar_pair"]}
+    monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
+    monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
+    out = tmp_path / "goals.jsonl"
+
+    def printed(goals: int) -> Any:
+        words = ("statistics", "--goals", str(goals), "--jobs", "1", "--json", "--out", str(out))
+        result = typed(*words)
+        assert result.exit_code == 0, result.output
+        return json.loads(result.stdout)
+
+    first = printed(1)
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 2  # a head and a goal
+    run = []
+    one = trial.one_goal
+    monkeypatch.setattr(trial, "one_goal", lambda *goal: [run.append(goal), one(*goal)][1])
+    both = printed(2)
+    assert run == [("planar_pair", 1)]
+    assert both["goals"][0] == first["goals"][0]
+    half = out.read_bytes()[:-9]
+    out.write_bytes(half)  # ended while it wrote
+    assert printed(2) == both
+    assert run == [("planar_pair", 1)] * 2
+    out.write_text("{}\n", encoding="utf-8")
+    assert typed("statistics", "--goals", "1", "--out", str(out)).exit_code == 2
+
+
+def test_laws_are_compared_on_the_same_goals() -> None:
+    goals = [made_up("inside", a=GOOD, b=OUTSIDE) for _ in range(8)]
+    found = line(goals, "b").against
+    assert (found.only_reference, found.difference.value) == (8, -1.0)
+    assert found.difference.p == pytest.approx(2.0 * 0.5**8)
+    assert line(goals, "a").against.difference.p == 1.0
 
 
 def test_what_is_counted_is_what_the_trace_says(small: list[GoalRun]) -> None:

@@ -26,12 +26,12 @@ from coopqp.report.style import (
     Style,
 )
 from coopqp.report.sweep.bins import Binned
-from coopqp.report.sweep.pairs import Pair, pairs, worst_error, worst_rows
-from coopqp.report.sweep.table import percent
-from coopqp.study.statistics.summary import AS_NEAR
+from coopqp.report.sweep.table import difference, percent, points
+from coopqp.report.sweep.worst import worst_error, worst_rows
+from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
-from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
 from coopqp.study.sweep.variant import DONE
 
 HERE = Path(__file__).parent
@@ -39,7 +39,6 @@ NAME = "report.html"
 ROWS = "rows"  # folder with the scenarios of the worst rows
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 MOST_LIMITS = 12  # that are shown for each controller
-MARGIN = "limit_margin_min"
 WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 
 
@@ -112,7 +111,7 @@ def render(
         facts=_facts(study, summary, missing),
         summary=_summary(summary),
         reasons=_reasons(summary),
-        paired=_paired(list(pairs(binned, worst_error(columns), columns))),
+        paired=_paired(summary.pairs),
         blocked="".join(_limits(line) for line in summary.lines),
         legend="".join(
             f"<span>{_style(k).swatch()} {breakable(name)}</span>"
@@ -213,21 +212,34 @@ def _reasons(summary: Summary) -> str:
 def _paired(found: Sequence[Pair]) -> str:
     if not found:
         return ""
-    heads = ["On the same variants", "both succeed", "only the first", "only the second",
-             "neither", "first ends nearer<small>% of variants</small>"]  # fmt: skip
+    heads = [
+        f"Less {breakable(found[0].reference)}, on the same variants", "both succeed", "only this",
+        "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
+        *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in found[0].numbers),
+    ]  # fmt: skip
     rows = [
         [
-            f"{breakable(p.one)}<br>against {breakable(p.other)}",
-            *(f"{n:,}" for n in (p.both, p.only_one, p.only_other, p.neither)),
-            f"{100.0 * p.nearer:.1f}" if p.nearer == p.nearer else "-",
+            breakable(p.controller),
+            *(f"{n:,}" for n in _counts(p.success)),
+            _unbroken(points(p.success.difference)),
+            *(_unbroken(difference(x)) for x in p.numbers.values()),
         ]
         for p in found
     ]
     hint = (
-        '<p class="hint">The first ends nearer where it broke no limit, one of the two misses a '
-        f"goal, and the other's error is more than {100.0 * (AS_NEAR - 1.0):.0f} % larger.</p>"
+        '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
+        "median of the differences, with order statistics as its interval, and the sign test.</p>"
     )
     return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
+
+
+def _unbroken(lines: str) -> str:
+    """Lines that are not broken where the page is narrow."""
+    return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
+
+
+def _counts(found: Success) -> tuple[int, ...]:
+    return found.both, found.only_one, found.only_reference, found.neither
 
 
 def _limits(line: Line) -> str:

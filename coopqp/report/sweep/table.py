@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp.errors import one_line
+from coopqp.study.statistics.paired import Difference
 from coopqp.study.statistics.summary import Share
 from coopqp.study.sweep.summary import Line, Summary
 
@@ -37,6 +38,51 @@ def table(name: str, summary: Summary) -> Table:
     for line in summary.lines:
         found.add_row(*_cells(line))
     return found
+
+
+def paired(summary: Summary) -> Table | None:
+    """What differs from the reference on the same variants, one row a controller; None if alone."""
+    if not summary.pairs:
+        return None
+    title = f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval"
+    found = Table(
+        title=Text(one_line(title), style="bold"),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+        show_edge=False,
+    )
+    names = [len(one_line(pair.controller)) for pair in summary.pairs]
+    found.add_column("controller", overflow="fold", min_width=min(24, max(names)))
+    for heading in ("success, points", "error, median (m, rad)", "margin, median (m, rad)"):
+        found.add_column(heading, justify="right", no_wrap=True)
+    for pair in summary.pairs:
+        *errors, margin = pair.numbers.values()
+        cells = (points(pair.success.difference), "\n".join(map(difference, errors)))
+        found.add_row(Text(one_line(pair.controller), style="bold"), *cells, difference(margin))
+    return found
+
+
+def points(found: Difference) -> str:
+    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants."""
+    return _two_lines(found, lambda x: f"{100.0 * x:+.1f}")
+
+
+def difference(found: Difference) -> str:
+    """The same of a number."""
+    return _two_lines(found, lambda x: f"{x:+.2g}")
+
+
+def _two_lines(found: Difference, said: Callable[[float], str]) -> str:
+    """A dash where there is none."""
+    if not found.of:
+        return "-"
+    return f"{said(found.value)}, {chance(found.p)}\n{said(found.low)} to {said(found.high)}"
+
+
+def chance(p: float) -> str:
+    """Such as "p 0.03"."""
+    return f"p {p:.1g}" if p >= 1e-4 else "p < 1e-4"
 
 
 def _cells(line: Line) -> Iterator[Text]:

@@ -17,8 +17,7 @@ from coopqp.disturbance import Disturbance
 from coopqp.hold import Hold
 from coopqp.limit import Limit
 from coopqp.row import Row
-from coopqp.scenario.phase import Phase
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg, legs, recording_of
 from coopqp.study.explanation.room import PLACE_UNITS

@@ -4,6 +4,7 @@ laws     what is compared
 draw     a start and a goal from one seed
 reach    whether bounded inverse kinematics finds a way to hold the goal inside the limits
 trial    the runs, on all cores
+paired   one law against another on the same goals
 summary  counts with intervals, by class of goal
 table    what the command prints
 """
@@ -11,13 +12,14 @@ table    what the command prints
 from coopqp.study.statistics.draw import arenas
 from coopqp.study.statistics.summary import Line, summarize, wilson
 from coopqp.study.statistics.table import tables
-from coopqp.study.statistics.trial import GoalRun, LawRun, one_goal, statistics
+from coopqp.study.statistics.trial import GoalRun, LawRun, kept, one_goal, statistics
 
 __all__ = [
     "GoalRun",
     "LawRun",
     "Line",
     "arenas",
+    "kept",
     "one_goal",
     "statistics",
     "summarize",

@@ -6,9 +6,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from coopqp.study.statistics.paired import Success, Z, success
 from coopqp.study.statistics.trial import GoalRun, LawRun
 
-Z = 1.959963984540054  # of a two-sided 95 % interval
 AS_NEAR = 1.05  # an error up to so many times the best, plus the tolerance, counts as nearest
 
 
@@ -55,6 +57,8 @@ class Line:
         reached, inside, loop: as in :class:`LawRun`.
         whole: all three.
         nearest: inside with the loops closed, and no law that was so ended nearer.
+        against: all three, or nearest for goals beyond, less that of the first law on the same
+            goals.
     """
 
     robot: str
@@ -66,6 +70,7 @@ class Line:
     loop: Share
     whole: Share
     nearest: Share
+    against: Success
 
 
 def summarize(goals: Sequence[GoalRun]) -> list[Line]:
@@ -86,6 +91,9 @@ def _lines(robot: str, start: str, kind: str, goals: Sequence[GoalRun]) -> Itera
         for g in goals
         if g.goal == kind and robot in ("all", g.robot) and start in ("all", g.start)
     ]
+    succeeds = (lambda run, g: run.reached and run.safe) if kind == "inside" else _nearest
+    good = np.array([[succeeds(run, g) for run in g.runs] for g in chosen], bool)
+    good = good.reshape(len(chosen), len(goals[0].runs))
     for i, law in enumerate(run.law for run in goals[0].runs):
         runs = [(g.runs[i], g) for g in chosen]
         yield Line(
@@ -98,6 +106,7 @@ def _lines(robot: str, start: str, kind: str, goals: Sequence[GoalRun]) -> Itera
             _share(run.loop for run, _ in runs),
             _share(run.reached and run.safe for run, _ in runs),
             _share(_nearest(run, g) for run, g in runs),
+            success(good[:, i], good[:, 0]),
         )
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from coopqp.errors import CoopqpError
 from coopqp.metrics.reached import Reached
 from coopqp.plants import Kinematic
 from coopqp.rollout import rollout
-from coopqp.study.engine import Engine, Lost
+from coopqp.study.engine import Engine, Lost, Share
 from coopqp.study.statistics.draw import arenas, draw
 from coopqp.study.statistics.laws import LAWS, Compared
 from coopqp.study.statistics.reach import holds_inside
@@ -85,6 +86,8 @@ def statistics(
     seed: int = 0,
     engine: Engine = HERE,
     progress: Callable[[int], None] | None = None,
+    known: Sequence[GoalRun] = (),
+    keep: Callable[[GoalRun], None] | None = None,
 ) -> list[GoalRun]:
     """Run every law on many goals of every arena.
 
@@ -93,19 +96,31 @@ def statistics(
         seed: of the first; the others count up.
         engine: where; on all cores when omitted.
         progress: called with the number of goals done.
+        known: goals that have been run before; those of other seeds do not count.
+        keep: called with each other goal when it is done.
 
     Raises:
         CoopqpError: a goal ends the process that runs it.
     """
     asked = [(robot, s) for robot in arenas() for s in range(seed, seed + goals)]
-    done: list[GoalRun] = []
-    for (robot, own), goal in engine.results(_goals, asked):
+    before = {(goal.robot, goal.seed): goal for goal in known}
+    mine = engine.share.taken(asked)
+    done = [before[one] for one in mine if one in before]
+    alone = replace(engine, share=Share())
+    for (robot, own), goal in alone.results(_goals, [x for x in mine if x not in before]):
         if isinstance(goal, Lost):
             raise CoopqpError(f"{robot}, seed {own}: {goal.reason}")
         done.append(goal)
+        if keep:
+            keep(goal)
         if progress:
             progress(len(done))
     return sorted(done, key=lambda goal: asked.index((goal.robot, goal.seed)))
+
+
+def kept(line: Mapping[str, Any]) -> GoalRun:
+    """A goal from what :func:`dataclasses.asdict` made of it."""
+    return GoalRun(**{**line, "runs": tuple(LawRun(**run) for run in line["runs"])})
 
 
 def _goals(asked: Sequence[tuple[str, int]]) -> list[GoalRun]:

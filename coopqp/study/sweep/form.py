@@ -1,59 +1,173 @@
-"""The form of a study file as a JSON Schema, for editors.
-
-Reading (:mod:`coopqp.study.sweep.reader`) does not use it: that answers with lines and likely
-fixes, and looks into the scenario besides.
-"""
+"""The form of a study file: it is read by this model, which gives its JSON Schema too."""
 
 from __future__ import annotations
 
-import types
-from functools import reduce
-from operator import or_
-from typing import Annotated, Any, Literal
+import json
+from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+)
 
+from coopqp import wording
+from coopqp.errors import unknown_name
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.form import STRICT, file_model
+from coopqp.scenario.form import STRICT, Words, file_model
+from coopqp.scenario.yaml import Wrong, YamlFile
+from coopqp.study.sweep import space
 from coopqp.study.sweep.points import METHODS, MOST
 from coopqp.study.sweep.study import CONTROLLERS, SEED
 
-Numbers = Annotated[list[float], Field(min_length=1)]
-Level = Annotated[int, Field(ge=1)]
-Ends = Annotated[list[float], Field(min_length=2, max_length=3)]
-
-#: What stands behind each variation, and what it means.
-VARIATIONS: dict[str, tuple[Any, str]] = {
-    "range": (Ends, "Even between two numbers; a third is the number of levels."),
-    "log": (Ends, "Even in the logarithm between two numbers above 0; a third: levels."),
-    "box": (
-        Annotated[list[Numbers | list[Level] | Level], Field(min_length=2, max_length=3)],
-        "Lists of numbers between two corners; a third list, or one number: levels.",
-    ),
-    "normal": (
-        Annotated[list[float], Field(min_length=2, max_length=2)],
-        "Mean and standard deviation.",
-    ),
-    "values": (
-        Annotated[list[float | Numbers], Field(min_length=1)],
-        "These numbers, or these lists of numbers.",
-    ),
-    "choice": (Annotated[list[Any], Field(min_length=1)], "These, whatever they are."),
-}
+GRID = "grid"
 SAMPLES = {
     "sobol": "Points of Sobol's sequence, even from the first on; best a power of two.",
     "random": "Points, each by itself.",
     "latin_hypercube": "Points, in each dimension in as many even parts.",
+    GRID: "Every level with every other; this many levels where none are said.",
 }
+assert set(SAMPLES) == {*METHODS, GRID}
+
+
+def _variation(value: Any) -> Any:
+    """One variation by name."""
+    if not isinstance(value, dict) or len(value) != 1:
+        found = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
+        raise ValueError(f"{found}; needs one of {', '.join(space.KINDS)}, such as range: [0, 1]")
+    (kind,) = value
+    if kind not in space.KINDS:
+        raise ValueError(unknown_name("variation", kind, space.KINDS))
+    return value
+
+
+def _scenario(value: Any) -> Any:
+    if not isinstance(value, str) or not value:
+        raise ValueError("needs the path of a scenario, or the name of a shipped one")
+    return value
+
+
+def _paths(value: Any) -> Any:
+    """What is varied, by its path."""
+    if not isinstance(value, dict) or not value:
+        raise ValueError("is empty; needs a path of the scenario: what to vary it over")
+    return value
+
+
+def _samples(value: Any) -> Any:
+    """One way to sample with its count, and a seed."""
+    if not isinstance(value, str | dict):
+        raise ValueError("needs a way to sample, such as sobol: 1024, or grid")
+    named = value if isinstance(value, dict) else {value: None}
+    asked = [key for key in named if key != SEED]
+    for key in asked:
+        if key not in SAMPLES:
+            raise ValueError(unknown_name("way to sample", key, SAMPLES))
+    if len(asked) != 1:
+        ways = ", ".join((GRID, *METHODS))
+        raise ValueError(f"found {len(asked)}; needs one of {ways}, such as sobol: 1024")
+    return named
+
+
+def _count(value: Any) -> Any:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST:
+        raise ValueError(f"needs a whole number of 1 to {MOST:,}")
+    return value
+
+
+def _metric(name: str, info: ValidationInfo) -> str:
+    """A metric of the catalogue, where one is given."""
+    known = (info.context or {}).get("metrics")
+    if known is not None and name not in known:
+        raise ValueError(unknown_name("metric", name, known))
+    return name
+
+
+Count = Annotated[int, Field(ge=1, le=MOST), BeforeValidator(_count)]
+_KINDS: dict[str, Any] = {
+    kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
+    for kind, (form, build, about) in space.KINDS.items()
+}
+Over: Any = create_model(
+    "Over",
+    __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 1}),
+    __doc__="What a key is varied over.",
+    **_KINDS,
+)
+_WAYS: dict[str, Any] = {
+    way: (Count | None if way == GRID else Count, Field(default=None, description=about))
+    for way, about in SAMPLES.items()
+}
+_SEED: Any = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
+Samples: Any = create_model(
+    "Samples",
+    __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 2}),
+    __doc__="How many variants, and how they are chosen.",
+    **_WAYS,
+    **{SEED: _SEED},
+)
+
+
+class StudyFile(BaseModel):
+    """What a study file says."""
+
+    model_config = STRICT
+
+    scenario: Annotated[str, Field(min_length=1), BeforeValidator(_scenario)] = Field(
+        description="A file beside the study, or the name of a shipped scenario."
+    )
+    vary: Annotated[
+        dict[str, Annotated[Over, BeforeValidator(_variation)]],
+        Field(min_length=1),
+        BeforeValidator(_paths),
+    ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
+    samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
+        description="A way to sample and how many variants, and a seed (0)."
+    )
+    metrics: list[Annotated[str, AfterValidator(_metric)]] = Field(
+        default=[], description="Columns beside those that every study has."
+    )
+
+    @property
+    def variations(self) -> dict[str, space.Variation]:
+        """What each path is varied over."""
+        given = ((path, dict(over), over.model_fields_set) for path, over in self.vary.items())
+        return {path: over[kind] for path, over, (kind,) in given}
+
+    @property
+    def sampled(self) -> tuple[str, int]:
+        """The way to sample, and how many; 0 where levels say it."""
+        (way,) = self.samples.model_fields_set - {SEED}
+        return way, getattr(self.samples, way) or 0
+
+
+def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None, list[Wrong]]:
+    """What a file says, and what is wrong with that.
+
+    Args:
+        file: of the study.
+        catalog: what its metrics must be in; None if they need not.
+    """
+    context = {"metrics": catalog.entries("metrics")} if catalog else None
+    try:
+        return StudyFile.model_validate_json(json.dumps(file.data), context=context), []
+    except ValidationError as error:
+        return None, [Wrong(*wrong) for wrong in wording.faults(error, file.data, StudyFile)]
 
 
 def schema(catalog: Catalog) -> dict[str, Any]:
-    """The JSON Schema.
+    """The JSON Schema, for editors.
 
     Args:
         catalog: what the study's scenario can name.
     """
-    found: dict[str, Any] = study_model(catalog).model_json_schema()
+    found = StudyFile.model_json_schema()
+    found["properties"]["metrics"]["items"] = {"enum": list(catalog.entries("metrics"))}
     vary = found["properties"]["vary"]
     fields = file_model(catalog).model_fields
     # Any path is a key; editors propose those that lead to a key of the scenario itself.
@@ -72,43 +186,3 @@ def schema(catalog: Catalog) -> dict[str, Any]:
         "additionalProperties": False,
     }
     return found
-
-
-def study_model(catalog: Catalog) -> Any:
-    """The pydantic model that the schema is made from.
-
-    Args:
-        catalog: what the study's scenario can name.
-    """
-    metric: Any = Literal[tuple(catalog.entries("metrics"))]
-    over = [_one("Over", {kind: (form, ...)}, about) for kind, (form, about) in VARIATIONS.items()]
-    count = Annotated[int, Field(ge=1, le=MOST)]
-    seed = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
-    drawn = [_one("By", {k: (count, ...), SEED: seed}, SAMPLES[k]) for k in METHODS]
-    about = "Every level with every other; N levels where none are said."
-    grid = _one("By", {"grid": (count | None, ...), SEED: seed}, about)
-    keys: dict[str, Any] = {
-        "scenario": (
-            Annotated[str, Field(min_length=1)],
-            Field(description="A file beside the study, or the name of a shipped scenario."),
-        ),
-        "vary": (
-            Annotated[dict[str, reduce(or_, over)], Field(min_length=1)],  # type: ignore[misc]
-            Field(description="Paths of the scenario, such as tasks.reach.goal, and over what."),
-        ),
-        "samples": (
-            reduce(or_, [*drawn, grid]) | Literal["grid"],
-            Field(description="How many variants, and how they are chosen."),
-        ),
-        "metrics": (
-            types.GenericAlias(list, (metric,)),
-            Field(default=[], description="Columns beside those that every study has."),
-        ),
-    }
-    return create_model("Study", __config__=STRICT, **keys)
-
-
-def _one(word: str, keys: dict[str, Any], about: str) -> Any:
-    """A mapping with these keys, the first of which names it."""
-    name = word + next(iter(keys)).title().replace("_", "")
-    return create_model(name, __config__=ConfigDict(**STRICT), __doc__=about, **keys)

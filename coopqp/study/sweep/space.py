@@ -13,20 +13,22 @@ A variation maps numbers u of the unit interval, one a dimension, to a value.
 from __future__ import annotations
 
 import math
+import types
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator, Field, WrapValidator
 from scipy.special import ndtri
 
 from coopqp.checked import Array
-from coopqp.errors import InvalidValueError, unknown_name
 from coopqp.wording import shown
 
 LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
 MOST_LEVELS = 1_000_000
+CORNERS = "needs two corners, [[lows], [highs]], and levels if you like"
 
 
 class Variation(ABC):
@@ -162,129 +164,115 @@ class Listed(Variation):
         return list(self.values)
 
 
-def read(given: Any) -> Variation:
-    """A variation from what a file says.
-
-    Raises:
-        InvalidValueError: it is none, empty or contradicts itself; its keys say where.
-    """
-    if not isinstance(given, dict) or len(given) != 1:
-        found = f"found {len(given)} keys" if isinstance(given, dict) else "found no mapping"
-        raise InvalidValueError(f"{found}; needs one of {', '.join(KINDS)}, such as range: [0, 1]")
-    ((kind, value),) = given.items()
-    if kind not in KINDS:
-        raise InvalidValueError(unknown_name("variation", str(kind), KINDS)).at(str(kind))
-    try:
-        return KINDS[kind](value)
-    except InvalidValueError as error:
-        raise error.at(kind) from None
+def _as_given(value: Any, check: Callable[[Any], float]) -> Any:
+    """A number as it is, so that levels between whole numbers are whole."""
+    check(value)
+    return value
 
 
-def _box(value: Any) -> Variation:
-    if not isinstance(value, list) or not 2 <= len(value) <= 3:
-        raise InvalidValueError("needs two corners, [[lows], [highs]], and levels if you like")
-    low, high = (_numbers(corner) for corner in value[:2])
-    counts = value[2] if len(value) == 3 else 0
+Number = Annotated[float, WrapValidator(_as_given)]
+Numbers = Annotated[list[Number], Field(min_length=1)]
+
+
+def _list(item: Any, least: int, most: int | None, needs: str) -> Any:
+    """A list of so many."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, list) or not least <= len(value) <= (most or len(value)):
+            raise ValueError(needs)
+        return value
+
+    of_item = types.GenericAlias(list, (item,))
+    return Annotated[of_item, Field(min_length=least, max_length=most), BeforeValidator(check)]
+
+
+def _box(given: list[Any]) -> Variation:
+    low, high, *rest = given
+    if not isinstance(low, list) or not isinstance(high, list):
+        raise ValueError(CORNERS)
+    counts = rest[0] if rest else None
     listed = counts if isinstance(counts, list) else [counts] * len(low)
-    if not low or len(low) != len(high):
-        raise InvalidValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
+    if len(low) != len(high):
+        raise ValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
     if len(listed) != len(low):
-        raise InvalidValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
-    sides = [
-        _interval([a, b], n) if n else _interval([a, b])
-        for a, b, n in zip(value[0], value[1], listed, strict=True)
-    ]
-    return Box(tuple(sides), listed=True)
+        raise ValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
+    return Box(tuple(map(_interval, low, high, listed)), listed=True)
 
 
-def _range(value: Any) -> Variation:
-    return Box((_interval(_ends(value), *value[2:]),), listed=False)
+def _range(given: list[Any]) -> Variation:
+    return Box((_interval(*given),), listed=False)
 
 
-def _log(value: Any) -> Variation:
-    low, high = _ends(value)
-    if low <= 0.0:
-        raise InvalidValueError(f"found {low:g}; a logarithm needs numbers above 0")
-    found = _interval([low, high], *value[2:])
+def _log(given: list[Any]) -> Variation:
+    if given[0] <= 0.0:
+        raise ValueError(f"found {given[0]:g}; a logarithm needs numbers above 0")
+    found = _interval(*given)
     side = Interval(math.log10(found.low), math.log10(found.high), found.count)
     return Box((side,), listed=False, grows=True)
 
 
-def _ends(value: Any) -> list[float]:
-    if not isinstance(value, list) or not 2 <= len(value) <= 3:
-        raise InvalidValueError("needs [least, most], or [least, most, levels]")
-    return _numbers(value[:2])
-
-
-def _interval(ends: Sequence[Any], count: Any = None) -> Interval:
-    low, high = ends
+def _interval(low: Any, high: Any, count: Any = None) -> Interval:
     if low > high:
-        raise InvalidValueError(f"is empty: {low:g} to {high:g}; give the least first")
+        raise ValueError(f"is empty: {low:g} to {high:g}; give the least first")
     if count is None:
         return Interval(low, high)
-    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_LEVELS:
-        raise InvalidValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
+    if not isinstance(count, int) or not 1 <= count <= MOST_LEVELS:
+        raise ValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
     if count == 1 and low != high:
-        raise InvalidValueError("found 1 level between two numbers; needs at least 2")
+        raise ValueError("found 1 level between two numbers; needs at least 2")
     if low == high:
         count = 1
     even = count == 1 or (high - low) % (count - 1) == 0
-    return Interval(low, high, count, all(isinstance(end, int) for end in ends) and even)
+    return Interval(low, high, count, isinstance(low, int) and isinstance(high, int) and even)
 
 
-def _normal(value: Any) -> Variation:
-    if not isinstance(value, list) or len(value) != 2:
-        raise InvalidValueError("needs [mean, standard deviation]")
-    mean, deviation = _numbers(value)
+def _normal(given: list[Any]) -> Variation:
+    mean, deviation = given
     if deviation <= 0.0:
-        raise InvalidValueError(f"found a deviation of {deviation:g}; needs more than 0")
+        raise ValueError(f"found a deviation of {deviation:g}; needs more than 0")
     return Normal(mean, deviation)
 
 
-def _values(value: Any) -> Variation:
-    given = _several(value)
-    if all(isinstance(one, list) for one in given):
-        lengths = {len(_numbers(one)) for one in given}
-        if len(lengths) != 1 or 0 in lengths:
-            raise InvalidValueError("needs lists of one length")
-        return Listed(tuple(given), lengths.pop())
-    _numbers(given)
-    return Listed(tuple(given))
+def _values(given: list[Any]) -> Variation:
+    lengths = {len(one) if isinstance(one, list) else 0 for one in given}
+    if len(lengths) != 1:
+        raise ValueError("needs numbers, or lists of one length")
+    return Listed(tuple(_distinct(given)), lengths.pop())
 
 
-def _choice(value: Any) -> Variation:
-    return Listed(tuple(_several(value)))
+def _choice(given: list[Any]) -> Variation:
+    return Listed(tuple(_distinct(given)))
 
 
-def _several(value: Any) -> list[Any]:
-    if not isinstance(value, list) or not value:
-        raise InvalidValueError("is empty; needs a list of at least one value")
-    for i, one in enumerate(value):
-        if any(one == other and _is_truth(one) is _is_truth(other) for other in value[:i]):
-            raise InvalidValueError(f"has {shown(one)} twice; leave one out")
-    return value
+def _distinct(given: list[Any]) -> list[Any]:
+    for i, one in enumerate(given):
+        # Python has True equal to 1.
+        if any(one == x and isinstance(one, bool) is isinstance(x, bool) for x in given[:i]):
+            raise ValueError(f"has {shown(one)} twice; leave one out")
+    return given
 
 
-def _is_truth(value: Any) -> bool:
-    """Python has True equal to 1."""
-    return isinstance(value, bool)
-
-
-def _numbers(value: Any) -> list[float]:
-    """The list as it is.
-
-    Raises:
-        InvalidValueError: not all in it are finite numbers.
-    """
-    listed = value if isinstance(value, list) else [value]
-    for one in listed:
-        number = isinstance(one, int | float) and not _is_truth(one)
-        if not number or not math.isfinite(one):
-            raise InvalidValueError(f"found {shown(one)}; needs numbers")
-    return listed
-
-
-KINDS: dict[str, Callable[[Any], Variation]] = {
-    "box": _box, "values": _values, "range": _range, "log": _log, "choice": _choice,
-    "normal": _normal,
-}  # fmt: skip
+_ENDS = _list(Number, 2, 3, "needs [least, most], or [least, most, levels]")
+_SIDES = _list(Numbers | Number, 2, 3, CORNERS)
+_ONES = "is empty; needs a list of at least one value"
+#: What stands behind each variation, what makes it of that, and what it means.
+KINDS: dict[str, tuple[Any, Callable[[Any], Variation], str]] = {
+    "box": (
+        _SIDES,
+        _box,
+        "Lists of numbers between two corners; a third list, or one number: levels.",
+    ),
+    "values": (
+        _list(Number | Numbers, 1, None, _ONES),
+        _values,
+        "These numbers, or these lists of numbers.",
+    ),
+    "range": (_ENDS, _range, "Even between two numbers; a third is the number of levels."),
+    "log": (_ENDS, _log, "Even in the logarithm between two numbers above 0; a third: levels."),
+    "choice": (_list(Any, 1, None, _ONES), _choice, "These, whatever they are."),
+    "normal": (
+        _list(Number, 2, 2, "needs [mean, standard deviation]"),
+        _normal,
+        "Mean and standard deviation.",
+    ),
+}

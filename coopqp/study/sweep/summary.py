@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.study.statistics.paired import Difference, Success, median
+from coopqp.study.statistics.paired import success as paired
 from coopqp.study.statistics.summary import Share, wilson
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.variant import DONE
 
+MARGIN = "limit_margin_min"
 #: In a reason, but not in names and in places of files.
 _NUMBER = re.compile(r"(?<![\w.:])[-+]?\d+(\.\d+)?([eE][-+]?\d+)?\b")
 Rows = NDArray[np.bool_]
@@ -44,18 +48,37 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Pair:
+    """A controller against the reference, on the variants on which both are done.
+
+    Attributes:
+        controller, reference: their names; the reference is the first of the study.
+        success: how often they succeed.
+        numbers: median differences of each task's error, and of the least distance to a joint's
+            limit, by name of the column.
+    """
+
+    controller: str
+    reference: str
+    success: Success
+    numbers: dict[str, Difference]
+
+
+@dataclass(frozen=True)
 class Summary:
     """A study in few numbers.
 
     Attributes:
         rows: how many.
         lines: one a controller.
+        pairs: one for each controller but the reference.
         reasons: how often each was given by rows that are not done, the most frequent first; those
             that only differ in numbers together.
     """
 
     rows: int
     lines: tuple[Line, ...]
+    pairs: tuple[Pair, ...]
     reasons: dict[str, int]
 
 
@@ -67,7 +90,7 @@ def summarize(columns: Columns) -> Summary:
     errors = [name for name in columns.kinds if name.startswith("task_error.")]
     success, reached = (columns.numbers(name) for name in ("success", "reached"))
     values = {name: columns.numbers(name) for name in errors}
-    margins = columns.numbers("limit_margin_min")
+    margins = columns.numbers(MARGIN)
     named = {name: columns.codes(name) for name in ("blocked_by", "broken")}
     lines = []
     for k, controller in enumerate(controllers):
@@ -85,7 +108,30 @@ def summarize(columns: Columns) -> Summary:
                 *(_counted(codes[there], texts) for codes, texts in named.values()),
             )
         )
-    return Summary(len(columns), tuple(lines), _reasons(columns, ~done))
+    # A row of a run that is done and has no finite error ends infinitely far from its goal.
+    far = {name: np.where(done & np.isnan(x), np.inf, x) for name, x in values.items()}
+    measured = {**far, MARGIN: margins}
+    pairs = _pairs(controllers, of, done, success > 0.0, measured)
+    return Summary(len(columns), tuple(lines), tuple(pairs), _reasons(columns, ~done))
+
+
+def _pairs(
+    controllers: Sequence[str],
+    of: NDArray[np.int64],
+    done: Rows,
+    good: Rows,
+    measured: Mapping[str, NDArray[np.float64]],
+) -> Iterator[Pair]:
+    """The rows of a variant follow each other, one for each controller."""
+    n = len(controllers)
+    if n < 2 or len(of) % n or not (of.reshape(-1, n) == np.arange(n)).all():
+        return
+    done, good = done.reshape(-1, n), good.reshape(-1, n)
+    columns = {name: values.reshape(-1, n) for name, values in measured.items()}
+    for k in range(1, n):
+        both = done[:, k] & done[:, 0]
+        numbers = {name: median(x[both, k], x[both, 0]) for name, x in columns.items()}
+        yield Pair(controllers[k], controllers[0], paired(good[both, k], good[both, 0]), numbers)
 
 
 def _share(true: NDArray[np.float64]) -> Share:

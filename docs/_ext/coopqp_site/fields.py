@@ -15,6 +15,8 @@ from coopqp_site.writing import table
 HEAD = ("key", "takes", "default", "meaning")
 #: Titles of slots for a plug-in, and the collections that they take it from.
 SLOTS = {f"One{kind.removesuffix('s').capitalize()}": kind for kind in COLLECTIONS}
+#: Where what is no value of a scenario's has its section.
+PAGES = {"Phase": "scenario_keys.md", "Over": "study_keys.md", "Samples": "study_keys.md"}
 #: Of whole collections, so that their classes need no section of their own.
 BOUNDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most"}
 PLAIN = {"number": "number", "integer": "whole number", "boolean": "true or false",
@@ -150,5 +152,4 @@ def _linked(name: str) -> str:
     if name in SLOTS:
         return f"[{SLOTS[name].removesuffix('s')}]({SLOTS[name]}.md)"
     title = name.rpartition("__")[2]
-    page = "scenario_keys.md" if title == "Phase" else "values.md"
-    return f"[{title}]({page}#{title.lower()})"
+    return f"[{title}]({PAGES.get(title, 'values.md')}#{title.lower()})"

@@ -19,6 +19,7 @@ from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import points, reader, space
+from coopqp.study.sweep.form import StudyFile
 from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of
 from coopqp_site.writing import ROOT, plain, table
 
@@ -129,9 +130,11 @@ def _long(cls: type) -> str:
 
 def study_keys() -> str:
     """The keys of a study file."""
-    rows = ((f"`{key}`", words) for key, words in reader.KEYS.items())
     text = "# Keys of a study\n\nSee [studies](../studies.md).\n\n"
-    text += table(("key", "meaning"), rows)
+    schema = StudyFile.model_json_schema()
+    text += keys(schema)
+    for part in ("Over", "Samples"):
+        text += f"\n## {part}\n\n{keys(schema['$defs'][part])}"
     always = ", ".join(f"[`{name}`](metrics.md#{name})" for name in reader.ALWAYS)
     text += f"\nMeasured always: {always}.\n"
     for module, title in ((space, "Under `vary`"), (points, "Under `samples`")):

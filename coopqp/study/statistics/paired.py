@@ -1,0 +1,111 @@
+"""One controller against another on the same variants, by what differs from variant to variant.
+
+Variants differ more than controllers do. Two intervals, one for each controller, overlap for that
+alone; the interval and the test of the difference do not see it.
+
+    success   b variants on which only the first succeeds, c only the second, of n
+              difference (b - c) / n, interval of Bonett and Price (2012), and the exact test of
+              McNemar (1947): b of b + c as often as heads
+    numbers   median of the differences, with the interval between two of them in order that the
+              sign test does not refuse; both are free of any distribution
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import bdtr, bdtrik
+
+from coopqp.checked import Array
+
+Z = 1.959963984540054  # of a two-sided 95 % interval
+TAIL = 0.025  # of it, on each side
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A controller's value less that of the reference.
+
+    Attributes:
+        value: share, or median.
+        low, high: 95 % interval; infinite where there are too few variants for one.
+        p: of an exact two-sided test that there is none.
+        of: variants that count.
+    """
+
+    value: float
+    low: float
+    high: float
+    p: float
+    of: int
+
+
+@dataclass(frozen=True)
+class Success:
+    """How often two controllers succeed on the same variants.
+
+    Attributes:
+        both, only_one, only_reference, neither: variants.
+        difference: of the shares; McNemar's test.
+    """
+
+    both: int
+    only_one: int
+    only_reference: int
+    neither: int
+    difference: Difference
+
+
+def success(one: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Success:
+    """Compare on which variants two controllers succeed.
+
+    Args:
+        one: whether the one does, for each variant, shape (n,).
+        reference: whether the other does, shape (n,).
+    """
+    counts = [int(x.sum()) for x in (one & reference, one & ~reference, reference & ~one)]
+    both, b, c = counts
+    n = len(one)
+    return Success(both, b, c, n - both - b - c, _of_shares(b, c, n))
+
+
+def _of_shares(b: int, c: int, n: int) -> Difference:
+    if not n:
+        return Difference(math.nan, -1.0, 1.0, 1.0, 0)
+    first, second = (b + 1) / (n + 2), (c + 1) / (n + 2)
+    middle = first - second
+    half = Z * math.sqrt((first + second - middle**2) / (n + 2))
+    return Difference(
+        (b - c) / n, max(-1.0, middle - half), min(1.0, middle + half), heads(b, c), n
+    )
+
+
+def median(one: Array, reference: Array) -> Difference:
+    """Compare numbers of two controllers.
+
+    Args:
+        one: for each variant, shape (n,); what is no difference, as that of a NaN, does not count.
+        reference: the same of the other.
+    """
+    with np.errstate(invalid="ignore"):  # of two infinite errors
+        found = one - reference
+    found = np.sort(found[~np.isnan(found)])
+    n = len(found)
+    if not n:
+        return Difference(math.nan, -math.inf, math.inf, 1.0, 0)
+    low, high = -math.inf, math.inf
+    if bdtr(0, n, 0.5) <= TAIL:
+        outside = math.floor(bdtrik(TAIL, n, 0.5))  # so many at each end are no part of it
+        low, high = float(found[outside]), float(found[n - 1 - outside])
+    p = heads(int((found > 0.0).sum()), int((found < 0.0).sum()))
+    middle = found[(n - 1) // 2], found[n // 2]
+    value = middle[0] if middle[0] == middle[1] else 0.5 * (middle[0] + middle[1])
+    return Difference(float(value), low, high, p, n)
+
+
+def heads(b: int, c: int) -> float:
+    """Probability that b and c tosses of a coin are as uneven as this, or more."""
+    return min(1.0, 2.0 * float(bdtr(min(b, c), b + c, 0.5))) if b + c else 1.0
