@@ -74,14 +74,15 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     recorded; explain and replay work on the files as on RUN.
     """
     from coopqp.errors import CoopqpError
-    from coopqp.recordings.known import EXPORTS, controllers_of
+    from coopqp.recordings.known import EXPORTS, read
     from coopqp.recordings.known import export as write
     from coopqp.study.trace_file import check_trace
 
     path, scenario = read_trace(run, catalog)
-    names = [controller] if controller else controllers_of(path)
+    kept = read(path)
+    names = [controller] if controller else kept.controllers
     for name in names:
-        check_trace(path, scenario, name)
+        check_trace(kept, scenario, name)
     if out and len(names) > 1:
         listed = ", ".join(names)
         raise CoopqpError(f"--out is one file, but '{path}' has {listed}; add --controller NAME")
@@ -90,7 +91,7 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
         if not out and Path(name).name != name:
             raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
         file = out or path.parent / f"{name}{suffix}"
-        write(path, scenario, to, name, file)
+        write(kept, scenario, to, name, file)
         say(f"wrote {file}", aside=False)
 
 
@@ -111,7 +112,7 @@ def calibrate(
     from coopqp.report import strict_json
     from coopqp.report.terminal import console
     from coopqp.study.calibration import calibrate as find
-    from coopqp.study.recorded_run import measured_run
+    from coopqp.study.trace_file import measured_run
 
     path, scenario = read_trace(trace, catalog)
     name, q = measured_run(path, scenario, controller)
