@@ -295,11 +295,12 @@ def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
     """
     found: list[list[list[str]]] = []
     for line in TABLE:
+        if not line.beside:
+            found.append([])
         if fields is None or line.name in fields:
             groups = line.groups(layout)
-            if line.beside and found:
-                groups = [a + b for a, b in zip(found.pop(), groups, strict=True)]
-            found.append(groups)
+            before = found[-1] or [[] for _ in groups]
+            found[-1] = [a + b for a, b in zip(before, groups, strict=True)]
     return [column for groups in found for group in groups for column in group]
 
 

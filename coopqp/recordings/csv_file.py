@@ -64,8 +64,7 @@ class CsvFile(Format):
             run = _read(path, header, reader)
         except csv.Error as error:
             raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
-        for name in run.controllers:
-            _check_ticks(run.of(name))
+        _check_ticks(run)
         return run
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
@@ -97,11 +96,14 @@ def _rows(path: Path, header: list[str], reader: Any) -> Iterator[tuple[int, lis
 
 def _check_ticks(run: Run) -> None:
     """Refuse a row that does not follow the one before of its controller."""
-    ticks = run.columns["tick"]
-    wrong = np.flatnonzero(ticks != np.arange(len(ticks)))
+    ticks, needed = run.columns["tick"], np.zeros(len(run), np.int64)
+    for name in run.controllers:
+        own = run.columns["controller"] == name
+        needed[own] = np.arange(own.sum())
+    wrong = np.flatnonzero(ticks != needed)
     if len(wrong):
         k = int(wrong[0])
-        raise run.fault(k, f"tick: found {ticks[k]}, needs {k}")
+        raise run.fault(k, f"tick: found {ticks[k]}, needs {needed[k]}")
 
 
 def _lines(path: Path) -> Iterator[str]:

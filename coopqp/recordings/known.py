@@ -10,7 +10,7 @@ from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.mcap import Mcap
 from coopqp.recordings.parquet import ArrowStream, Parquet
 from coopqp.recordings.rosbag2 import Rosbag2
-from coopqp.recordings.run import Run
+from coopqp.recordings.run import Run, check
 from coopqp.scenario.scenario import Scenario
 
 EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet())
@@ -40,7 +40,9 @@ def read(path: Path) -> Run:
     Raises:
         CoopqpError: no such file, a damaged one, or one without rows.
     """
-    return format_of(path).read(path)
+    run = format_of(path).read(path)
+    check(run)
+    return run
 
 
 def controllers_of(path: Path) -> list[str]:

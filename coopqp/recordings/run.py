@@ -157,11 +157,7 @@ def run_of(
     if not len(rows):
         raise CoopqpError(f"{path}: has no rows; the trace is damaged")
     columns = {name: typed(name, values, at, rows) for name, values in lists.items()}
-    run = Run(path=path, columns=columns, rows=rows, at=at, header=header)
-    _check_status(run)
-    for name in run.controllers:
-        _check_time(run.of(name))
-    return run
+    return Run(path=path, columns=columns, rows=rows, at=at, header=header)
 
 
 def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[Any]:
@@ -207,14 +203,20 @@ def _is_number(value: Any) -> bool:
         return False
 
 
-def _check_status(run: Run) -> None:
-    """Refuse a status that there is not."""
+def check(run: Run) -> None:
+    """Refuse a status that there is not, and time that goes back.
+
+    Raises:
+        InvalidValueError: with the place.
+    """
     said = run.columns["status"]
     for word in dict.fromkeys(said.tolist()):
         for name in word.split("+") if word else ():
             if name not in Status.__members__:
                 words = f"status: no status '{one_line(name[:40])}'"
                 raise run.fault(int(np.argmax(said == word)), words)
+    for name in run.controllers:
+        _check_time(run.of(name))
 
 
 def _check_time(run: Run) -> None:

@@ -168,7 +168,7 @@ def state_from_trace(
         words = f"has tick {tick}, but not the one before it, which it follows from"
         raise InvalidValueError(f"{run.path}: controller '{controller}' {words}")
     row = run.only([own])
-    state.t = max(0.0, float(row.numbers(["t"])) - t_start)  # of the phase, but for rounding
+    state.t = max(0.0, float(row.numbers(["t"])[0, 0]) - t_start)  # of the phase, but for rounding
     commanded = np.isfinite(row.joints("commanded", joints, empty=True)).any()
     state.q[:] = row.joints("commanded" if commanded else "q", joints)
     if before is not None:

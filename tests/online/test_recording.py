@@ -50,7 +50,7 @@ def drive(law: Law, state: State, recording: LiveRecording, ticks: int) -> list[
 
 def column(path: Path, name: str) -> list[Any]:
     """A column of a recording; None where it is empty."""
-    return cells(read(path).columns[name])
+    return cells(format_of(path).read(path).columns[name])
 
 
 def test_every_tick_is_repeated_bit_for_bit(scenario: Scenario, law: Law, tmp_path: Path) -> None:
@@ -193,9 +193,9 @@ def test_what_is_whole_of_a_torn_file_is_read(
         drive(law, law.start(), recording, 5)
         recording.flush()
     recording.close()
-    whole = read(path).columns
+    whole = format_of(path).read(path).columns
     path.write_bytes(path.read_bytes()[:-cut])
-    found = read(path)
+    found = format_of(path).read(path)
     for name, values in found.columns.items():
         np.testing.assert_array_equal(values, whole[name][: len(found)])
     assert len(found) in ((20,) if cut <= 8 else (15, 10, 5))
