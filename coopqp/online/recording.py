@@ -30,7 +30,7 @@ from coopqp.checked import Array
 from coopqp.controller import Command, Law
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.ring import TickRing
-from coopqp.recordings.column import field_of
+from coopqp.recordings.column import kind_of
 from coopqp.recordings.format import needs
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
 from coopqp.scenario.scenario import Scenario
@@ -211,5 +211,5 @@ def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -
         words = "a recording keeps its scenario's text, but this one was read from no file"
         raise InvalidValueError(f"{words}; use coopqp.load, or give source")
     for name in also:
-        if list(columns).count(name) > 1 or (known := field_of(name)) and known.kind != "number":
+        if list(columns).count(name) > 1 or kind_of(name) != "number":
             raise InvalidValueError(f"also: '{name}' is the name of another column")

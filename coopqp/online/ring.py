@@ -5,7 +5,8 @@ A row is copied in one step when it is whole, and counted after that, so the two
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from coopqp.solver import Status
 from coopqp.state import State
 
 #: Where a live loop measures fields of the table, those beside time, memory and inputs.
-MEASURED = {
+MEASURED: dict[str, Callable[[State, Command], Any]] = {
     "q": lambda state, command: state.q,
     "v": lambda state, command: command.v,
     "measured": lambda state, command: np.nan if state.q_measured is None else state.q_measured,

@@ -28,7 +28,6 @@ Units = Mapping[str, str]
 
 _ROTATION = tuple(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 _WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m"}
-_TORQUES = {"rad": "N m", "m": "N"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +74,7 @@ class Shape:
 
     Attributes:
         words: how the docs write its columns, after the field's name.
+        units: of what it depends on, as the docs write them.
         columns: what follows the field's name, in a list for each key.
         unit: of a column's key and part, where it depends on them.
         named: whether its columns begin with the field's name.
@@ -82,8 +82,13 @@ class Shape:
 
     words: str
     columns: Callable[[Layout], list[list[str]]]
+    units: tuple[str, ...] = ()
     unit: Callable[[Units, str, str], str] = lambda units, key, part: ""
     named: bool = True
+
+
+def _each(keys: Iterable[object]) -> list[list[str]]:
+    return [[f"[{key}]"] for key in keys]
 
 
 def _of_hand(parts: Sequence[str]) -> Callable[[Layout], list[list[str]]]:
@@ -96,38 +101,43 @@ def _of_input(parts: Callable[[Kind], Iterable[str]]) -> Callable[[Layout], list
     ]
 
 
+def _by_key(units: Units, key: str, part: str) -> str:
+    return units.get(key, "")
+
+
 PLAIN = Shape("", lambda layout: [[""]])
 XYZ = Shape("x`, `y`, `z", lambda layout: [["x", "y", "z"]], named=False)
 ROTATION = Shape("R11` ... `R33", lambda layout: [list(_ROTATION)], named=False)
-JOINT = Shape(
-    "[JOINT]",
-    lambda layout: [[f"[{joint}]"] for joint in layout.joints],
-    lambda units, key, part: units.get(key, ""),
-)
+JOINT = Shape("[JOINT]", lambda layout: _each(layout.joints), ("rad", "m"), _by_key)
 MOTOR = Shape(
     "[JOINT]",
-    JOINT.columns,
-    lambda units, key, part: _TORQUES.get(units.get(key, ""), ""),
+    lambda layout: _each(layout.joints),
+    ("N m", "N"),
+    lambda units, key, part: {"rad": "N m", "m": "N"}.get(units.get(key, ""), ""),
 )
 LOOP = Shape(
     "[LOOP].AXIS",
     lambda layout: [[f"[{loop + 1}].{axis}" for axis in AXES] for loop in range(layout.loops)],
+    ("m", "rad"),
     lambda units, key, part: dict(zip(AXES, AXIS_UNITS, strict=True)).get(part, ""),
 )
-MEMORY = Shape("[I]", lambda layout: [[f"[{i}]"] for i in range(layout.memory)])
+MEMORY = Shape("[I]", lambda layout: _each(range(layout.memory)))
 VALUE = Shape("[NAME].PART", _of_input(lambda kind: kind.value_columns))
 SENT = Shape("[NAME].PART", _of_input(lambda kind: (*kind.value_columns, "sent")))
 RATE = Shape("[NAME].PART", _of_input(lambda kind: kind.rate_columns))
-TASK = Shape("[TASK]", lambda layout: [[f"[{task}]"] for task in layout.tasks], JOINT.unit)
-ROW = Shape("[TASK.ROW]", lambda layout: [[f"[{row}]"] for row in layout.rows], JOINT.unit)
+TASK = Shape("[TASK]", lambda layout: _each(layout.tasks), ("the task's unit",), _by_key)
+ROW = Shape("[TASK.ROW]", lambda layout: _each(layout.rows), ("the task's unit",), _by_key)
 LIMIT = Shape(
     "[LIMIT].UNIT",
     lambda layout: [[f"[{owner}].{unit}"] for owner, unit in layout.limits],
+    ("UNIT",),
     lambda units, key, part: part,
 )
-HAND = Shape("[ARM]", lambda layout: [[f"[{arm}]"] for arm in layout.arms])
+HAND = Shape("[ARM]", lambda layout: _each(layout.arms))
 HAND_POINT = Shape("[ARM].PART", _of_hand("xyz"))
-HAND_WRENCH = Shape("[ARM].PART", _of_hand(tuple(_WRENCH)), lambda *of: _WRENCH.get(of[-1], ""))
+HAND_WRENCH = Shape(
+    "[ARM].PART", _of_hand(tuple(_WRENCH)), ("N", "N m"), lambda *of: _WRENCH.get(of[-1], "")
+)
 
 
 def _limits(trace: Trace) -> tuple[tuple[str, str], ...]:
@@ -238,14 +248,14 @@ TABLE: tuple[Field, ...] = (
     Field("commanded", JOINT, "{}", "from where the tick decided; empty where that is q",
           of=_commanded),
     Field("measured", JOINT, "{}", "what the sensors said"),
-    Field("gap", LOOP, "{}", "what each loop is open by in the model, [real robots](real_robots.md)",
-          of=lambda trace: _unless_zero(trace.gap)),
+    Field("gap", LOOP, "{}", "what each loop is open by in the model, "
+          "[real robots](real_robots.md)", of=lambda trace: _unless_zero(trace.gap)),
     Field("memory", MEMORY, "", "what the law remembered when the tick began",
           of=lambda trace: _unless_zero(trace.memory)),
-    Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when it "
-          "was sent [s]; empty where nothing did", of=_inputs("arrived", "sent")),
-    Field("followed", VALUE, "", "what the limiter made of it, which the tasks follow; a rotation as "
-          "the quaternion qx, qy, qz, qw", of=_inputs("value"), beside=True),
+    Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when "
+          "it was sent [s]; empty where nothing did", of=_inputs("arrived", "sent")),
+    Field("followed", VALUE, "", "what the limiter made of it, which the tasks follow; a rotation "
+          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), beside=True),
     Field("followed_rate", RATE, "", "how fast that moves; of a rotation the angular velocity",
           of=_inputs("rate"), beside=True),
     Field("tau", MOTOR, "{}", "torques of the motors",
@@ -314,7 +324,7 @@ def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
 
     What is not finite is empty.
     """
-    layout, found = layout_of([trace]), {}
+    layout, found = layout_of([trace]), dict[str, NDArray[Any]]()
     for line in TABLE:
         values = line.values(trace)
         if values is None:

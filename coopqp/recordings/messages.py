@@ -174,12 +174,12 @@ def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
 
     def of(name: str) -> list[list[float]]:
         values = run.joints(name, names, empty=True)
-        known = np.isfinite(values).all(axis=1)
-        return [row if all_of else [] for row, all_of in zip(values.tolist(), known, strict=True)]
+        known = np.isfinite(values).all(axis=1).tolist()
+        return [row if told else [] for row, told in zip(values.tolist(), known, strict=True)]
 
-    told: list[list[float]] = [[]] * len(run)
+    nothing: list[list[float]] = [[]] * len(run)
     fields = {JOINTS: (of("q"), of("v"), of("tau"))}
-    fields |= {f"{JOINTS}/{name}": (of(name), told, told) for name in OTHER_JOINTS}
+    fields |= {f"{JOINTS}/{name}": (of(name), nothing, nothing) for name in OTHER_JOINTS}
     return {
         topic: [
             Joints(names=names, position=q, velocity=v, effort=tau)

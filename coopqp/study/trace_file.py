@@ -139,9 +139,7 @@ def _input(run: Run, name: str, kind: Kind) -> InputTrace:
     return replace(no_input(kind, len(run)), value=value, rate=rate)
 
 
-def state_from_trace(
-    run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0
-) -> State:
+def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0) -> State:
     """The state that a tick of a recorded run decided from; the law's tick repeats it.
 
     The gap is what the observer had made of the measured joints already, and who squeezes of the
