@@ -259,6 +259,7 @@ def measured_run(
     for name in run.controllers if controller is None else (controller,):
         own = run.of(name)
         joints = scenario.held_by(name).chain.joint_names
+        own.joints("q", joints)  # else it is of another scenario
         q = own.only(own.columns["tick"] < _ticks(scenario)).joints("measured", joints, empty=True)
         q = q[np.isfinite(q).all(axis=1)]
         if len(q):
