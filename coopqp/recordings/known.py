@@ -34,18 +34,20 @@ def is_run(path: Path) -> bool:
     return path.is_dir() or path.suffix == ".csv" or not isinstance(format_of(path), CsvFile)
 
 
-def read(path: Path) -> Run:
-    """A recorded run.
+def read(path: Path | Run) -> Run:
+    """A recorded run; one that was read already as it is.
 
     Raises:
         CoopqpError: no such file, a damaged one, or one without rows.
     """
+    if isinstance(path, Run):
+        return path
     run = format_of(path).read(path)
     check(run)
     return run
 
 
-def controllers_of(path: Path) -> list[str]:
+def controllers_of(path: Path | Run) -> list[str]:
     """Names of the controllers of a recorded run, in their order.
 
     Raises:

@@ -174,7 +174,7 @@ def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
 
     def of(name: str) -> list[list[float]]:
         values = run.joints(name, names, empty=True)
-        known = np.isfinite(values).all(axis=1).tolist()
+        known: list[bool] = np.isfinite(values).all(axis=1).tolist()
         return [row if told else [] for row, told in zip(values.tolist(), known, strict=True)]
 
     nothing: list[list[float]] = [[]] * len(run)

@@ -100,7 +100,7 @@ class Run:
             if name not in self.columns and not empty:
                 raise InvalidValueError(f"{self.header}: has no column '{name}'; {OTHER}")
         found = [self.columns.get(name, nothing) for name in names]
-        values = np.array(found, float).reshape(len(names), len(self)).T
+        values = np.stack(found, axis=1) if found else np.zeros((len(self), 0))
         wrong = np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))
         if len(wrong):
             k, i = wrong[0].tolist()

@@ -15,20 +15,21 @@ from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.qp_law.law import QPLaw
 from coopqp.reading import absolute
 from coopqp.recordings.known import read
+from coopqp.recordings.run import Run
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.study.trace_file import blocked_tick, halted, row_of, state_from_trace
 
 
 def recorded_tick(
-    path: Path, scenario: Scenario, controller: str | None = None, tick: int | None = None
+    path: Path | Run, scenario: Scenario, controller: str | None = None, tick: int | None = None
 ) -> TickRecord:
     """Do a tick of a trace again and keep it.
 
     Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
 
     Args:
-        path: of ``trace.csv``, or of a run in another format.
+        path: of ``trace.csv``, or of a run in another format; or the run, as read.
         scenario: that it was written for.
         controller: whose; the first QP controller of the trace when None.
         tick: which; the first that gave something up when None, else the last.
@@ -39,10 +40,10 @@ def recorded_tick(
     run = read(path)
     laws = _qp_laws(scenario, run.controllers)
     if not laws:
-        raise InvalidValueError(f"{path}: no controller here solves a QP in velocities")
+        raise InvalidValueError(f"{run.path}: no controller here solves a QP in velocities")
     chosen = controller or next(iter(laws))
     if chosen not in laws:
-        raise UnknownNameError("QP controller", chosen, laws, f"{path}: ")
+        raise UnknownNameError("QP controller", chosen, laws, f"{run.path}: ")
     k = blocked_tick(run, chosen) if tick is None else tick
     held, law = scenario.held_by(chosen), laws[chosen]
     phase = max(0, bisect_right(held.first_ticks, k) - 1)
@@ -53,19 +54,19 @@ def recorded_tick(
         assert isinstance(plugin, QPController)  # as in the first phase
         law = plugin.plain(list(islice(problems, phase + 1))[-1])
     state = state_from_trace(run, chosen, k, law, held.first_ticks[phase] * held.dt)
-    name = absolute(path.parent).name
+    name = absolute(run.path.parent).name
     record = record_tick(law, state, scenario=name, controller=chosen, tick=k)
     rested = halted(run, chosen, k)
     return replace(record, status=rested) if rested else record
 
 
-def off_the_record(path: Path, record: TickRecord) -> float:
+def off_the_record(path: Path | Run, record: TickRecord) -> float:
     """How far a tick that was done again is from the velocities that were recorded [rad/s, m/s].
 
     More than rounding says that its scenario is not the one that was run, or that the code is not.
 
     Args:
-        path: from where it was recorded.
+        path: from where it was recorded; or the run, as read.
         record: of the tick.
 
     Raises:

@@ -35,11 +35,11 @@ from coopqp.trace import InputTrace, no_input
 OF_A_TICK, ROUNDING = 0.01, 1e-9
 
 
-def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Recording:
+def recording_from_trace(path: Path | Run, scenario: Scenario, controller: str) -> Recording:
     """A controller's whole run.
 
     Args:
-        path: of ``trace.csv``, or of a run in another format.
+        path: of ``trace.csv``, or of a run in another format; or the run, as read.
         scenario: that it was written for.
         controller: whose.
 
@@ -237,7 +237,7 @@ def blocked_tick(run: Run, controller: str) -> int:
 
 
 def measured_run(
-    path: Path, scenario: Scenario, controller: str | None = None
+    path: Path | Run, scenario: Scenario, controller: str | None = None
 ) -> tuple[str, Array]:
     """Where the sensors said that the joints are, with the real loops closed.
 
@@ -245,7 +245,7 @@ def measured_run(
     grasp. On the plant ``kinematic`` nothing holds the hands together: only the first tick counts.
 
     Args:
-        path: of ``trace.csv``, or of a run in another format.
+        path: of ``trace.csv``, or of a run in another format; or the run, as read.
         scenario: that it was written for.
         controller: whose; the first of the trace for which sensors said something when None.
 
@@ -265,8 +265,8 @@ def measured_run(
         if len(q):
             return name, q[:1] if isinstance(scenario.plant, Kinematic) else q
     raise InvalidValueError(
-        f"{path}: nothing to calibrate: no sensors say where the joints are; joints of the plant "
-        "kinematic do exactly as told unless the scenario has a disturbance"
+        f"{run.path}: nothing to calibrate: no sensors say where the joints are; joints of the "
+        "plant kinematic do exactly as told unless the scenario has a disturbance"
     )
 
 
