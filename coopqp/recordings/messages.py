@@ -174,8 +174,10 @@ def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
 
     def of(name: str) -> list[list[float]]:
         values = run.joints(name, names, empty=True)
-        known: list[bool] = np.isfinite(values).all(axis=1).tolist()
-        return [row if told else [] for row, told in zip(values.tolist(), known, strict=True)]
+        rows: list[list[float]] = values.tolist()
+        for k in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+            rows[k] = []
+        return rows
 
     nothing: list[list[float]] = [[]] * len(run)
     fields = {JOINTS: (of("q"), of("v"), of("tau"))}
