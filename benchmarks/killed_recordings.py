@@ -18,7 +18,7 @@ from pathlib import Path
 
 import coopqp
 from coopqp.online.recording import LiveRecording
-from coopqp.recordings.known import format_of
+from coopqp.recordings.known import read
 
 PERIOD = 0.002  # [s]
 
@@ -53,7 +53,7 @@ def killed(path: Path, after: float) -> float:
         process.kill()
         said += [line.split() for line in process.stdout.read().splitlines()]
     when = {int(words[0]): float(words[1]) for words in said if len(words) == 2}
-    rows = [int(row.texts["tick"]) for row in format_of(path).rows(path)]
+    rows = read(path).columns["tick"].tolist()
     assert rows == list(range(len(rows)))
     return 1e3 * (when[max(when)] - when[rows[-1]])
 

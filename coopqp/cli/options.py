@@ -129,27 +129,27 @@ def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
     return with_solver(loaded, solver) if solver else loaded
 
 
-def read_trace(trace: Path, catalog: Any) -> tuple[Path, Any]:
+def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
     """A recorded run, from its own or its folder's path, and its scenario."""
-    from coopqp.recordings.known import controllers_of, format_of, trace_in
+    from coopqp.recordings.known import format_of, read, trace_in
 
     path = trace_in(trace)
-    controllers_of(path)  # a trace that is missing is said before its scenario is
+    run = read(path)  # a trace that is missing is said before its scenario is
     if format_of(path).cut_short(path):
         words = "was cut short, as by a kill; what follows is of what had been written"
         say(f"warning: {path}: {words}")
     loaded = format_of(path).scenario(path, catalog)
     _warn(loaded)
-    return path, loaded
+    return run, loaded
 
 
 def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:
     """A tick of a recorded run, done again; says where it does not come out as recorded."""
     from coopqp.study.recorded_tick import off_the_record, recorded_tick
 
-    path, scenario = read_trace(trace, catalog)
-    record = recorded_tick(path, scenario, controller, tick)
-    off = off_the_record(path, record)
+    run, scenario = read_trace(trace, catalog)
+    record = recorded_tick(run, scenario, controller, tick)
+    off = off_the_record(run, record)
     if off > SAME:
         words = "done again it commands another velocity than recorded, by up to"
         why = "its scenario or the code is another than when it was run"

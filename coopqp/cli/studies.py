@@ -41,7 +41,6 @@ def explain(
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
     made of it.
     """
-    from coopqp.recordings.known import controllers_of
     from coopqp.report import explained, files
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
@@ -54,14 +53,14 @@ def explain(
             files.write_one(save, record.text())
             say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
         return
-    path, scenario = read_trace(trace, catalog)
-    known, own = controllers_of(path), scenario.controllers
+    run, scenario = read_trace(trace, catalog)
+    known, own = run.controllers, scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]
-    recording = recording_from_trace(path, scenario, controller or (solving or known)[0])
+    recording = recording_from_trace(run, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recording, report)
-    click.echo(explained.run_text(found, absolute(path.parent).name, as_json=as_json))
+    click.echo(explained.run_text(found, absolute(run.path.parent).name, as_json=as_json))
 
 
 @click.command()
@@ -77,23 +76,25 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     recorded; explain and replay work on the files as on RUN.
     """
     from coopqp.errors import CoopqpError
-    from coopqp.recordings.known import EXPORTS, controllers_of
+    from coopqp.recordings.known import EXPORTS
     from coopqp.recordings.known import export as write
     from coopqp.study.trace_file import check_trace
 
-    path, scenario = read_trace(run, catalog)
-    names = [controller] if controller else controllers_of(path)
+    kept, scenario = read_trace(run, catalog)
+    names = [controller] if controller else kept.controllers
     for name in names:
-        check_trace(path, scenario, name)
+        check_trace(kept, scenario, name)
     if out and len(names) > 1:
         listed = ", ".join(names)
-        raise CoopqpError(f"--out is one file, but '{path}' has {listed}; add --controller NAME")
+        raise CoopqpError(
+            f"--out is one file, but '{kept.path}' has {listed}; add --controller NAME"
+        )
     suffix = {known.name: known.suffix for known in EXPORTS}[to]
     for name in names:
         if not out and Path(name).name != name:
             raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
-        file = out or path.parent / f"{name}{suffix}"
-        write(path, scenario, to, name, file)
+        file = out or kept.path.parent / f"{name}{suffix}"
+        write(kept, scenario, to, name, file)
         say(f"wrote {file}", aside=False)
 
 
@@ -114,10 +115,10 @@ def calibrate(
     from coopqp.report import strict_json
     from coopqp.report.terminal import console
     from coopqp.study.calibration import calibrate as find
-    from coopqp.study.recorded_run import measured_run
+    from coopqp.study.trace_file import measured_run
 
-    path, scenario = read_trace(trace, catalog)
-    name, q = measured_run(path, scenario, controller)
+    run, scenario = read_trace(trace, catalog)
+    name, q = measured_run(run, scenario, controller)
     held = scenario.held_by(name)
     found = find(held.chain, q, encoders=encoders)
     if as_json:

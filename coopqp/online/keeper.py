@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from coopqp.checked import Array
 from coopqp.controller import Command
 from coopqp.input import Arrival
-from coopqp.online.record import Record
 from coopqp.online.session import Session
 from coopqp.phase_run import PhaseRun
 from coopqp.scenario.scenario import Scenario
@@ -16,6 +16,21 @@ from coopqp.state import State
 
 #: So much of a session is kept in memory before it is written by a tick itself [s].
 AT_MOST = 1.0
+
+
+class Record(Protocol):
+    """Takes down ticks; raises nothing and waits for nothing."""
+
+    def tick(
+        self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
+    ) -> None:
+        """Take down a tick, as :meth:`coopqp.online.recording.LiveRecording.tick`."""
+
+    def begin(self, state: State, since: float = 0.0) -> None:
+        """Say that the loop goes on from another state than the last tick's, as after a stop."""
+
+    def close(self) -> None:
+        """Write the rest and the end."""
 
 
 class Kept(Protocol):

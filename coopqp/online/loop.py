@@ -29,11 +29,10 @@ from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.acceleration import SPEED_UP, with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
-from coopqp.online.keeper import Keeper
+from coopqp.online.keeper import Keeper, Record
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases
 from coopqp.online.readings import Readings
-from coopqp.online.record import Record
 from coopqp.online.seen import Seen
 from coopqp.online.stops import Stops
 from coopqp.online.waiting import Waiting

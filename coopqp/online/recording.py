@@ -30,10 +30,9 @@ from coopqp.checked import Array
 from coopqp.controller import Command, Law
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.ring import TickRing
-from coopqp.recordings.arrow_stream import SUFFIX
-from coopqp.recordings.column import is_text, is_whole
+from coopqp.recordings.column import kind_of
 from coopqp.recordings.format import needs
-from coopqp.recordings.parquet import arrow_schema
+from coopqp.recordings.parquet import SUFFIX, arrow_schema
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import written
 from coopqp.state import State
@@ -86,7 +85,6 @@ class LiveRecording:
         self.path, self.fault, held = Path(path), "", scenario.held_by(controller)
         room, inputs = max(16, int(ROOM / law.problem.dt)), held.followed()
         self._ring = TickRing(law, start, also, room, memory, inputs)
-        self._gaps = (*self._ring.gaps, *also)
         columns = ("controller", "tick", *self._ring.names, "status")
         text = source or scenario.portable
         _check(self.path, text, columns, also)
@@ -195,11 +193,6 @@ class LiveRecording:
         batch = self._batch.slice(piece.start, piece.stop - piece.start)
         last = batch.num_columns - 1
         batch = batch.set_column(last, self._schema.field(last), words)
-        for name in self._gaps:
-            numbers = self._ring.numbers[self._ring.names.index(name), piece]
-            known = self._pa.array(numbers, from_pandas=True)  # NaN is nothing
-            i = self._schema.get_field_index(name)
-            batch = batch.set_column(i, self._schema.field(i), known)
         self._stream.write_batch(batch)
 
 
@@ -218,5 +211,5 @@ def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -
         words = "a recording keeps its scenario's text, but this one was read from no file"
         raise InvalidValueError(f"{words}; use coopqp.load, or give source")
     for name in also:
-        if list(columns).count(name) > 1 or is_text(name) or is_whole(name):
+        if list(columns).count(name) > 1 or kind_of(name) != "number":
             raise InvalidValueError(f"also: '{name}' is the name of another column")

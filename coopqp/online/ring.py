@@ -5,19 +5,31 @@ A row is copied in one step when it is whole, and counted after that, so the two
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.closed_chain import AXES
 from coopqp.controller import Command, Law
+from coopqp.recordings.column import Layout, names, of_field
 from coopqp.signal import Kind
 from coopqp.solver import Status
 from coopqp.state import State
 
-POSE = ("x", "y", "z", *(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)))
-LAST = ("loop_position", "loop_orientation", "scale", "tick_us")
+#: Where a live loop measures fields of the table, those beside time, memory and inputs.
+MEASURED: dict[str, Callable[[State, Command], Any]] = {
+    "q": lambda state, command: state.q,
+    "v": lambda state, command: command.v,
+    "measured": lambda state, command: np.nan if state.q_measured is None else state.q_measured,
+    "gap": lambda state, command: state.gap,
+    "tau": lambda state, command: command.tau,
+    "position": lambda state, command: state.p_WO,
+    "rotation": lambda state, command: state.R_WO.ravel(),
+    "loop_position": lambda state, command: state.loop_position_error,
+    "loop_orientation": lambda state, command: state.loop_orientation_error,
+    "scale": lambda state, command: command.scale,
+}
 
 
 class TickRing:
@@ -25,15 +37,14 @@ class TickRing:
 
     Args:
         law: whose ticks.
-        start: the state before the first tick.
+        start: the state before the first tick. Where it has measured joints, all ticks have.
         also: names of further columns.
         capacity: how many ticks it holds.
         memory: room for what is remembered, where a law to come remembers more than this one.
         inputs: what is followed in any phase, by name.
 
     Attributes:
-        names: of the columns that are numbers, C of them.
-        gaps: of those in which NaN is nothing.
+        names: of the columns that are numbers, C of them; NaN is an empty cell.
         numbers: shape (C, capacity).
         numbered: which tick a row is of, shape (capacity,).
         causes: what became of it, by row.
@@ -51,30 +62,39 @@ class TickRing:
         memory: int = 0,
         inputs: Mapping[str, Kind] | None = None,
     ) -> None:
-        followed = inputs or {}
-        parts = _parts(law, start, also, max(memory, len(start.memory.numbers)), followed)
-        self.names = tuple(name for names in parts.values() for name in names)
+        layout = Layout(
+            joints=law.problem.chain.joint_names,
+            loops=len(start.gap) // 6,
+            memory=max(memory, len(start.memory.numbers)),
+            inputs=inputs or {},
+        )
+        without = {"measured"} if start.q_measured is None else set()
+        without |= {"tau"} if law.command.tau is None else set()
+        told = {name: of for name, of in MEASURED.items() if name not in without}
+        others = ("t", "memory", "followed", "followed_rate", "tick_us")
+        self.names = (*names(layout, {*told, *others}), *also)
         self.capacity = capacity
-        self.numbers = np.zeros((len(self.names), capacity))
+        self.numbers = np.full((len(self.names), capacity), np.nan)
         self.numbered = np.zeros(capacity, np.int64)
         self.causes: list[tuple[Status, ...]] = [()] * capacity
         self.filled = self.emptied = self.dropped = self._ticks = 0
         self._row = np.zeros(len(self.names))
-        at, views = 0, {}
-        for part, names in parts.items():
-            views[part] = self._row[at : at + len(names)]
-            at += len(names)
-        self._t, self._q, self._v, self._gap = (views[key] for key in ("t", "q", "v", "gap"))
-        self._memory, self._measured, self._tau = (
-            views[key] for key in ("memory", "measured", "tau")
-        )
-        self._p, self._R = views["pose"][:3], views["pose"][3:].reshape(3, 3)
-        self._last, self._also = views["last"], views["also"]
-        self._followed = [
-            (name, views[f"followed[{name}]"], views[f"followed_rate[{name}]"]) for name in followed
-        ]
-        self.gaps = tuple(x for key in views if key.startswith("followed") for x in parts[key])
+        self._told = [(self._view(name, layout), of) for name, of in told.items()]
+        self._t, self._us = self._view("t", layout), self._view("tick_us", layout)
+        self._v, self._memory = self._view("v", layout), self._view("memory", layout)
+        self._also = self._row[len(self.names) - len(also) :]
+        self._followed = []
+        for name, kind in layout.inputs.items():
+            own = Layout(joints=(), inputs={name: kind})
+            values, rates = self._view("followed", own), self._view("followed_rate", own)
+            self._followed.append((name, values, rates))
         self.begin(start)
+
+    def _view(self, name: str, layout: Layout) -> Array:
+        """A field's part of the row; its columns stand beside each other."""
+        columns = of_field(name, layout)
+        first = self.names.index(columns[0]) if columns else 0
+        return self._row[first : first + len(columns)]
 
     def begin(self, state: State, since: float = 0.0) -> None:
         """Take down from what a law decides its first tick.
@@ -111,16 +131,9 @@ class TickRing:
         self._memory[: len(kept)], self._memory[len(kept) :] = kept, 0.0
 
     def _fill(self, state: State, command: Command, us: float) -> None:
-        self._t[0], self._q[:] = self._since + state.t, state.q
-        self._v[:], self._gap[:] = command.v, state.gap
-        if len(self._measured):
-            self._measured[:] = np.nan if state.q_measured is None else state.q_measured
-        if len(self._tau):
-            self._tau[:] = command.tau
-        self._p[:], self._R[:] = state.p_WO, state.R_WO
-        last = self._last
-        last[0], last[1] = state.loop_position_error, state.loop_orientation_error
-        last[2], last[3] = command.scale, us
+        self._t[0], self._us[0] = self._since + state.t, us
+        for part, of in self._told:
+            part[:] = of(state, command)
         for name, value, rate in self._followed:
             followed = state.inputs.get(name)
             value[:] = np.nan if followed is None else followed.value
@@ -132,31 +145,3 @@ class TickRing:
         before = min(count, self.capacity - first)
         pieces = slice(first, first + before), slice(0, count - before)
         return [piece for piece in pieces if piece.stop > piece.start]
-
-
-def _parts(
-    law: Law, start: State, also: Sequence[str], memory: int, inputs: Mapping[str, Kind]
-) -> dict[str, tuple[str, ...]]:
-    """The columns, part by part."""
-    joints, loops = law.problem.chain.joint_names, range(len(start.gap) // 6)
-    sensed, torques = start.q_measured is not None, law.command.tau is not None
-    return {
-        "t": ("t",),
-        "q": tuple(f"q[{joint}]" for joint in joints),
-        "v": tuple(f"v[{joint}]" for joint in joints),
-        "measured": tuple(f"measured[{joint}]" for joint in joints if sensed),
-        "gap": tuple(f"gap[{loop + 1}].{axis}" for loop in loops for axis in AXES),
-        "memory": tuple(f"memory[{i}]" for i in range(memory)),
-        "tau": tuple(f"tau[{joint}]" for joint in joints if torques),
-        "pose": POSE,
-        "last": LAST,
-        **{
-            f"followed[{name}]": tuple(f"followed[{name}].{x}" for x in kind.value_columns)
-            for name, kind in inputs.items()
-        },
-        **{
-            f"followed_rate[{name}]": tuple(f"followed_rate[{name}].{x}" for x in kind.rate_columns)
-            for name, kind in inputs.items()
-        },
-        "also": tuple(also),
-    }

@@ -1,37 +1,343 @@
-"""The columns of a recorded run: their names, units and values.
+"""The table of recorded columns: what is recorded of a run, its unit, shape and meaning.
 
-A name is NAME, NAME[KEY] or NAME[KEY].PART, such as ``t``, ``q[RElbowRoll]`` and ``gap[1].rot_x``.
-What each means is in ``docs/recordings.md``. A value is a number, a text, or nothing; as a text a
-number has all the digits that it needs to be read back exactly.
+``trace.csv``, Parquet, MCAP, rosbag2, the ring of a live loop and the reading of all of them are
+made from it, and a test holds ``docs/recordings.md`` against it. A column is called ``NAME``,
+``NAME[KEY]`` or ``NAME[KEY].PART``, such as ``t``, ``q[RElbowRoll]`` and ``gap[1].rot_x``. Numbers
+stay arrays: float64, in which NaN is an empty cell, and int64 for whole numbers; in texts "" is.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.closed_chain import AXES, AXIS_UNITS
-from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.recordings.format import Cells
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import Kind
+from coopqp.trace import Trace
 
-#: Columns that every recorded run has.
-NEEDED = frozenset({"controller", "tick", "t", "status", "tick_us"})
-_TEXTS = ("controller", "status", "phase", "nearest")
-_WHOLE = ("tick",)
-_ROTATION = tuple(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
-_FIXED = {
-    "t": "s", "x": "m", "y": "m", "z": "m", "loop_position": "m", "loop_orientation": "rad",
-    "tick": "1", "scale": "1", "tick_us": "us", "held": "1", **dict.fromkeys(_ROTATION, "1"),
-}  # fmt: skip
-_OF_HANDS = {
-    "hand_point": "m", "normal_force": "N", "tangential_force": "N", "slip": "m",
-    "friction_use": "1", "edge_use": "1",
-}  # fmt: skip
-
-Value = float | int | str | None
+Columns = Mapping[str, NDArray[Any]]
+"""By name; all have as many rows."""
 UnitOf = Callable[[str], str]
+Units = Mapping[str, str]
+"""Of joints, and of tasks, their parts and rows, by name."""
+
+_ROTATION = tuple(f"R{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
+_WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """What there is one column of each.
+
+    Attributes:
+        joints, tasks, rows, arms: names; of tasks also their parts, of rows those of all tasks.
+        loops: how many. memory: how many numbers the law remembers.
+        inputs: by name. limits: name and unit.
+    """
+
+    joints: tuple[str, ...]
+    loops: int = 0
+    memory: int = 0
+    inputs: Mapping[str, Kind] = field(default_factory=dict)
+    tasks: tuple[str, ...] = ()
+    rows: tuple[str, ...] = ()
+    limits: tuple[tuple[str, str], ...] = ()
+    arms: tuple[str, ...] = ()
+
+
+def layout_of(traces: Collection[Trace]) -> Layout:
+    """What any of the traces has."""
+
+    def all_of(names: Callable[[Trace], Iterable[Any]]) -> tuple[Any, ...]:
+        return tuple(dict.fromkeys(name for trace in traces for name in names(trace)))
+
+    return Layout(
+        joints=all_of(lambda trace: trace.joints),
+        loops=max(trace.gap.shape[1] // 6 for trace in traces),
+        memory=max(trace.memory.shape[1] for trace in traces),
+        inputs={name: kept.kind for trace in traces for name, kept in trace.inputs.items()},
+        tasks=all_of(lambda trace: (task.name for task in trace.tasks)),
+        rows=all_of(lambda trace: trace.task_rows),
+        limits=all_of(_limits),
+        arms=all_of(lambda trace: trace.points),
+    )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a field has one column of each.
+
+    Attributes:
+        words: how the docs write its columns, after the field's name.
+        units: of what it depends on, as the docs write them.
+        columns: what follows the field's name, in a list for each key.
+        unit: of a column's key and part, where it depends on them.
+        named: whether its columns begin with the field's name.
+    """
+
+    words: str
+    columns: Callable[[Layout], list[list[str]]]
+    units: tuple[str, ...] = ()
+    unit: Callable[[Units, str, str], str] = lambda units, key, part: ""
+    named: bool = True
+
+
+def _each(keys: Iterable[object]) -> list[list[str]]:
+    return [[f"[{key}]"] for key in keys]
+
+
+def _of_hand(parts: Sequence[str]) -> Callable[[Layout], list[list[str]]]:
+    return lambda layout: [[f"[{arm}].{part}" for part in parts] for arm in layout.arms]
+
+
+def _of_input(parts: Callable[[Kind], Iterable[str]]) -> Callable[[Layout], list[list[str]]]:
+    return lambda layout: [
+        [f"[{name}].{part}" for part in parts(kind)] for name, kind in layout.inputs.items()
+    ]
+
+
+def _by_key(units: Units, key: str, part: str) -> str:
+    return units.get(key, "")
+
+
+PLAIN = Shape("", lambda layout: [[""]])
+XYZ = Shape("x`, `y`, `z", lambda layout: [["x", "y", "z"]], named=False)
+ROTATION = Shape("R11` ... `R33", lambda layout: [list(_ROTATION)], named=False)
+JOINT = Shape("[JOINT]", lambda layout: _each(layout.joints), ("rad", "m"), _by_key)
+MOTOR = Shape(
+    "[JOINT]",
+    lambda layout: _each(layout.joints),
+    ("N m", "N"),
+    lambda units, key, part: {"rad": "N m", "m": "N"}.get(units.get(key, ""), ""),
+)
+LOOP = Shape(
+    "[LOOP].AXIS",
+    lambda layout: [[f"[{loop + 1}].{axis}" for axis in AXES] for loop in range(layout.loops)],
+    ("m", "rad"),
+    lambda units, key, part: dict(zip(AXES, AXIS_UNITS, strict=True)).get(part, ""),
+)
+MEMORY = Shape("[I]", lambda layout: _each(range(layout.memory)))
+VALUE = Shape("[NAME].PART", _of_input(lambda kind: kind.value_columns))
+SENT = Shape("[NAME].PART", _of_input(lambda kind: (*kind.value_columns, "sent")))
+RATE = Shape("[NAME].PART", _of_input(lambda kind: kind.rate_columns))
+TASK = Shape("[TASK]", lambda layout: _each(layout.tasks), ("the task's unit",), _by_key)
+ROW = Shape("[TASK.ROW]", lambda layout: _each(layout.rows), ("the task's unit",), _by_key)
+LIMIT = Shape(
+    "[LIMIT].UNIT",
+    lambda layout: [[f"[{owner}].{unit}"] for owner, unit in layout.limits],
+    ("UNIT",),
+    lambda units, key, part: part,
+)
+HAND = Shape("[ARM]", lambda layout: _each(layout.arms))
+HAND_POINT = Shape("[ARM].PART", _of_hand("xyz"))
+HAND_WRENCH = Shape(
+    "[ARM].PART", _of_hand(tuple(_WRENCH)), ("N", "N m"), lambda *of: _WRENCH.get(of[-1], "")
+)
+
+
+def _limits(trace: Trace) -> tuple[tuple[str, str], ...]:
+    return tuple(dict.fromkeys((row.owner, row.unit) for row in trace.margins))
+
+
+def _margins(trace: Trace) -> list[tuple[list[str], NDArray[Any]]]:
+    """For each limit, what its rows are called and their margins, shape (rows, T)."""
+    found = []
+    for key in _limits(trace):
+        rows = [row for row in trace.margins if (row.owner, row.unit) == key]
+        left = np.array([trace.margins[row] for row in rows])
+        found.append(([row.words for row in rows], left))
+    return found
+
+
+def _margin(trace: Trace) -> Any:
+    return np.array([left.min(axis=0) for _, left in _margins(trace)]).T
+
+
+def _nearest(trace: Trace) -> Any:
+    """Where a margin is least; nowhere without the limit."""
+    found = []
+    for words, left in _margins(trace):
+        finite = np.isfinite(left.min(axis=0))
+        found.append(np.where(finite, np.array(words, object)[left.argmin(axis=0)], ""))
+    return np.array(found, object).T
+
+
+def _unless_zero(values: NDArray[Any]) -> NDArray[Any]:
+    return values if values.any() else np.full(values.shape, np.nan)
+
+
+def _commanded(trace: Trace) -> Any:
+    as_told = np.array_equal(trace.commanded, trace.q[:-1])
+    return np.full(trace.v.shape, np.nan) if as_told else trace.commanded
+
+
+def _inputs(*keys: str) -> Callable[[Trace], Any]:
+    def values(trace: Trace) -> Any:
+        parts = [np.zeros((trace.ticks, 0))]
+        for kept in trace.inputs.values():
+            parts += [getattr(kept, key).reshape(trace.ticks, -1) for key in keys]
+        return np.concatenate(parts, axis=1)
+
+    return values
+
+
+def _phase(trace: Trace) -> Any:
+    """Its name; the end belongs to the last."""
+    if not trace.phases:
+        return None
+    found = np.full(trace.ticks + 1, "", object)
+    for phase in trace.phases:
+        found[phase.first :] = phase.name
+    return found
+
+
+@dataclass(frozen=True)
+class Field:
+    """A line of the table.
+
+    Attributes:
+        name: of the field. shape: what it has one column of each.
+        unit: of its columns; {} is the shape's.
+        meaning: for the docs.
+        per: what it has a row of; there is an instant more than ticks.
+        of: its values in a trace, shape (rows, columns), or None where it has none; the attribute
+            or the plant's signal of its name if omitted.
+        kind: of its values.
+        beside: whether its columns stand beside those of the line before, key by key.
+    """
+
+    name: str
+    shape: Shape
+    unit: str
+    meaning: str
+    per: Literal["tick", "instant"] = "tick"
+    of: Callable[[Trace], Any] | None = None
+    kind: Literal["number", "text", "whole"] = "number"
+    beside: bool = False
+
+    def groups(self, layout: Layout) -> list[list[str]]:
+        """Names of its columns, in a list for each key."""
+        name = self.name if self.shape.named else ""
+        return [[f"{name}{rest}" for rest in rests] for rests in self.shape.columns(layout)]
+
+    def columns(self, layout: Layout) -> list[str]:
+        """Names of its columns."""
+        return [column for group in self.groups(layout) for column in group]
+
+    def values(self, trace: Trace) -> Any:
+        """Its values in a trace; None where it has none."""
+        if self.of is not None:
+            return self.of(trace)
+        return getattr(trace, self.name, trace.signals.get(self.name))
+
+
+# fmt: off
+TABLE: tuple[Field, ...] = (
+    Field("controller", PLAIN, "", "whose row it is: one block a controller", "instant",
+          lambda trace: np.full(trace.ticks + 1, trace.controller, object), "text"),
+    Field("tick", PLAIN, "1", "which instant of it, from 0 on", "instant",
+          lambda trace: np.arange(trace.ticks + 1), "whole"),
+    Field("t", PLAIN, "s", "when", "instant"),
+    Field("q", JOINT, "{}", "where the joints were", "instant"),
+    Field("v", JOINT, "{}/s", "commanded, or the plant's after the tick where torques are"),
+    Field("commanded", JOINT, "{}", "from where the tick decided; empty where that is q",
+          of=_commanded),
+    Field("measured", JOINT, "{}", "what the sensors said"),
+    Field("gap", LOOP, "{}", "what each loop is open by in the model, "
+          "[real robots](real_robots.md)", of=lambda trace: _unless_zero(trace.gap)),
+    Field("memory", MEMORY, "", "what the law remembered when the tick began",
+          of=lambda trace: _unless_zero(trace.memory)),
+    Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when "
+          "it was sent [s]; empty where nothing did", of=_inputs("arrived", "sent")),
+    Field("followed", VALUE, "", "what the limiter made of it, which the tasks follow; a rotation "
+          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), beside=True),
+    Field("followed_rate", RATE, "", "how fast that moves; of a rotation the angular velocity",
+          of=_inputs("rate"), beside=True),
+    Field("tau", MOTOR, "{}", "torques of the motors",
+          of=lambda trace: trace.signals.get("tau", np.full(trace.v.shape, np.nan))),
+    Field("position", XYZ, "m", "the object's position", "instant"),
+    Field("rotation", ROTATION, "1", "its rotation matrix, row by row", "instant"),
+    Field("loop_position", PLAIN, "m", "largest loop error", "instant"),
+    Field("loop_orientation", PLAIN, "rad", "the same of orientations", "instant"),
+    Field("error", TASK, "{}", "norm of the error to the moving reference; a task of several parts "
+          "has a column for each", "instant", lambda trace: trace.task_error),
+    Field("e", ROW, "{}", "the row's error, value minus reference: `x - e[reach.x]` is where the "
+          "reference of `reach` is. 0 for tasks that ask for a velocity alone", "instant"),
+    Field("rate", ROW, "{}/s", "how fast the row's reference moves: the feed-forward, or the "
+          "velocity that is asked for", "instant"),
+    Field("margin", LIMIT, "{}", "what is left after the tick where the limit is nearest; negative "
+          "where it is broken", of=_margin),
+    Field("nearest", LIMIT, "", "where that is, such as `RElbowRoll (upper)`",
+          of=_nearest, kind="text", beside=True),
+    Field("hand_wrench", HAND_WRENCH, "{}", "what each hand did to the object at the tick's end, "
+          "world axes, where the plant tells [forces](forces.md#plants)"),
+    Field("hand_point", HAND_POINT, "m", "and where"),
+    Field("normal_force", HAND, "N", "of hands that press"),
+    Field("tangential_force", HAND, "N", "likewise"),
+    Field("friction_use", HAND, "1", "likewise; empty while they press on nothing"),
+    Field("edge_use", HAND, "1", "likewise; empty while they press on nothing"),
+    Field("slip", HAND, "m", "how far the object slipped along a hand that presses"),
+    Field("held", PLAIN, "1", "whether hands that press hold the object: 1 or 0"),
+    Field("status", PLAIN, "", "what became of the tick, [priorities](priorities.md)",
+          of=lambda trace: np.array(trace.status, object), kind="text"),
+    Field("scale", PLAIN, "1", "least share of its rate at which a hard or scaled task runs, 1 "
+          "where there are none"),
+    Field("tick_us", PLAIN, "us", "how long the tick took"),
+    Field("phase", PLAIN, "", "where there are [phases](phases.md); their tasks are `PHASE.TASK`",
+          "instant", _phase, "text"),
+)
+# fmt: on
+#: Columns that every recorded run has.
+NEEDED = ("controller", "tick", "t", "status", "tick_us")
+
+
+def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
+    """All columns in their order.
+
+    Args:
+        layout: what there is one column of each.
+        fields: only of these.
+    """
+    found: list[list[list[str]]] = []
+    for line in TABLE:
+        if not line.beside:
+            found.append([])
+        if fields is None or line.name in fields:
+            groups = line.groups(layout)
+            before = found[-1] or [[] for _ in groups]
+            found[-1] = [a + b for a, b in zip(before, groups, strict=True)]
+    return [column for groups in found for group in groups for column in group]
+
+
+def of_field(name: str, layout: Layout) -> list[str]:
+    """The columns of one field."""
+    return next(line for line in TABLE if line.name == name).columns(layout)
+
+
+def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
+    """All that is recorded of a run, with a row an instant; of the end there is no tick.
+
+    What is not finite is empty.
+    """
+    layout, found = layout_of([trace]), dict[str, NDArray[Any]]()
+    for line in TABLE:
+        values = line.values(trace)
+        if values is None:
+            continue
+        own = line.columns(layout)
+        block = np.asarray(values).reshape(len(values), len(own))
+        if line.kind == "number":
+            block = np.where(np.isfinite(block), block, np.nan)
+        if line.per == "tick":
+            end = np.full((1, len(own)), "" if line.kind == "text" else np.nan, block.dtype)
+            block = np.vstack([block, end])
+        found |= dict(zip(own, np.ascontiguousarray(block.T), strict=True))
+    return found
 
 
 def split(column: str) -> tuple[str, ...]:
@@ -51,86 +357,28 @@ def joined(parts: Sequence[str]) -> str:
     return name + "".join((f"[{part}]", f".{part}")[i] for i, part in enumerate(rest))
 
 
-def is_text(column: str) -> bool:
-    """Whether its values are texts."""
-    return split(column)[0] in _TEXTS
+def field_of(column: str) -> Field | None:
+    """The line of the table that a column is of; None for a column of one's own."""
+    name = split(column)[0]
+    for line in TABLE:
+        if name in ([line.name] if line.shape.named else line.columns(Layout(joints=()))):
+            return line
+    return None
 
 
-def is_whole(column: str) -> bool:
-    """Whether its values are whole numbers."""
-    return column in _WHOLE
+def kind_of(column: str) -> str:
+    """Whether its values are numbers, whole numbers or texts."""
+    line = field_of(column)
+    return line.kind if line else "number"
 
 
-def value(cells: Cells, column: str) -> Value:
-    """What a row has in a column; None where it has nothing.
-
-    Raises:
-        InvalidValueError: no number where there must be one.
-    """
-    text = cells.texts[column]
-    if text == "" or is_text(column):
-        return text or None
-    try:
-        number = float(text)
-        return int(number) if is_whole(column) else number
-    except (ValueError, OverflowError):
-        words = f"{column}: found '{text[:40]}', needs a number; the trace is damaged"
-        raise InvalidValueError(f"{cells.place}: {words}") from None
-
-
-def text(found: Value) -> str:
-    """A value as a cell has it."""
-    return "" if found is None else str(found)
-
-
-def nested(cells: Cells) -> dict[str, Any]:
-    """A row as JSON objects inside each other: ``{"q": {"RElbowRoll": 0.9}}``.
-
-    JSON has no word for NaN and infinities; they are the texts "nan", "inf" and "-inf".
-    """
-    found: dict[str, Any] = {}
-    for column in cells.texts:
-        *into, last = split(column)
-        inside = found
-        for part in into:
-            inside = inside.setdefault(part, {})
-        number = value(cells, column)
-        finite = not isinstance(number, float) or math.isfinite(number)
-        inside[last] = number if finite else str(number)
+def cells(values: NDArray[Any]) -> list[Any]:
+    """A column as a list; None where it is empty."""
+    found: list[Any] = values.tolist()
+    empty = np.isnan(values) if values.dtype.kind == "f" else values == ""
+    for k in np.flatnonzero(empty):
+        found[k] = None
     return found
-
-
-def flat(place: str, found: Any) -> Cells:
-    """The row that :func:`nested` was given.
-
-    Raises:
-        CoopqpError: it is no such object.
-    """
-    if not isinstance(found, dict):
-        raise CoopqpError(f"{place}: found no row of a run; the file is damaged")
-    texts: dict[str, str] = {}
-
-    def unfold(inside: Mapping[str, Any], parts: tuple[str, ...]) -> None:
-        for key, inner in inside.items():
-            if isinstance(inner, dict) and len(parts) < 2:
-                unfold(inner, (*parts, key))
-            else:
-                texts[joined((*parts, key))] = text(inner)
-
-    unfold(found, ())
-    check_needed(place, texts)
-    return Cells(place, texts)
-
-
-def check_needed(place: str, columns: Iterable[str]) -> None:
-    """Refuse what is no recorded run.
-
-    Raises:
-        CoopqpError: a column that every run has is missing.
-    """
-    missing = sorted(NEEDED - set(columns))
-    if missing:
-        raise CoopqpError(f"{place}: holds no run of coopqp: has no column '{missing[0]}'")
 
 
 def unit_of(scenario: Scenario) -> UnitOf:
@@ -140,26 +388,14 @@ def unit_of(scenario: Scenario) -> UnitOf:
         scenario: as the controller holds it, :meth:`Scenario.held_by`.
     """
     chain = scenario.chain
-    joints = dict(zip(chain.joint_names, chain.joint_units, strict=True))
-    asked = _asked(scenario)
-    axes = dict(zip(AXES, AXIS_UNITS, strict=True))
+    units = dict(zip(chain.joint_names, chain.joint_units, strict=True)) | _asked(scenario)
 
     def unit(column: str) -> str:
-        if column in _FIXED:
-            return _FIXED[column]
-        name, key, part = (*split(column), "", "")[:3]
-        of_joint, of_task = joints.get(key, ""), asked.get(key, "")
-        return {
-            **dict.fromkeys(("q", "commanded", "measured"), of_joint),
-            "v": f"{of_joint}/s",
-            "tau": {"rad": "N m", "m": "N"}.get(of_joint, ""),
-            "gap": axes.get(part, ""),
-            **dict.fromkeys(("error", "e"), of_task),
-            "rate": f"{of_task}/s",
-            "margin": part,
-            "hand_wrench": "N m" if part.startswith("t") else "N",
-            **_OF_HANDS,
-        }.get(name, "")
+        line = field_of(column)
+        if line is None or "{}" not in line.unit:
+            return line.unit if line else ""
+        _, key, part = (*split(column), "", "")[:3]
+        return line.unit.format(line.shape.unit(units, key, part))
 
     return unit
 

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.errors import CoopqpError
 from coopqp.reading import open_bytes
-from coopqp.recordings.column import NEEDED
-from coopqp.recordings.format import Cells, Format
+from coopqp.recordings import column
+from coopqp.recordings.format import Format
+from coopqp.recordings.run import Run, run_of, typed
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
+from coopqp.trace import Trace
 
 LONGEST = 1 << 20  # bytes of a line
+BLOCK = 4096  # rows that are texts at a time
+
+
+def text(traces: Sequence[Trace]) -> str:
+    """``trace.csv``: a row for each controller and instant, with numbers that read back exactly.
+
+    The last row of a controller is the end of its run, after which there is no command. Columns
+    are empty where a controller has nothing to say.
+    """
+    parts = [column.columns_of(trace) for trace in traces]
+    header = [x for x in column.names(column.layout_of(traces)) if any(x in own for own in parts)]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    for own in parts:
+        nothing = [None] * len(own["t"])
+        lists = [column.cells(own[name]) if name in own else nothing for name in header]
+        writer.writerows(zip(*lists, strict=True))
+    return stream.getvalue()
 
 
 class CsvFile(Format):
@@ -24,38 +51,59 @@ class CsvFile(Format):
     def holds(self, path: Path) -> bool:
         return True
 
-    def rows(self, path: Path) -> Iterator[Cells]:
-        reader, ticks = csv.reader(_lines(path), strict=True), Counter[str]()
+    def read(self, path: Path) -> Run:
+        reader = csv.reader(_lines(path), strict=True)
         try:
             header = next(reader, [])
-            if not set(header) >= NEEDED:
+            if not set(header) >= set(column.NEEDED):
                 words = "is not a trace.csv written by 'coopqp compare --out'"
                 raise CoopqpError(f"{path}:1: {words}")
             if twice := [name for name, count in Counter(header).items() if count > 1]:
                 words = f"two columns are called '{twice[0][:40]}'; the trace is damaged"
                 raise CoopqpError(f"{path}:1: {words}")
-            for cells in reader:
-                place = f"{path}:{reader.line_num}"
-                if len(cells) != len(header):
-                    words = f"found {len(cells)} cells, but line 1 {len(header)}; it is damaged"
-                    raise CoopqpError(f"{place}: {words}")
-                texts = dict(zip(header, cells, strict=True))
-                _check_tick(place, texts, ticks)
-                yield Cells(place, texts, f"{path}:1")
+            run = _read(path, header, reader)
         except csv.Error as error:
             raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
+        _check_ticks(run)
+        return run
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         return load(path.parent / "scenario.yaml", catalog)
 
 
-def _check_tick(place: str, texts: Mapping[str, str], ticks: Counter[str]) -> None:
-    """Refuse a row that does not follow the one before of its controller; counts it."""
-    name = texts["controller"]
-    if texts["tick"] != str(ticks[name]):
-        words = f"tick: found {texts['tick'][:40]}, needs {ticks[name]}; the trace is damaged"
-        raise CoopqpError(f"{place}: {words}")
-    ticks[name] += 1
+def _read(path: Path, header: list[str], reader: Any) -> Run:
+    """The rows, of which only a block at a time is kept as texts."""
+    at, lines = f"{path}:", list[NDArray[np.int64]]()
+    blocks: dict[str, list[NDArray[Any]]] = {name: [] for name in header}
+    rows = _rows(path, header, reader)
+    while block := list(islice(rows, BLOCK)):
+        lines.append(np.array([line for line, _ in block]))
+        lists = zip(*(cells for _, cells in block), strict=True)
+        for name, values in zip(header, lists, strict=True):
+            blocks[name].append(typed(name, values, at, lines[-1]))
+    nothing = [np.zeros(0, np.int64)]
+    columns = {name: np.concatenate(of or nothing) for name, of in blocks.items()}
+    return run_of(path, at, columns, np.concatenate(lines or nothing), f"{path}:1")
+
+
+def _rows(path: Path, header: list[str], reader: Any) -> Iterator[tuple[int, list[str]]]:
+    for cells in reader:
+        if len(cells) != len(header):
+            words = f"found {len(cells)} cells, but line 1 {len(header)}; it is damaged"
+            raise CoopqpError(f"{path}:{reader.line_num}: {words}")
+        yield reader.line_num, cells
+
+
+def _check_ticks(run: Run) -> None:
+    """Refuse a row that does not follow the one before of its controller."""
+    ticks, needed = run.columns["tick"], np.zeros(len(run), np.int64)
+    for name in run.controllers:
+        own = run.columns["controller"] == name
+        needed[own] = np.arange(own.sum())
+    wrong = np.flatnonzero(ticks != needed)
+    if len(wrong):
+        k = int(wrong[0])
+        raise run.fault(k, f"tick: found {ticks[k]}, needs {needed[k]}")
 
 
 def _lines(path: Path) -> Iterator[str]:

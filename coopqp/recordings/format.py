@@ -6,52 +6,18 @@ import os
 import secrets
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.recordings.run import Run
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
 
 #: What ``pip install 'coopqp[...]'`` brings the packages.
 EXTRA = "recordings"
-
-
-@dataclass(frozen=True)
-class Cells:
-    """A row of a recorded run.
-
-    Attributes:
-        place: file and line, or message, for faults.
-        texts: by column; empty where there is nothing to say.
-        header: file and line of the columns' names, if they have one.
-    """
-
-    place: str
-    texts: Mapping[str, str]
-    header: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordedRun:
-    """One controller's run, to be written.
-
-    Attributes:
-        controller: its name.
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        source: the scenario's text, :attr:`Scenario.portable`.
-        columns: names, in their order.
-        rows: gives all rows, each time from the first.
-    """
-
-    controller: str
-    scenario: Scenario
-    source: str
-    columns: tuple[str, ...]
-    rows: Callable[[], Iterator[Cells]]
 
 
 class Format(ABC):
@@ -62,7 +28,7 @@ class Format(ABC):
         """Whether a path is of this format, by its name."""
 
     @abstractmethod
-    def rows(self, path: Path) -> Iterator[Cells]:
+    def read(self, path: Path) -> Run:
         """All rows of a file.
 
         Raises:
@@ -75,7 +41,7 @@ class Format(ABC):
         """The scenario that was run.
 
         Raises:
-            CoopqpError: as :meth:`rows`; the scenario cannot be loaded.
+            CoopqpError: as :meth:`read`; the scenario cannot be loaded.
         """
 
     def cut_short(self, path: Path) -> bool:
@@ -96,8 +62,14 @@ class ExportFormat(Format):
         return path.suffix == self.suffix
 
     @abstractmethod
-    def write(self, run: RecordedRun, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
         """Write a new file.
+
+        Args:
+            run: of one controller.
+            scenario: as the controller holds it, :meth:`Scenario.held_by`.
+            source: the scenario's text, :attr:`Scenario.portable`.
+            path: of the file.
 
         Raises:
             CoopqpError: a row is damaged.
@@ -105,8 +77,8 @@ class ExportFormat(Format):
             OSError: the file cannot be written.
         """
 
-    def replace(self, run: RecordedRun, path: Path) -> None:
-        """Write a file; one that is there stays until the new one is whole.
+    def replace(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+        """Write a file, as :meth:`write`; one that is there stays until the new one is whole.
 
         Raises:
             CoopqpError: it cannot be written, with the reason.
@@ -116,7 +88,7 @@ class ExportFormat(Format):
         aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
         try:
             aside.mkdir(parents=True)
-            self.write(run, aside / path.name)  # files in it are named after it
+            self.write(run, scenario, source, aside / path.name)  # files in it are named after it
             if path.is_dir():
                 shutil.rmtree(path)
             os.replace(aside / path.name, path)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from coopqp.errors import CoopqpError, UnknownNameError
-from coopqp.recordings.arrow_stream import ArrowStream
 from coopqp.recordings.csv_file import CsvFile
-from coopqp.recordings.format import Cells, ExportFormat, Format, RecordedRun
+from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.mcap import Mcap
-from coopqp.recordings.parquet import Parquet
+from coopqp.recordings.parquet import ArrowStream, Parquet
 from coopqp.recordings.rosbag2 import Rosbag2
+from coopqp.recordings.run import Run, check
 from coopqp.scenario.scenario import Scenario
 
 EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet())
@@ -36,24 +34,33 @@ def is_run(path: Path) -> bool:
     return path.is_dir() or path.suffix == ".csv" or not isinstance(format_of(path), CsvFile)
 
 
-def controllers_of(path: Path) -> list[str]:
-    """Names of the controllers of a recorded run, in their order.
+def read(path: Path | Run) -> Run:
+    """A recorded run; one that was read already as it is.
 
     Raises:
         CoopqpError: no such file, a damaged one, or one without rows.
     """
-    rows = format_of(path).rows(path)
-    found = list(dict.fromkeys(row.texts["controller"] for row in rows))
-    if not found:
-        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
-    return found
+    if isinstance(path, Run):
+        return path
+    run = format_of(path).read(path)
+    check(run)
+    return run
 
 
-def export(path: Path, scenario: Scenario, to: str, controller: str, out: Path) -> None:
+def controllers_of(path: Path | Run) -> list[str]:
+    """Names of the controllers of a recorded run, in their order.
+
+    Raises:
+        CoopqpError: as :func:`read`.
+    """
+    return read(path).controllers
+
+
+def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) -> None:
     """Write one controller's run in another format.
 
     Args:
-        path: of a recorded run in any format.
+        run: as read from any format.
         scenario: of it.
         to: the format's name.
         controller: whose.
@@ -65,21 +72,6 @@ def export(path: Path, scenario: Scenario, to: str, controller: str, out: Path) 
     chosen = {known.name: known for known in EXPORTS}.get(to)
     if chosen is None:
         raise UnknownNameError("format", to, NAMES)
-    if out.resolve() == path.resolve():
+    if out.resolve() == run.path.resolve():
         raise CoopqpError(f"'{out}' is what is read; choose another name with --out")
-    rows = partial(_rows, path, controller)
-    first = next(rows(), None)
-    if first is None:
-        raise UnknownNameError("controller", controller, controllers_of(path), f"{path}: ")
-    run = RecordedRun(
-        controller=controller,
-        scenario=scenario.held_by(controller),
-        source=scenario.portable,
-        columns=tuple(first.texts),
-        rows=rows,
-    )
-    chosen.replace(run, out)
-
-
-def _rows(path: Path, controller: str) -> Iterator[Cells]:
-    return (row for row in format_of(path).rows(path) if row.texts["controller"] == controller)
+    chosen.replace(run.of(controller), scenario.held_by(controller), scenario.portable, out)

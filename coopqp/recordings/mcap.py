@@ -9,17 +9,17 @@ the scenario.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 from coopqp import __version__
 from coopqp.errors import CoopqpError
 from coopqp.reading import open_bytes
-from coopqp.recordings import column
-from coopqp.recordings.format import Cells, ExportFormat, RecordedRun, needs, readable
-from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark
+from coopqp.recordings.format import ExportFormat, needs, readable
+from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of
+from coopqp.recordings.run import Run, read_rows
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -35,7 +35,7 @@ class Mcap(ExportFormat):
     name: ClassVar[str] = "mcap"
     suffix: ClassVar[str] = ".mcap"
 
-    def write(self, run: RecordedRun, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
         with needs("MCAP"):
             from foxglove import messages
@@ -43,20 +43,21 @@ class Mcap(ExportFormat):
         with open(path, "wb") as stream:
             writer = Writer(stream, chunk_size=CHUNK)
             writer.start(library=f"coopqp {__version__}")
-            writer.add_attachment(0, 0, ATTACHED, "text/yaml", run.source.encode("utf-8"))
-            writer.add_metadata("coopqp", {"controller": run.controller})
-            file = _Messages(writer, messages, run.controller)
-            for instant in instants_of(run):
+            writer.add_attachment(0, 0, ATTACHED, "text/yaml", source.encode("utf-8"))
+            controller = run.controllers[0]
+            writer.add_metadata("coopqp", {"controller": controller})
+            file = _Messages(writer, messages, controller)
+            for instant in instants_of(run, scenario):
                 file.log(instant)
             writer.finish()
 
-    def rows(self, path: Path) -> Iterator[Cells]:
+    def read(self, path: Path) -> Run:
         with needs("MCAP"):
             from mcap.reader import make_reader
         with open_bytes(path) as stream, readable(path):
             found = make_reader(stream).iter_messages([TICK])
-            for i, (_, _, message) in enumerate(found):
-                yield column.flat(f"{path}: message {i}", json.loads(message.data))
+            rows = (flat(json.loads(message.data)) for _, _, message in found)
+            return read_rows(path, f"{path}: message ", rows)
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         with needs("MCAP"):
@@ -92,7 +93,7 @@ class _Messages:
             if said != self._said.get(remark.about, (0, "")):
                 self._said[remark.about] = said
                 self._write(LOG, ns, self._log(stamp, remark))
-        self._write_row(ns, column.nested(instant.cells))
+        self._write_row(ns, instant.row)
 
     def _write(self, topic: str, ns: int, message: Any) -> None:
         """Write a message of Foxglove's."""
@@ -102,7 +103,7 @@ class _Messages:
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
         self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
 
-    def _write_row(self, ns: int, row: dict[str, Any]) -> None:
+    def _write_row(self, ns: int, row: Mapping[str, Any]) -> None:
         """Write all of it as JSON."""
         if TICK not in self._channels:
             schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
@@ -144,7 +145,7 @@ class _Messages:
         )
 
 
-def _schema(row: dict[str, Any]) -> dict[str, Any]:
+def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
     """JSON Schema of a row: whose columns there are; each may be null."""
     inside = {
         key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError
 from coopqp.recordings import column
-from coopqp.recordings.format import Cells, RecordedRun
+from coopqp.recordings.run import Run
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
 
 WORLD, OBJECT = "world", "object"
@@ -25,6 +26,9 @@ WORLD, OBJECT = "world", "object"
 JOINTS, TF, POSE, TICK = "/joint_states", "/tf", "/object_pose", "/coopqp/tick"
 #: Columns of joints that have a topic of their own below ``JOINTS``.
 OTHER_JOINTS = ("commanded", "measured")
+
+#: Shapes of what is said of tasks.
+ABOUT_TASKS = (column.TASK, column.ROW)
 
 #: A margin up to which a limit holds something back, and below which it is broken [its unit].
 AT, BROKEN = 1e-6, -1e-6
@@ -84,7 +88,7 @@ class Instant:
         joints: by topic.
         frames: of the robot. held: the object.
         remarks: in a fixed order.
-        cells: all of it.
+        row: all of it, as objects inside each other, :func:`nested`.
     """
 
     ns: int
@@ -92,35 +96,60 @@ class Instant:
     frames: tuple[Placed, ...]
     held: Placed
     remarks: tuple[Remark, ...]
-    cells: Cells
+    row: Mapping[str, Any]
 
 
-def instants(run: RecordedRun) -> Iterator[Instant]:
+def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
     """The rows of a run.
+
+    Args:
+        run: of one controller.
+        scenario: as the controller holds it.
 
     Raises:
         CoopqpError: a damaged row.
     """
-    chain, unit = run.scenario.chain, column.unit_of(run.scenario)
-    data = chain.model.createData()
-    frames = _frames(chain)
-    for cells in run.rows():
-        row = _Row(cells, unit)
-        q = row.by_joint("q", chain.joint_names)
-        if len(q) != chain.n:
-            words = "the trace is of another scenario than the one with it"
-            raise CoopqpError(f"{cells.place}: has no joint of every column q; {words}")
-        pin.framesForwardKinematics(chain.model, data, np.array(q))
+    chain = scenario.chain
+    data, frames = chain.model.createData(), _frames(chain)
+    t, q = run.numbers(["t"])[:, 0].tolist(), run.joints("q", chain.joint_names)
+    layout = column.Layout(joints=chain.joint_names)
+    p = run.numbers(column.of_field("position", layout))
+    R = run.numbers(column.of_field("rotation", layout)).reshape(-1, 3, 3)
+    joints, remarks = _joints(run, chain.joint_names), _Remarks(run, scenario)
+    for k, row in enumerate(nested(run.columns)):
+        pin.framesForwardKinematics(chain.model, data, q[k])
         yield Instant(
-            ns=round(1e9 * row.number("t")),
-            joints=row.joints(chain),
+            ns=round(1e9 * t[k]),
+            joints={topic: of for topic, own in joints.items() if (of := own[k]).position},
             frames=tuple(
                 _placed(name, data.oMf[i].rotation, data.oMf[i].translation) for name, i in frames
             ),
-            held=row.held(),
-            remarks=tuple(row.remarks()),
-            cells=cells,
+            held=_placed(OBJECT, R[k], p[k]),
+            remarks=tuple(remarks.of(k)),
+            row=row,
         )
+
+
+def nested(columns: column.Columns) -> Iterator[dict[str, Any]]:
+    """Rows as JSON objects inside each other: ``{"q": {"RElbowRoll": 0.9}}``."""
+    paths = [column.split(name) for name in columns]
+    for row in zip(*map(column.cells, columns.values()), strict=True):
+        found: dict[str, Any] = {}
+        for (*into, last), value in zip(paths, row, strict=True):
+            inside = found
+            for part in into:
+                inside = inside.setdefault(part, {})
+            inside[last] = value
+        yield found
+
+
+def flat(found: Any, parts: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The row that :func:`nested` gave, by column."""
+    row: dict[str, Any] = {}
+    for key, inner in found.items():
+        deep = isinstance(inner, dict) and len(parts) < 2
+        row |= flat(inner, (*parts, key)) if deep else {column.joined((*parts, key)): inner}
+    return row
 
 
 def _frames(chain: ClosedChain) -> list[tuple[str, int]]:
@@ -140,110 +169,80 @@ def _placed(name: str, R: Array, p: Array) -> Placed:
     return Placed(name, p.tolist(), pin.Quaternion(R).normalized().coeffs().tolist())
 
 
-class _Row:
-    """A row, asked by what its columns mean."""
+def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
+    """By topic, row by row; a field counts where the row has it for all joints."""
 
-    def __init__(self, cells: Cells, unit: column.UnitOf) -> None:
-        self._cells, self._unit = cells, unit
+    def of(name: str) -> list[list[float]]:
+        values = run.joints(name, names, empty=True)
+        rows: list[list[float]] = values.tolist()
+        for k in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+            rows[k] = []
+        return rows
 
-    def number(self, name: str) -> float:
-        """A number that must be there.
-
-        Raises:
-            CoopqpError: it is not.
-        """
-        found = column.value(self._cells, name) if name in self._cells.texts else None
-        if not isinstance(found, float | int) or not np.isfinite(found):
-            words = "needs a finite number; the trace is damaged"
-            raise CoopqpError(f"{self._cells.place}: {name}: {words}")
-        return float(found)
-
-    def by_joint(self, key: str, names: tuple[str, ...]) -> list[float]:
-        """A number a joint; nothing where the row does not have them all."""
-        columns = [f"{key}[{name}]" for name in names]
-        if not all(self._cells.texts.get(name) for name in columns):
-            return []
-        return [float(column.value(self._cells, name) or 0.0) for name in columns]
-
-    def joints(self, chain: ClosedChain) -> dict[str, Joints]:
-        """By topic, those of which something is known."""
-        names = chain.joint_names
-        effort = [
-            float(column.value(self._cells, f"tau[{name}]") or 0.0)
-            for name in names
-            if self._cells.texts.get(f"tau[{name}]")
+    nothing: list[list[float]] = [[]] * len(run)
+    fields = {JOINTS: (of("q"), of("v"), of("tau"))}
+    fields |= {f"{JOINTS}/{name}": (of(name), nothing, nothing) for name in OTHER_JOINTS}
+    return {
+        topic: [
+            Joints(names=names, position=q, velocity=v, effort=tau)
+            for q, v, tau in zip(*values, strict=True)
         ]
-        found = {
-            JOINTS: Joints(
-                names=names,
-                position=self.by_joint("q", names),
-                velocity=self.by_joint("v", names),
-                effort=effort if len(effort) == len(names) else [],
-            )
-        }
-        for key in OTHER_JOINTS:
-            if position := self.by_joint(key, names):
-                topic = f"{JOINTS}/{key}"
-                found[topic] = Joints(names=names, position=position, velocity=[], effort=[])
-        return found
+        for topic, values in fields.items()
+    }
 
-    def held(self) -> Placed:
-        """Where the object is."""
-        R = [[self.number(f"R{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)]
-        return _placed(OBJECT, np.array(R), np.array([self.number(axis) for axis in "xyz"]))
 
-    def remarks(self) -> Iterator[Remark]:
-        """Of the law, the loops, each task and each limit, as far as the row has them."""
-        texts = self._cells.texts
-        yield self._law()
-        yield Remark("loops", 0, "", self._values(["loop_position", "loop_orientation"]))
-        tasks: list[str] = []
-        limits: dict[str, list[str]] = {}
-        for name in texts:
-            parts = column.split(name)
-            if parts[0] in ("error", "e", "rate"):
-                tasks.append(name)
-            elif parts[0] == "margin" and texts[name]:
-                limits.setdefault(parts[1], []).append(name)
-        yield Remark("tasks", 0, "", self._values(tasks))
-        for owner, names in limits.items():
-            yield self._limit(owner, names)
+class _Remarks:
+    """What is to be said of the rows of a run: of the law, the loops, tasks and each limit."""
 
-    def _law(self) -> Remark:
-        """What became of the tick."""
-        word = self._cells.texts["status"]
-        try:
-            causes = causes_of(word) if word else ()
-        except KeyError:
-            words = f"status: no status '{word[:40]}'; the trace is damaged"
-            raise CoopqpError(f"{self._cells.place}: {words}") from None
+    def __init__(self, run: Run, scenario: Scenario) -> None:
+        unit = column.unit_of(scenario)
+        self._status = run.columns["status"].tolist()
+        self._shown, self._cells = {}, {}
+        self._of_tasks: list[str] = []
+        self._limits: dict[str, list[str]] = {}
+        for name, values in run.columns.items():
+            line = column.field_of(name)
+            if line is None or line.shape not in (column.PLAIN, *ABOUT_TASKS, column.LIMIT):
+                continue
+            own = unit(name)
+            self._shown[name] = name if own in ("", "1") else f"{name} [{own}]"
+            self._cells[name] = column.cells(values)
+            if line.shape in ABOUT_TASKS:
+                self._of_tasks.append(name)
+            elif line.name == "margin":
+                self._limits.setdefault(column.split(name)[1], []).append(name)
+
+    def of(self, k: int) -> Iterator[Remark]:
+        """Of a row, as far as it has them."""
+        causes = causes_of(self._status[k]) if self._status[k] else ()
         level = max((level_of(cause) for cause in causes), default=0)
         said = "; ".join(cause.value for cause in causes) or "the end"
-        return Remark("law", level, said, self._values(["status", "scale", "tick_us"]))
+        yield Remark("law", level, said, self._values(k, ["status", "scale", "tick_us"]))
+        yield Remark("loops", 0, "", self._values(k, ["loop_position", "loop_orientation"]))
+        yield Remark("tasks", 0, "", self._values(k, self._of_tasks))
+        for owner, names in self._limits.items():
+            if known := [name for name in names if self._cells[name][k] is not None]:
+                yield self._limit(k, owner, known)
 
-    def _limit(self, owner: str, names: list[str]) -> Remark:
+    def _limit(self, k: int, owner: str, names: list[str]) -> Remark:
         """The least margin of a limit, in each of its units."""
         level, said = 0, []
         shown = list(names)
         for name in names:
-            left = self.number(name)
-            where = f"nearest{name.removeprefix('margin')}"
-            at = self._cells.texts.get(where, "")
+            left = self._cells[name][k]
+            where = column.joined(("nearest", *column.split(name)[1:]))
             shown.append(where)
             level = max(level, 2 if left < BROKEN else int(left <= AT))
             if left <= AT:
-                said.append(f"{'beyond' if left < BROKEN else 'at'} {at}")
-        return Remark(f"limit {owner}", level, "; ".join(said), self._values(shown))
+                at = self._cells[where][k] if where in self._cells else None
+                said.append(f"{'beyond' if left < BROKEN else 'at'} {at or ''}")
+        return Remark(f"limit {owner}", level, "; ".join(said), self._values(k, shown))
 
-    def _values(self, names: list[str]) -> dict[str, str]:
+    def _values(self, k: int, names: list[str]) -> dict[str, str]:
         """Values with their units in their names, empty ones left out."""
-        found = {}
-        for name in names:
-            if self._cells.texts.get(name):
-                unit = self._unit(name)
-                shown = name if unit in ("", "1") else f"{name} [{unit}]"
-                found[shown] = self._cells.texts[name]
-        return found
+        told = [name for name in names if name in self._cells]
+        found = {self._shown[name]: self._cells[name][k] for name in told}
+        return {name: str(value) for name, value in found.items() if value is not None}
 
 
 def level_of(cause: Status) -> int:

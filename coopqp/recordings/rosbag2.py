@@ -17,10 +17,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coopqp.errors import CoopqpError
-from coopqp.recordings import column
-from coopqp.recordings.format import Cells, ExportFormat, RecordedRun, needs, readable
-from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark
+from coopqp.recordings.format import ExportFormat, needs, readable
+from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of
+from coopqp.recordings.run import Run, read_rows
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -40,25 +40,23 @@ class Rosbag2(ExportFormat):
     def holds(self, path: Path) -> bool:
         return path.suffix == self.suffix or (path / "metadata.yaml").is_file()
 
-    def write(self, run: RecordedRun, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
         with needs("rosbag2"):
             from rosbags.rosbag2 import Writer
         try:
             with Writer(path, version=VERSION) as writer:
-                bag = _Bag(writer, run.controller)
-                for i, instant in enumerate(instants_of(run)):
+                bag = _Bag(writer, run.controllers[0])
+                for i, instant in enumerate(instants_of(run, scenario)):
                     if not i:
-                        bag.write(SCENARIO, STRING, instant.ns, bag.new(STRING, data=run.source))
+                        bag.write(SCENARIO, STRING, instant.ns, bag.new(STRING, data=source))
                     bag.log(instant)
         except sqlite3.Error as error:  # as of a full disk
             raise OSError(str(error)) from error
 
-    def rows(self, path: Path) -> Iterator[Cells]:
-        for i, said in enumerate(_strings(path, TICK)):
-            place = f"{path}: message {i}"
-            with readable(path):
-                found = json.loads(said)
-            yield column.flat(place, found)
+    def read(self, path: Path) -> Run:
+        with readable(path):
+            rows = (flat(json.loads(text)) for text in _strings(path, TICK))
+            return read_rows(path, f"{path}: message ", rows)
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         for text in _strings(path, SCENARIO):
@@ -122,8 +120,7 @@ class _Bag:
         kind = "diagnostic_msgs/msg/DiagnosticArray"
         said = [self._status(remark) for remark in instant.remarks]
         self.write(DIAGNOSTICS, kind, ns, self.new(kind, header=head, status=said))
-        row = json.dumps(column.nested(instant.cells))
-        self.write(TICK, STRING, ns, self.new(STRING, data=row))
+        self.write(TICK, STRING, ns, self.new(STRING, data=json.dumps(instant.row)))
 
     def _head(self, stamp: Any, frame: str) -> Any:
         return self.new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)

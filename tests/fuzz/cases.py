@@ -25,11 +25,10 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
 from coopqp.study.explanation.leg import legs
-from coopqp.study.recorded_run import measured_run
 from coopqp.study.recorded_tick import recorded_tick
 from coopqp.study.replay import replay
 from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import recording_from_trace
+from coopqp.study.trace_file import measured_run, recording_from_trace
 
 from . import meshes, mutations, trees
 from .lines import Mutated, wrong_line

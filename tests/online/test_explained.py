@@ -11,7 +11,7 @@ from command_line import typed
 from online_loops import FOLLOWS, go, simulated
 
 import coopqp
-from coopqp.recordings.known import format_of
+from coopqp.recordings.known import format_of, read
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.recorded_tick import off_the_record, recorded_tick
 
@@ -66,7 +66,7 @@ def test_every_tick_around_a_halt_is_read(tmp_path: Path, gap: Any) -> None:
 
     path = recorded(tmp_path, drive)
     scenario = format_of(path).scenario(path, Catalog())
-    ticks = [int(row.texts["tick"]) for row in format_of(path).rows(path)]
+    ticks = read(path).columns["tick"].tolist()
     asked = [k for k in (0, 10, 19, 20, 21, 22, 35, 50, 51, ticks[-1]) if k in ticks]
     said = 0
     for k in asked:
@@ -86,8 +86,7 @@ def test_every_tick_around_a_halt_is_read(tmp_path: Path, gap: Any) -> None:
 
 def test_what_was_made_of_inputs_is_recorded_by_itself(tmp_path: Path) -> None:
     path = recorded(tmp_path, lambda loop, robot: go(loop, robot, 60, NEAR))
-    rows = [row.texts for row in format_of(path).rows(path)]
-    assert float(rows[30]["followed_rate[target].x"]) != 0.0
+    assert read(path).columns["followed_rate[target].x"][30] != 0.0
     result = typed("explain", path, "--tick", "30")
     assert result.exit_code == 0
     assert result.stderr == ""

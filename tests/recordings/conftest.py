@@ -9,7 +9,7 @@ import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES
 
 from coopqp.comparison import Comparison, compare
-from coopqp.recordings.known import EXPORTS, export
+from coopqp.recordings.known import EXPORTS, export, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
@@ -43,5 +43,5 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     scenario = load(folder / "scenario.yaml", Catalog())
     exported = {known.name: folder / f"qp{known.suffix}" for known in EXPORTS}
     for name, path in exported.items():
-        export(trace, scenario, name, "qp", path)
+        export(read(trace), scenario, name, "qp", path)
     return Written(trace, exported, comparison)

@@ -16,6 +16,7 @@ from coopqp.comparison import compare
 from coopqp.controller_run import run
 from coopqp.errors import CoopqpError, ScenarioError
 from coopqp.input import Inputs, InputSettings
+from coopqp.recordings.known import read
 from coopqp.report.files import write
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -201,7 +202,7 @@ def test_every_tick_can_be_repeated_from_the_trace(k: int, tmp_path: Path) -> No
     write(comparison, tmp_path / "out")
     path, v = tmp_path / "out" / "trace.csv", comparison.traces["qp"].v[k]
     law = scenario.controllers["qp"].build(scenario.problem())
-    np.testing.assert_array_equal(law.tick(state_from_trace(path, "qp", k, law)).v, v)
+    np.testing.assert_array_equal(law.tick(state_from_trace(read(path), "qp", k, law)).v, v)
     record = recorded_tick(path, load(text), "qp", k)  # in Python, whichever engine it was
     np.testing.assert_allclose(record.answer, v, rtol=0.0, atol=1e-12)
 

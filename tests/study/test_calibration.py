@@ -29,7 +29,7 @@ from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.state import State
 from coopqp.study.calibration import Calibration, calibrate
-from coopqp.study.recorded_run import measured_run
+from coopqp.study.trace_file import measured_run
 from coopqp.trace import Trace
 
 GRASP = Disturbance(grasp_offset=2e-3, grasp_offset_angle=5e-3)

@@ -17,7 +17,7 @@ from coopqp.comparison import Comparison, compare
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
-from coopqp.recordings.known import controllers_of
+from coopqp.recordings.known import controllers_of, read
 from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -35,7 +35,7 @@ def test_tick_of_a_written_trace_is_done_again_bit_for_bit(
 ) -> None:
     """A new law, the state from the file: the command of the run."""
     law = scenario.controllers["qp"].build(scenario.problem())
-    state = state_from_trace(trace_csv, "qp", tick, law)
+    state = state_from_trace(read(trace_csv), "qp", tick, law)
     trace = compared.traces["qp"]
     assert state.t == trace.t[tick]
     np.testing.assert_array_equal(state.q, trace.q[tick])
@@ -56,7 +56,7 @@ def test_trace_with_acceleration_limits_and_shares_is_done_again(
     done = compare(given, controllers=["qp"])
     files.write(done, tmp_path)
     law = given.controllers["qp"].build(given.problem())
-    command = law.tick(state_from_trace(tmp_path / "trace.csv", "qp", tick, law))
+    command = law.tick(state_from_trace(read(tmp_path / "trace.csv"), "qp", tick, law))
     np.testing.assert_array_equal(command.v, done.traces["qp"].v[tick])
     assert command.scale == done.traces["qp"].scale[tick]
 
@@ -64,7 +64,7 @@ def test_trace_with_acceleration_limits_and_shares_is_done_again(
 def test_explanation_from_the_file_is_that_of_the_run(
     trace_csv: Path, compared: Comparison, law: QPLaw
 ) -> None:
-    from_file = record(law, state_from_trace(trace_csv, "qp", 250, law), 250)
+    from_file = record(law, state_from_trace(read(trace_csv), "qp", 250, law), 250)
     assert from_file == record(law, at(compared, law, 250), 250)
 
 
@@ -76,19 +76,19 @@ def test_tick_worth_explaining_is_the_first_that_gave_something_up(
     trace_csv: Path, scenario: Scenario, tmp_path: Path
 ) -> None:
     """Else the last."""
-    assert blocked_tick(trace_csv, "qp") == 299
+    assert blocked_tick(read(trace_csv), "qp") == 299
     slow = replace(scenario, limits=(*LIMITS, JointAcceleration(max=10.0)), source="")
     done = compare(slow, controllers=["qp"])
     files.write(done, tmp_path)
     fine = ("OPTIMAL", "INACCURATE")
     first = next(k for k, s in enumerate(done.traces["qp"].status) if s not in fine)
-    assert blocked_tick(tmp_path / "trace.csv", "qp") == first
+    assert blocked_tick(read(tmp_path / "trace.csv"), "qp") == first
 
 
 @pytest.mark.parametrize("tick", [-1, 300, 100_000])
 def test_tick_that_the_run_did_not_have_is_refused(tick: int, trace_csv: Path, law: QPLaw) -> None:
     with pytest.raises(InvalidValueError, match=f"has no tick {tick}; it has 0 to 299"):
-        state_from_trace(trace_csv, "qp", tick, law)
+        state_from_trace(read(trace_csv), "qp", tick, law)
 
 
 def test_files_that_are_no_traces_are_refused(tmp_path: Path) -> None:
@@ -126,12 +126,12 @@ def test_a_damaged_trace_names_the_line(
 def test_tick_of_nothing_is_refused(wrong: str, trace_csv: Path, tmp_path: Path) -> None:
     path = tmp_path / "none.csv" if wrong == "file" else trace_csv
     with pytest.raises(CoopqpError):
-        blocked_tick(path, "nobody" if wrong == "controller" else "qp")
+        blocked_tick(read(path), "nobody" if wrong == "controller" else "qp")
 
 
 def test_state_from_a_missing_trace_is_refused(tmp_path: Path, law: QPLaw) -> None:
     with pytest.raises(CoopqpError):
-        state_from_trace(tmp_path / "none.csv", "qp", 0, law)
+        state_from_trace(read(tmp_path / "none.csv"), "qp", 0, law)
 
 
 def off_the_trace(folder: Path, text: str, tick: int) -> float:

@@ -1,0 +1,228 @@
+"""A recorded run that was read from a file: columns, and where each row of them stands there.
+
+A file that is damaged is refused with the place that shows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.checked import Array
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
+from coopqp.recordings import column
+from coopqp.solver import HALTS, Status
+
+#: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
+FARTHEST = 1e12
+#: Times of two phases that are the same may differ by this [s].
+ROUNDING = 1e-9
+#: More ticks than any run has.
+MOST = 2**53
+#: After what a live loop's time stands still.
+_STANDS = {status.name for status in (*HALTS, Status.NOT_MEASURED, Status.NOT_BEGUN, Status.RAISED)}
+OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A recorded run; in ``trace.csv``, those of all controllers.
+
+    Attributes:
+        path: of the file.
+        columns: by name.
+        rows: what each row is called in the file, behind ``at``.
+        at: the file, and what its rows are.
+        header: where the names of the columns stand.
+    """
+
+    path: Path
+    columns: column.Columns
+    rows: NDArray[np.int64]
+    at: str
+    header: str
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @cached_property
+    def controllers(self) -> list[str]:
+        """Their names, in their order."""
+        return list(dict.fromkeys(self.columns["controller"].tolist()))
+
+    def place(self, k: int) -> str:
+        """Where a row stands."""
+        return f"{self.at}{self.rows[k]}"
+
+    def fault(self, k: int, words: str) -> InvalidValueError:
+        """What is wrong with a row."""
+        return InvalidValueError(f"{self.place(k)}: {words}; the trace is damaged")
+
+    def only(self, which: Any) -> Run:
+        """Some of the rows."""
+        kept = {name: values[which] for name, values in self.columns.items()}
+        return replace(self, columns=kept, rows=self.rows[which])
+
+    def of(self, controller: str) -> Run:
+        """The rows of one controller.
+
+        Raises:
+            UnknownNameError: there are none.
+        """
+        if controller not in self.controllers:
+            raise UnknownNameError("controller", controller, self.controllers, f"{self.path}: ")
+        return self.only(self.columns["controller"] == controller)
+
+    @property
+    def ticks(self) -> Run:
+        """The rows without the end."""
+        return self.only(self.columns["status"] != "")
+
+    def numbers(self, names: Sequence[str], *, empty: bool = False) -> Array:
+        """Columns beside each other, shape (rows, names).
+
+        Args:
+            names: of the columns.
+            empty: whether cells, or columns, may be missing, which are NaN.
+
+        Raises:
+            InvalidValueError: no such column, or no finite number in it.
+        """
+        nothing = np.full(len(self), np.nan)
+        for name in names:
+            if name not in self.columns and not empty:
+                raise InvalidValueError(f"{self.header}: has no column '{name}'; {OTHER}")
+        found = [self.columns.get(name, nothing) for name in names]
+        values = np.stack(found, axis=1) if found else np.zeros((len(self), 0))
+        wrong = np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))
+        if len(wrong):
+            k, i = wrong[0].tolist()
+            found_there = "nothing" if np.isnan(values[k, i]) else values[k, i]
+            raise self.fault(k, f"{names[i]}: found {found_there}, needs a finite number")
+        return values
+
+    def joints(self, name: str, joints: Sequence[str], *, empty: bool = False) -> Array:
+        """A column a joint of a field, shape (rows, joints).
+
+        Raises:
+            InvalidValueError: as :meth:`numbers`; where no joint can be.
+        """
+        columns = column.of_field(name, column.Layout(joints=tuple(joints)))
+        values = self.numbers(columns, empty=empty)
+        far = np.argwhere(np.abs(values) > FARTHEST)
+        if len(far):
+            k, i = far[0].tolist()
+            raise self.fault(k, f"{columns[i]}: found {values[k, i]:g}, where no joint can be")
+        return values
+
+
+def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:
+    """A run from rows, as messages have them.
+
+    Args:
+        path: of the file.
+        at: the file, and what its rows are.
+        rows: by column; None is empty.
+    """
+    lists, count = dict[str, list[Any]](), 0
+    for row in rows:
+        for name, value in row.items():
+            values = lists.setdefault(name, [])
+            values += [None] * (count - len(values))
+            values.append(value)
+        count += 1
+    for values in lists.values():
+        values += [None] * (count - len(values))
+    return run_of(path, at, lists, np.arange(count), f"{at}0")
+
+
+def run_of(
+    path: Path, at: str, lists: Mapping[str, Any], rows: NDArray[np.int64], header: str
+) -> Run:
+    """A run from its columns as a file has them: arrays of numbers, or lists of any values.
+
+    Raises:
+        CoopqpError: it is no recorded run, or a damaged one.
+    """
+    missing = [name for name in column.NEEDED if name not in lists]
+    if missing:
+        raise CoopqpError(f"{header}: holds no run of coopqp: has no column '{missing[0]}'")
+    if not len(rows):
+        raise CoopqpError(f"{path}: has no rows; the trace is damaged")
+    columns = {name: typed(name, values, at, rows) for name, values in lists.items()}
+    return Run(path=path, columns=columns, rows=rows, at=at, header=header)
+
+
+def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[Any]:
+    """A column as the table has it.
+
+    Args:
+        name: of the column.
+        values: of any types; an array of numbers, or a list in which None and "" are empty.
+        at: the file, and what its rows are.
+        rows: what each row is called there.
+
+    Raises:
+        InvalidValueError: a value is of another type.
+    """
+    kind = column.kind_of(name)
+    if kind == "text":
+        return np.array(["" if x is None else str(x) for x in values], object)
+    try:
+        numbers = _floats(values)
+    except (TypeError, ValueError, OverflowError):
+        k = next(k for k, value in enumerate(values) if not _is_number(value))
+        words = f"{name}: found '{one_line(str(values[k])[:40])}', needs a number"
+        raise InvalidValueError(f"{at}{rows[k]}: {words}; the trace is damaged") from None
+    if kind == "whole":
+        wrong = np.flatnonzero(~((numbers >= 0) & (numbers < MOST) & (numbers % 1 == 0)))
+        if len(wrong):
+            words = f"{name}: found {numbers[wrong[0]]:g}, needs a whole number"
+            raise InvalidValueError(f"{at}{rows[wrong[0]]}: {words}")
+        return numbers.astype(np.int64)
+    return numbers
+
+
+def _floats(values: Any) -> Array:
+    if isinstance(values, np.ndarray):
+        return np.asarray(values, float)
+    return np.array([math.nan if x is None or x == "" else float(x) for x in values], float)
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        return bool(_floats([value]).size)
+    except (TypeError, ValueError, OverflowError):
+        return False
+
+
+def check(run: Run) -> None:
+    """Refuse a status that there is not, and time that goes back.
+
+    Raises:
+        InvalidValueError: with the place.
+    """
+    said = run.columns["status"]
+    for word in dict.fromkeys(said.tolist()):
+        for name in word.split("+") if word else ():
+            if name not in Status.__members__:
+                words = f"status: no status '{one_line(name[:40])}'"
+                raise run.fault(int(np.argmax(said == word)), words)
+    for name in run.controllers:
+        _check_time(run.of(name))
+
+
+def _check_time(run: Run) -> None:
+    """Refuse time that goes back, or stands still without a reason."""
+    t, said = run.numbers(["t"])[:, 0], run.columns["status"]
+    for k in np.flatnonzero(np.diff(t) <= 0.0).tolist():
+        rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
+        if not rested:
+            raise run.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
