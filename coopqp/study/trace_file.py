@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coopqp.assessment.ends import settled
 from coopqp.checked import Array
 from coopqp.controller import Law
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
@@ -25,7 +26,6 @@ from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.leg import Recording
 from coopqp.study.trace_checks import strange_tick, units_of_parts
-from coopqp.task_end import settled
 from coopqp.trace import InputTrace, no_input
 
 #: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
@@ -193,6 +193,8 @@ def _inputs(rows: Sequence[_Row], scenario: Scenario) -> dict[str, InputTrace]:
         for k, row in enumerate(rows):
             _read(row, f"followed[{name}].", kept.value[k])
             _read(row, f"followed_rate[{name}].", kept.rate[k])
+            if row.cells.get(f"input[{name}].sent"):
+                kept.sent[k] = row.number(f"input[{name}].sent")
     return found
 
 

@@ -17,6 +17,7 @@ from laws import LIMITS, STEP
 from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.limits import (
     JointAcceleration,
@@ -54,7 +55,7 @@ def test_speeds_that_hold_up_are_named_with_the_time_that_would_do(
     assert found.time is not None
     assert found.held_back[0].words.startswith(word)
     ends = [
-        run(replace(scenario, duration=share * found.time), controller="qp").final_error[0]
+        assess(run(replace(scenario, duration=share * found.time), controller="qp")).errors[0]
         for share in (1.0, 0.9)
     ]
     assert ends[0] <= scenario.tasks[0].tolerance < ends[1]
