@@ -154,7 +154,8 @@ class Assessment:
     @property
     def reached(self) -> bool:
         """Whether all tasks are reached, and all inputs were followed."""
-        return not self.ended and self.inputs.followed and all(task.reached for task in self.tasks)
+        lost = self.ended or self.held is False
+        return not lost and self.inputs.followed and all(task.reached for task in self.tasks)
 
     @property
     def missed(self) -> tuple[TaskEnd, ...]:
