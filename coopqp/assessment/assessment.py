@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,17 +252,13 @@ class Assessment:
     def acceleration(self) -> Acceleration | None:
         """The worst of all joints with a motor; it begins at rest. None without ticks."""
         trace = self.trace
-        motors = np.flatnonzero((trace.effort != 0.0) | np.isfinite(trace.velocity))
-        if not trace.ticks or not len(motors):
+        if not trace.ticks or not len(trace.joints):
             return None
-        change = np.abs(np.diff(trace.v, axis=0, prepend=0.0)) / trace.dt
-        allowed = allowed_acceleration(trace.velocity)
-        share = (change / allowed)[:, motors]
-        k, i = divmod(int(share.argmax()), len(motors))
-        joint = int(motors[i])
-        unit = f"{trace.units[joint]}/s2"
-        value, at = float(change[k, joint]), float(trace.t[k])
-        return Acceleration(trace.joints[joint], unit, value, at, float(allowed[joint]))
+        change, share, allowed = accelerations(trace)
+        k, i = divmod(int(share.argmax()), share.shape[1])
+        unit, value = f"{trace.units[i]}/s2", float(change[k, i])
+        at = float(trace.t[k])
+        return Acceleration(trace.joints[i], unit, value, at, float(allowed[i]))
 
     @cached_property
     def saturated(self) -> dict[str, float]:
@@ -321,6 +318,28 @@ class Assessment:
             return np.zeros((0, 0), bool)
         limited = np.isfinite(effort) & (effort > 0.0)
         return np.asarray((np.abs(signals["tau"]) >= AT_EFFORT * effort) & limited)
+
+
+class Accelerations(NamedTuple):
+    """Of all joints in all ticks.
+
+    Attributes:
+        change: of the velocity, over dt; it begins at rest, shape (T, n) [rad/s2, m/s2].
+        share: of what the loop for robots allows, 0 for joints without a motor, shape (T, n).
+        allowed: shape (n,) [rad/s2, m/s2].
+    """
+
+    change: Array
+    share: Array
+    allowed: Array
+
+
+def accelerations(trace: Trace) -> Accelerations:
+    """How fast the speeds of joints change from tick to tick, by finite differences."""
+    change = np.abs(np.diff(trace.v, axis=0, prepend=0.0)) / trace.dt
+    allowed = allowed_acceleration(trace.velocity)
+    motors = (trace.effort != 0.0) | np.isfinite(trace.velocity)
+    return Accelerations(change, np.where(motors, change / allowed, 0.0), allowed)
 
 
 def allowed_acceleration(velocity: Array, speed_up: float = SPEED_UP) -> Array:
