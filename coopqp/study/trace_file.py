@@ -28,6 +28,7 @@ from coopqp.study.explanation.leg import Recording
 from coopqp.study.trace_checks import strange_tick, units_of_parts
 from coopqp.trace import InputTrace, no_input
 
+LOOP = ("position", "orientation")
 #: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
 FARTHEST = 1e12
 #: Times of two phases that are the same may differ by this [s].
@@ -161,6 +162,7 @@ def recording_from_trace(path: Path, scenario: Scenario, controller: str) -> Rec
             for name, found in errors.items()
         },
         tau=np.array(tau),
+        loop=np.array([[row.number(f"loop_{of}", nan=True) for of in LOOP] for row in rows]),
         inputs=_inputs(rows[:-1], held),
         place=rows[0].header,
     )

@@ -22,10 +22,12 @@ from coopqp.input import InputSettings
 from coopqp.limit import Limit
 from coopqp.plants import RigidBody
 from coopqp.profile import Profile
+from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Input
 from coopqp.solver import Status
 from coopqp.study.explanation import explain_run, recording_of
+from coopqp.study.trace_file import recording_from_trace
 from coopqp.tasks import PointOnPoint
 from coopqp.trace import Failure, Trace
 
@@ -196,6 +198,23 @@ def test_what_began_outside_and_came_back_breaks_nothing() -> None:
     assert [overrun.name for overrun in found.joints] == [trace.joints[0]]
     assert found.succeeds
     assert not list(disagreements(scenario, outside))
+
+
+@pytest.mark.parametrize("which", ["unfed", "open", "broken", "reached"])
+def test_a_run_in_a_file_is_explained_as_the_same_in_memory(tmp_path: Path, which: str) -> None:
+    open_loop = {"kappa": 0.0, "tasks": (PointOnPoint(name="reach", goal=(0.13, 0.05, 0.03)),)}
+    scenario = {
+        "unfed": steered(), "open": short(**open_loop, duration=2.5), "reached": short(),
+        "broken": coopqp.load("point_on_point"),
+    }[which]  # fmt: skip
+    name = "pseudoinverse" if which == "broken" else "qp"
+    trace = run(scenario, controller=name)
+    path = tmp_path / "trace.csv"
+    path.write_text(files.trace_csv(summarize(scenario, {name: trace})), encoding="utf-8")
+    read = recording_from_trace(path, scenario, name)
+    assert read.assessment is None
+    memory, file = (explain_run(scenario, each) for each in (recording_of(trace), read))
+    assert (file.kind, file.sentence) == (memory.kind, memory.sentence)
 
 
 class Unaudited(Limit):

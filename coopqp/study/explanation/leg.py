@@ -14,7 +14,6 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.controller_run import controller_of
 from coopqp.errors import InvalidValueError
-from coopqp.limit import states_along
 from coopqp.row import Row
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Followed
@@ -33,6 +32,7 @@ class Recording:
         status: of each tick, as written.
         errors: at the end of its phase, by the name of each part of a task.
         tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
+        loop: largest loop errors, shape (T + 1, 2) [m, rad].
         inputs: what was followed, by name.
         assessment: of a run in memory; one that was read from a file is assessed by what it has.
         place: file and line where the names of errors stand, of a run that was read from one.
@@ -44,6 +44,7 @@ class Recording:
     status: tuple[str, ...]
     errors: Mapping[str, float]
     tau: Array
+    loop: Array
     inputs: Mapping[str, InputTrace] = field(default_factory=dict)
     assessment: Assessment | None = None
     place: str = ""
@@ -111,6 +112,7 @@ def recording_of(trace: Trace) -> Recording:
         status=trace.status,
         errors={task.name: task.error for task in found.tasks},
         tau=trace.signals.get("tau", np.zeros((0, 0))),
+        loop=np.column_stack([trace.loop_position, trace.loop_orientation]),
         inputs=trace.inputs,
         assessment=found,
     )
@@ -136,8 +138,7 @@ def assessed(scenario: Scenario, run: Recording) -> Assessment:
 def _trace(scenario: Scenario, run: Recording, leg: Leg) -> Trace:
     """What an assessment needs of a phase; what no file has is left empty."""
     chain, dt, ticks = leg.problem.chain, leg.problem.dt, len(leg.v)
-    states = states_along(chain, leg.q)
-    loop = np.array([(s.loop_position_error, s.loop_orientation_error) for s in states])
+    loop = run.loop[leg.first : leg.first + ticks + 1]
     margins: dict[Row, Array] = {}
     starts: dict[Row, Array] = {}
     for limit in scenario.limits:

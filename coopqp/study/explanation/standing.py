@@ -61,7 +61,7 @@ def explain_standing(
     goal.look(q)
     missed = _missed(goal)
     if not missed:
-        return Standing(True, False, "every goal is reached" if goal.parts else "")
+        return Standing(True, False, "at every goal" if goal.parts else "")
     return _said(goal, Room(chain, problem.limits, problem.dt), q, rests=rests)
 
 
