@@ -171,8 +171,9 @@ class Assessment:
     @cached_property
     def broken(self) -> tuple[str, ...]:
         """What it broke, by name: joints, their speeds, limits, the loop, the hold, the plant."""
-        overruns = (*self.joints, *self.speeds, *self.limits)
-        names = [overrun.name for overrun in overruns if overrun.farther]
+        order = self.trace.joints.index
+        overruns = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
+        names = [overrun.name for overrun in (*overruns, *self.limits) if overrun.farther]
         if self.held is False:
             return *names, HOLD
         if not self.loop_closed:

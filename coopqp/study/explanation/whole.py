@@ -149,7 +149,7 @@ def _explained(
     if torn and not leg.missed:
         said = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
         return replace(base, kind="open", sentence=said)
-    failed = _failed(leg) if not found.reached else ""
+    failed = _failed(leg) if leg.missed or not found.reached else ""
     if failed:
         said = f"{words.stops(leg)}; {failed}" if leg.missed else failed
         return replace(base, kind="failed", sentence=said)
