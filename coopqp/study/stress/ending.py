@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.assessment.thresholds import AT_LIMIT
+from coopqp.assessment.thresholds import AT_LIMIT, within
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.qp_law.bounds import Bounds
@@ -113,17 +113,17 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     problem = law.problem
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
+    outside, missed = signs.outside(record) > signs.EXCESS, errors.at_end(state, record)
+    if not outside and within(float(missed.max()), 1.0):
+        return Ending("reached")
     if stands and problem.on_infeasible == "stop":
         return asked
-    if signs.outside(record) > signs.EXCESS:
+    if outside:
         way = way_back(problem, state)
         stuck = way > INWARD and signs.at_rest(record)
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
     if stands:
         return asked
-    missed = errors.at_end(state, record)
-    if missed.max() <= 1.0:
-        return Ending("reached")
     rests = signs.at_rest(record)
     if signs.held_up(record) and rests:
         return Ending("at rest", said, frozen=True)
