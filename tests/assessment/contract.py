@@ -9,6 +9,7 @@ from unittest import mock
 
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
+from coopqp.assessment.thresholds import matters
 from coopqp.assessment.verdict import verdict
 from coopqp.comparison import summarize
 from coopqp.controller import ControlProblem
@@ -144,7 +145,8 @@ def _drawn(scenario: Scenario, found: Assessment) -> dict[str, tuple[object, obj
         if k == last and task.unit not in FORCES
     ]
     arrives = all(task.reached for task in places) and found.inputs.followed
-    out = [overrun for overrun in found.joints if overrun.at_end > 0.0]
+    # As the verdict, the page says nothing of limits once the plant broke down.
+    out = [o for o in found.joints if matters(o.at_end, o.row.unit) and not found.ended]
     return {
         "viewer, reached": (seen.reached, arrives),
         "viewer, limits": ("past its limit" in seen.broken, bool(out)),
