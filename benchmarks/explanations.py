@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from explained_cases import ROBOTS, Case, blocked, far, pairs, scipy_distance
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.limits import Workspace
 from coopqp.robot import Robot, RobotModel
@@ -81,7 +82,7 @@ def cured(outcome: Outcome) -> bool:
     duration = outcome.found.time or scenario.duration
     other = replace(scenario, robot=wider, limits=tuple(limits), duration=duration)
     trace = run(other, controller="qp")
-    return bool(trace.final_error[0] <= scenario.tasks[0].tolerance)
+    return bool(assess(trace).errors[0] <= scenario.tasks[0].tolerance)
 
 
 # Tables

@@ -1,5 +1,7 @@
 """The public names of coopqp, and where they live; read by type checkers and by __init__.py."""
 
+from coopqp.assessment import Assessment as Assessment
+from coopqp.assessment import assess as assess
 from coopqp.checked import Array as Array
 from coopqp.checked import Pose as Pose
 from coopqp.checked import spec as spec

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from coopqp.assessment import assess
+from coopqp.assessment.verdict import verdict
 from coopqp.controller_run import Progress, run
 from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.metric import Metric
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
-from coopqp.verdict import verdict
 from coopqp.wording import raised
 
 
@@ -102,7 +103,9 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
     }
     chain, limits = scenario.chain, scenario.limits
     unseen = [line for limit in limits for line in limit.unseen(chain)]
-    verdicts = {name: verdict(trace, metrics[name], unseen) for name, trace in traces.items()}
+    verdicts = {
+        name: verdict(assess(trace), metrics[name], unseen) for name, trace in traces.items()
+    }
     return Comparison(
         scenario,
         traces,

@@ -22,7 +22,7 @@ from coopqp.kernel.survey import Survey, joint_points, survey
 from coopqp.plant import PlantModel
 from coopqp.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.task_end import TaskInfo
+from coopqp.trace import TaskInfo
 from coopqp.wording import suppressed
 
 

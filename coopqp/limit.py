@@ -169,6 +169,10 @@ class Limit(ABC):
         found = np.array([left(state) for state in states_along(chain, q[1:])])
         return dict(zip(self.rows(chain), found.T, strict=False)) if len(found) else {}
 
+    def audited(self, chain: ClosedChain) -> bool:
+        """Whether :meth:`margins` or :meth:`room` say how far a run stayed away from it."""
+        return type(self).margins is not Limit.margins or self.room(chain) is not None
+
     def room(self, chain: ClosedChain) -> RoomLeft | None:
         """How far what it bounds is from it, for limits in space; None for all others.
 

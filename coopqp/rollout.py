@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.assessment.thresholds import within
+from coopqp.checked import Array, type_name
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
 from coopqp.input import Sender
@@ -228,6 +229,15 @@ class _Recorder:
                 found |= limit.margins(problem.chain, q, v, problem.dt)
         return found
 
+    def _unaudited(self) -> tuple[str, ...]:
+        """Limits that do not say what they had left, by name."""
+        found, chain = [], self._law.problem.chain
+        for limit in self._law.problem.limits:
+            with suppressed():
+                if not limit.audited(chain):
+                    found.append(type_name(type(limit)))
+        return tuple(dict.fromkeys(found))
+
     def _starts(self) -> dict[Row, float]:
         """What it had left before the first."""
         found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
@@ -236,7 +246,7 @@ class _Recorder:
     def _leverage(self, errors: Array) -> Array:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
         parts = zip(errors, self.instants.parts, strict=True)
-        if all(error <= info.tolerance for error, (info, _) in parts):
+        if all(within(error, info.tolerance) for error, (info, _) in parts):
             return np.ones(len(errors))
         chain = self._law.problem.chain
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
@@ -285,6 +295,7 @@ class _Recorder:
             scale=self.scale,
             margins=self._margins(self.q, self.v),
             starts=self._starts(),
+            unaudited=self._unaudited(),
             compiled=self.compiled,
             tick_us=self.tick_us,
             points=seen.points,

@@ -16,8 +16,26 @@ from numpy.typing import NDArray
 from coopqp.checked import Array
 from coopqp.row import Row
 from coopqp.signal import Course, Followed, Kind, Moment
-from coopqp.solver import Budget, Status
-from coopqp.task_end import TaskInfo, settled
+
+
+@dataclass(frozen=True)
+class TaskInfo:
+    """A task, or a part of it with a unit of its own, as the trace needs it.
+
+    Attributes:
+        name, unit, tolerance: as the task says.
+        end: when its reference arrives [s].
+        rows: of the trace, during which it counts; its error is NaN in the others.
+        springs: of an impedance, which of the task's rows each is, its axis of the push, and its
+            stiffness [N/m, N m/rad].
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    end: float
+    rows: slice = field(default_factory=lambda: slice(None))
+    springs: tuple[tuple[int, int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,6 +179,11 @@ def _margins(legs: Legs, name: str) -> dict[Row, Array]:
     }
 
 
+def _unaudited(legs: Legs, name: str) -> tuple[str, ...]:
+    """Of any phase."""
+    return tuple(dict.fromkeys(limit for _, leg in legs for limit in getattr(leg, name)))
+
+
 def _starts(legs: Legs, name: str) -> dict[Row, float]:
     """By limit, from the first phase that has it."""
     return {row: left for _, leg in reversed(legs) for row, left in getattr(leg, name).items()}
@@ -262,6 +285,7 @@ class Trace:
         scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
+        unaudited: names of limits that do not say how far a run stayed away from them.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
@@ -312,6 +336,7 @@ class Trace:
     points: dict[str, Array] = field(metadata={"join": _points})
     heeds: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
+    unaudited: tuple[str, ...] = field(metadata={"join": _unaudited}, default=())
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
     inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
@@ -340,51 +365,9 @@ class Trace:
         return Moment(t, followed(self.inputs, k))
 
     @property
-    def final_error(self) -> Array:
-        """Each task's error at the end of the time for which it counts, shape (K,).
-
-        Of forces the largest of :meth:`at_end`, because one sample of a swing says nothing. Of an
-        impedance what :meth:`at_end` leaves out: that it gives way to a push as it was asked to.
-        """
-        return np.array([self.at_end(k).max() for k in range(len(self.tasks))], float)
-
-    def at_end(self, k: int) -> Array:
-        """The errors of task k that count as its end, :mod:`coopqp.task_end`."""
-        last, task = self.last_instants[k], self.tasks[k]
-        if self.pushed(k):
-            rows = task.columns(self.task_rows)
-            return task.beyond_springs(self.e[last, rows], self.signals["push"][last - 1])
-        return settled(self.task_error[task.rows.start : last + 1, k], task.unit, self.dt)
-
-    def pushed(self, k: int) -> bool:
-        """Whether task k is an impedance, and the plant pushes the object to its end."""
-        last, push = self.last_instants[k], self.signals.get("push")
-        return bool(self.tasks[k].springs and push is not None and last and push[last - 1].any())
-
-    @property
     def last_instants(self) -> tuple[int, ...]:
         """The last row for which each task counts."""
         return tuple(range(len(self.t))[task.rows][-1] for task in self.tasks)
-
-    @property
-    def broke_down(self) -> bool:
-        """Whether the plant could not go on, so that nothing is true of it any more."""
-        ended = {Status.PLANT_FAILED.name, Status.OBJECT_LOST.name}
-        return any(not ended.isdisjoint(status.split("+")) for status in self.status)
-
-    @property
-    def torn(self) -> tuple[bool, ...]:
-        """Whether the hands were too far apart for one object before each task ended.
-
-        Beyond what the law itself allows, :class:`coopqp.solver.Budget`.
-        """
-        most = Budget()
-        if "held" in self.signals:  # hands that press may move along the object
-            held = np.append(True, self.signals["held"][:, 0] > 0.0)
-            return tuple(not held[: i + 1].all() for i in self.last_instants)
-        apart = self.loop_position > most.loop_position
-        apart |= self.loop_orientation > most.loop_orientation
-        return tuple(bool(apart[: i + 1].any()) for i in self.last_instants)
 
 
 def join(phases: Legs) -> Trace:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.trace import Trace
 
@@ -39,10 +40,10 @@ def margin(use: Array | None) -> float | None:
 
 def end_of_hold(trace: Trace) -> int:
     """The tick in which the object was lost; the number of ticks where it was not."""
-    held = trace.signals.get("held")
-    if held is None or held[:, 0].all():
+    lost = assess(trace).lost_tick
+    if lost is None:
         return trace.ticks
-    return max(int(np.argmin(held[:, 0])), min(round(TAKEN / trace.dt), trace.ticks - 1) + 1)
+    return max(lost, min(round(TAKEN / trace.dt), trace.ticks - 1) + 1)
 
 
 def holding(points: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -13,4 +14,4 @@ class FailedTicks(Metric):
 
     def measure(self, trace: Trace) -> int:
         """Over the whole run."""
-        return int((~trace.usable).sum())
+        return assess(trace).failed[0]

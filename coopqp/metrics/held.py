@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -15,9 +14,8 @@ class Held(Metric):
 
     def measure(self, trace: Trace) -> dict[str, float | bool | None] | None:
         """None where no hand presses; a held object need not be where it should be."""
-        held = trace.signals.get("held")
-        if held is None or not trace.ticks:
+        found = assess(trace)
+        if "held" not in trace.signals or not trace.ticks:
             return None
-        kept = bool(held[:, 0].all())
-        lost = None if kept else float(trace.t[1 + int(np.argmin(held[:, 0]))])
-        return {"held": kept, "lost_at": lost}
+        k = found.lost_tick
+        return {"held": k is None, "lost_at": None if k is None else float(trace.t[1 + k])}

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.solver import Status, causes_of
 from coopqp.trace import Trace
 
 
@@ -24,21 +22,10 @@ class InputTicks(Metric):
         """Over the whole run; none where nothing follows an input."""
         if not trace.inputs or not trace.ticks:
             return None
+        inputs = assess(trace).inputs
         return {
-            "refused": len(_ticks_with(trace, Status.INPUT_REFUSED)),
-            "stale": len(_ticks_with(trace, Status.INPUT_STALE)),
-            "nothing_at": [
-                name for name, kept in trace.inputs.items() if np.isnan(kept.sent).all()
-            ],
-            "refused_at_end": trace.ticks - 1 in _ticks_with(trace, Status.INPUT_REFUSED),
+            "refused": inputs.refused,
+            "stale": inputs.stale,
+            "nothing_at": list(inputs.nothing_at),
+            "refused_at_end": inputs.refused_at_end,
         }
-
-
-def followed(trace: Trace) -> bool:
-    """Whether goals that are inputs are what was sent."""
-    found = InputTicks().measure(trace)
-    return not found or not (found["nothing_at"] or found["refused_at_end"])
-
-
-def _ticks_with(trace: Trace, cause: Status) -> list[int]:
-    return [k for k, word in enumerate(trace.status) if cause in causes_of(word)]

@@ -1,4 +1,4 @@
-"""How hard the hands squeeze the object, where the plant tells it."""
+"""How hard the hands squeeze and twist the object against each other, where the plant tells it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ END = 0.5
 
 @spec
 class InternalForce(Metric):
-    """How hard the hands squeeze the object, where the plant tells it."""
+    """How hard the hands squeeze and twist the object, where the plant tells it."""
 
-    unit: ClassVar[str] = "N"
+    unit: ClassVar[str] = "N, N m"
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
-        """The largest force of a hand that others cancel: at worst, and in the mean at the end."""
+        """The largest force and moment of a hand that others cancel: worst, and mean at the end."""
         signal = trace.signals.get("internal_wrench")
         if signal is None or not trace.ticks:
             return None
-        force = signal.reshape(trace.ticks, -1, 6)[:, :, :3]
-        largest = np.linalg.norm(force, axis=2).max(axis=1)
-        last = largest[-max(1, round(END / trace.dt)) :]
-        return {"worst": float(largest.max()), "end": float(last.mean())}
+        parts = signal.reshape(trace.ticks, -1, 2, 3)
+        force, moment = np.linalg.norm(parts, axis=3).max(axis=1).T
+        last = slice(-max(1, round(END / trace.dt)), None)
+        return {
+            "worst": float(force.max()),
+            "end": float(force[last].mean()),
+            "moment_worst": float(moment.max()),
+            "moment_end": float(moment[last].mean()),
+        }

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
+from coopqp.assessment.limits import beyond
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -19,4 +18,4 @@ class LimitMarginMin(Metric):
 
     def measure(self, trace: Trace) -> float:
         """Over the whole run."""
-        return float(np.minimum(trace.q - trace.lower, trace.upper - trace.q).min())
+        return 0.0 - float(beyond(trace).max())  # no negative zero

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
+from coopqp.assessment.limits import beyond
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -19,5 +18,4 @@ class LimitViolationMax(Metric):
 
     def measure(self, trace: Trace) -> float:
         """0 when no limit was left."""
-        beyond = np.maximum(trace.lower - trace.q, trace.q - trace.upper)
-        return max(0.0, float(beyond.max()))
+        return max(0.0, float(beyond(trace).max()))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
+from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
-
-#: A margin up to this counts as at the bound [rad, rad/s, m ...].
-AT_BOUND = 1e-6
 
 
 @spec
@@ -19,8 +17,8 @@ class LimitsAudit(Metric):
         return {
             row.name: {
                 "margin_min": float(margin.min(initial=float("inf"))),
-                "ticks_at_bound": int((margin <= AT_BOUND).sum()),
-                "saturated_share": float((margin <= AT_BOUND).mean()) if margin.size else 0.0,
+                "ticks_at_bound": int((margin <= AT_LIMIT).sum()),
+                "saturated_share": float((margin <= AT_LIMIT).mean()) if margin.size else 0.0,
             }
             for row, margin in trace.margins.items()
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -17,7 +18,5 @@ class LoopErrorMax(Metric):
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """Over the whole run."""
-        return {
-            "position": float(trace.loop_position.max()),
-            "orientation": float(trace.loop_orientation.max()),
-        }
+        position, orientation = assess(trace).loop
+        return {"position": position, "orientation": orientation}

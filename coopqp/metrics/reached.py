@@ -6,9 +6,9 @@ A goal that is an input, and was never followed, is not reached, however small t
 
 from __future__ import annotations
 
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
-from coopqp.metrics.input_ticks import followed
 from coopqp.trace import Trace
 
 
@@ -17,8 +17,5 @@ class Reached(Metric):
     """Whether every task's error ended within its tolerance, the object in all hands."""
 
     def measure(self, trace: Trace) -> bool:
-        """At the end of the time for which each counts, :attr:`Trace.final_error`."""
-        if trace.broke_down or not followed(trace):
-            return False
-        ends = zip(trace.final_error, trace.tasks, trace.torn, strict=True)
-        return all(bool(error <= task.tolerance) and not torn for error, task, torn in ends)
+        """At the end of the time for which each counts."""
+        return assess(trace).reached

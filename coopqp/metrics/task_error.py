@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from coopqp.assessment import assess
 from coopqp.checked import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -17,5 +18,4 @@ class TaskError(Metric):
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """By task name."""
-        ends = zip(trace.tasks, trace.final_error, strict=True)
-        return {task.name: float(error) for task, error in ends}
+        return {task.name: task.error for task in assess(trace).tasks}

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from coopqp.assessment.assessment import allowed_acceleration
+from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 
-#: Time from rest to a joint's velocity limit [s], from which its acceleration limit is made. NAO's
-#: joints get 36 to 123 rad/s2 with it, two Pandas' 11 to 13 rad/s2.
-SPEED_UP = 0.2
-#: For joints without a velocity limit [rad/s2, m/s2].
-UNLIMITED = 10.0
 #: For joints without a motor, which bound nothing [rad/s2].
 PASSIVE = 1e4
 
@@ -33,12 +30,12 @@ def with_acceleration(
     """
     if speed_up is None or any(isinstance(limit, JointAcceleration) for limit in limits):
         return tuple(limits)
-    most = np.where(np.isfinite(chain.velocity), chain.velocity / speed_up, UNLIMITED)
-    most[most <= 0.0] = UNLIMITED
+    most = allowed_acceleration(chain.velocity, speed_up)
     most[chain.passive] = PASSIVE
     by_joint = dict(zip(chain.joint_names, most.tolist(), strict=True))
     margin = max((x.margin for x in limits if isinstance(x, JointPosition)), default=0.0)
-    return *limits, JointAcceleration(max=UNLIMITED, joints=by_joint, margin=margin)
+    rest = float(ACCELERATION_UNLIMITED)
+    return *limits, JointAcceleration(max=rest, joints=by_joint, margin=margin)
 
 
 def acceleration_of(limits: Sequence[Limit], chain: ClosedChain) -> Array:

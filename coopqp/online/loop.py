@@ -23,10 +23,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.controller import Command
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.online.acceleration import SPEED_UP, with_acceleration
+from coopqp.online.acceleration import with_acceleration
 from coopqp.online.history import History
 from coopqp.online.interrupts import Interrupts
 from coopqp.online.keeper import Keeper, Record

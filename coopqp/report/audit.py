@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.assessment.thresholds import AT_LIMIT, matters
 from coopqp.checked import Array
-from coopqp.metrics.limits_audit import AT_BOUND
-from coopqp.overrun import matters
 from coopqp.report import curves
 from coopqp.report.cells import length, number
 from coopqp.report.curves import Figure
@@ -54,7 +53,7 @@ class Audited:
     @property
     def active(self) -> NDArray[np.bool_]:
         """In which ticks nothing was left, shape (T,)."""
-        return self.margin <= AT_BOUND
+        return self.margin <= AT_LIMIT
 
 
 def rows(traces: Mapping[str, Trace]) -> str:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import Assessment, assess
+from coopqp.assessment.limits import beyond
+from coopqp.assessment.thresholds import OUTSIDE, matters
 from coopqp.checked import Array
 from coopqp.comparison import Comparison
-from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.limit import ROUNDING
-from coopqp.overrun import broken, matters, outside
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -39,8 +39,10 @@ COLUMNS = {
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
     "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit."),
     "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
+    "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows."),
     "margin": Column("Least margin", "", "Least distance of a joint to its limit; < 0 beyond."),
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
+    "motors": Column("Motors", "saturated", "Share of the ticks in which one is at its limit."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
     "solver": Column("Solver", "", "What solved the QPs, and ticks that the kernel left."),
@@ -67,20 +69,22 @@ class Cell:
 
 def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
     """The entries of one controller, by the keys of COLUMNS."""
-    reached, loop = bool(metrics["reached"]), metrics["loop_error_max"]
-    speed = metrics["velocity_violation_max"]
-    opened = loop["position"] > CLOSED_POSITION or loop["orientation"] > CLOSED_ORIENTATION
-    place = trace.units[_worst(outside(trace))]
-    fastest = _worst(np.abs(trace.v) - trace.velocity)
-    of_speed = f"{trace.units[fastest]}/s"
-    gap = (f"{number(1e3 * loop['position'])} mm", f"{number(1e3 * loop['orientation'])} mrad")
+    found, speed = assess(trace), metrics["velocity_violation_max"]
+    place = trace.units[_worst(beyond(trace))]
+    of_speed = f"{trace.units[_worst(np.abs(trace.v) - trace.velocity)]}/s"
+    apart = tuple(number(1e3 * size) for size in found.loop)
     return {
-        "reached": Cell(("yes" if reached else "no",), not reached),
-        "task_error": _task_error(trace),
-        "limit": _limit(trace, metrics["limit_violation_max"], place),
-        "speed": Cell((_quantity(speed, of_speed),), matters(speed, of_speed)),
+        "reached": Cell(("yes" if found.reached else "no",), not found.reached),
+        "task_error": _task_error(found),
+        "limit": _limit(found, metrics["limit_violation_max"], place),
+        "speed": Cell((_quantity(speed, of_speed),), bool(found.speeds)),
+        "acceleration": _acceleration(found),
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
-        "loop": Cell(gap, opened),
+        "loop": Cell(
+            (f"{apart[0]} mm", f"{apart[1]} mrad"),
+            None if found.held is False else not found.loop_closed,
+        ),
+        "motors": _motors(found),
         "failed": _failed(metrics),
         "tick": Cell((f"{metrics['tick_us']['median']:.0f}" if metrics["tick_us"] else "-",)),
         "solver": Cell(_solver(metrics)),
@@ -96,17 +100,35 @@ def _solver(metrics: Mapping[str, Any]) -> tuple[str, ...]:
     return ("kernel", f"{solver} in {left}") if left else ("kernel",)
 
 
-def _limit(trace: Trace, overrun: float, unit: str) -> Cell:
+def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
     """Joints first, then all other limits of place; what a start is beyond is nobody's fault."""
-    others = [found for found in broken(trace) if found.row.unit in ("m", "rad")]
+    others = [found for found in assessed.limits if found.row.unit in ("m", "rad")]
     lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)
         lines.append(f"{found.row.owner}: {number(value)}\N{NO-BREAK SPACE}{of}")
-    at_start = max(0.0, float(outside(trace)[0].max()))
-    bad = any(found.farther for found in others) or matters(overrun - at_start, unit)
-    some = at_start > ROUNDING or bool(others)
-    return Cell(tuple(lines), None if some and not bad else bad)
+    bad = any(found.farther for found in (*assessed.joints, *others))
+    outside = bool((beyond(assessed.trace)[0] > OUTSIDE).any())
+    return Cell(tuple(lines), None if (outside or others) and not bad else bad)
+
+
+def _acceleration(found: Assessment) -> Cell:
+    """The worst joint's, and how many times what the loop for robots allows."""
+    worst = found.acceleration
+    if worst is None:
+        return Cell(("-",))
+    times = f"{number(worst.value / worst.allowed)} times"
+    return Cell((_quantity(worst.value, worst.unit), times), worst.exceeds)
+
+
+def _motors(found: Assessment) -> Cell:
+    """Motors at their limits; none where the plant has no motors."""
+    if "tau" not in found.trace.signals:
+        return Cell(("-",))
+    shares = list(found.saturated.items())
+    lines = [f"{joint}: {100.0 * share:.0f} %" for joint, share in shares[:MOST_LINES]]
+    more = [f"{len(shares) - MOST_LINES} more"] if len(shares) > MOST_LINES else []
+    return Cell((*lines, *more) or ("0 %",), bool(shares))
 
 
 def facts(comparison: Comparison) -> list[tuple[str, str]]:
@@ -148,7 +170,7 @@ def length(value: float, unit: str) -> tuple[float, str]:
 
 def number(value: float) -> str:
     """Three digits; rounding errors are shown as what they are."""
-    if 0.0 < abs(value) <= ROUNDING:
+    if 0.0 < abs(value) <= OUTSIDE:
         return "< 1e-9"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
@@ -164,21 +186,18 @@ def _quantity(value: float, unit: str) -> str:
     return number(value) if bare else f"{number(value)} {unit}"
 
 
-def _task_error(trace: Trace) -> Cell:
-    ends = list(zip(trace.tasks, trace.final_error.tolist(), strict=True))
+def _task_error(found: Assessment) -> Cell:
+    ends, lines = found.tasks, []
     if not ends:
         return Cell(("no task",), None)
-    missed = any(not error <= task.tolerance for task, error in ends)
-    lines = []
     if len(ends) > MOST_LINES:
         lines.append(f"worst of {len(ends)}:")
-        # A NaN is worse than any number.
-        ends = [max(ends, key=lambda e: math.inf if math.isnan(e[1]) else e[1] / e[0].tolerance)]
-    for task, error in ends:
-        value, unit = length(error, task.unit)
-        name = f"{task.name}: " if len(trace.tasks) > 1 else ""
+        ends = (max(ends, key=lambda task: task.share),)
+    for task in ends:
+        value, unit = length(task.error, task.unit)
+        name = f"{task.name}: " if len(found.tasks) > 1 else ""
         lines.append(f"{name}{number(value)}\N{NO-BREAK SPACE}{unit}")
-    return Cell(tuple(lines), missed)
+    return Cell(tuple(lines), bool(found.missed))
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from coopqp.assessment.ends import FORCES
 from coopqp.comparison import Comparison
 from coopqp.report.cells import plugin_name
-from coopqp.task_end import FORCES
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.checked import Array, seeded
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
@@ -34,7 +35,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.errors import GraspError
 from coopqp.grasp import Grasp
 from coopqp.held_object import HeldObject
-from coopqp.hold import CLOSED_POSITION, grasp_of_each
+from coopqp.hold import grasp_of_each
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.scenario import Start, by_arm, start_of
@@ -59,9 +60,6 @@ CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
 DIGITS = 8
 #: The same of starts that were nearly closed: over-constrained loops move only where they close.
 FINE_DIGITS = 12
-
-#: A joint counts as at its limit within this [rad or m].
-AT_LIMIT = 1e-6
 
 #: What joints of grippers are called; they place no arm, and turn or slide into their limits.
 GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
@@ -216,7 +214,7 @@ def start_text(start: Mapping[str, float | list[float]], remark: str, digits: in
 
 def _cure(off: float) -> str:
     """What to do where arms are off by so much [m]."""
-    if off < CLOSED_POSITION:
+    if off < LOOP_CLOSED:
         return (
             "the pose is rounded: leave object.pose out and give a start (or start_near), near "
             "which the loops are closed then"

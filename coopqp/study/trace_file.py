@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coopqp.assessment.ends import settled
 from coopqp.checked import Array
 from coopqp.controller import Law
 from coopqp.disturbance import Disturbance
@@ -28,7 +29,6 @@ from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.goal import parts_of
 from coopqp.study.explanation.leg import Recording
-from coopqp.task_end import settled
 from coopqp.trace import InputTrace, no_input
 
 #: What times may be off by, as a share of a tick, and joints that do as told [rad, m].
@@ -73,6 +73,7 @@ def _recording(run: Run, scenario: Scenario, controller: str) -> Recording:
         errors=_errors(run, held),
         # Passive joints have none.
         tau=np.nan_to_num(tau) if np.isfinite(tau).any() else np.zeros((0, 0)),
+        loop=run.numbers(["loop_position", "loop_orientation"], empty=True),
         inputs={name: _input(told, name, kind) for name, kind in held.followed().items()},
         place=run.header,
     )
@@ -131,12 +132,13 @@ def _errors(run: Run, scenario: Scenario) -> dict[str, float]:
 
 
 def _input(run: Run, name: str, kind: Kind) -> InputTrace:
-    """What was followed."""
+    """What was followed, and when it was sent."""
     layout = Layout(joints=(), inputs={name: kind})
     value, rate = (
         run.numbers(of_field(key, layout), empty=True) for key in ("followed", "followed_rate")
     )
-    return replace(no_input(kind, len(run)), value=value, rate=rate)
+    sent = run.numbers([f"input[{name}].sent"], empty=True)[:, 0]
+    return replace(no_input(kind, len(run)), value=value, rate=rate, sent=sent)
 
 
 def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0) -> State:

@@ -15,8 +15,8 @@ BEYOND: Rgb = (150, 20, 110)
 GOAL: Rgb = (0, 158, 115)
 FORCE: Rgb = (194, 24, 127)  # as in reports
 WEIGHT: Rgb = (70, 70, 70)
-#: Share of half the range that is left where a joint begins to change its colour, and is at it.
-WARNS, AT_LIMIT = 0.25, 2e-3
+#: Share of half the range that is left where a joint begins to change its colour.
+WARNS = 0.25
 #: Steps between the two colours, so that links do not change with every frame.
 STEPS = 6
 
@@ -33,12 +33,12 @@ def of_joint(left: float, base: Rgb) -> Rgb:
     """Colour of a link by what its joint has left to its nearer limit, in half ranges.
 
     Args:
-        left: below zero beyond the limit.
+        left: 0 at the limit, below beyond it.
         base: far from it.
     """
-    if left < -AT_LIMIT:
+    if left < 0.0:
         return BEYOND
-    if left <= AT_LIMIT:
+    if left == 0.0:
         return AT
     if left >= WARNS:
         return base

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from coopqp.assessment.thresholds import torn
 from coopqp.checked import Array
 from coopqp.controller import Command
 from coopqp.controller_run import controller_of
@@ -77,6 +79,7 @@ class Lane:
         feed: who sends to it.
         command: of the last tick. us: time that it took [us].
         starts: configuration in which each phase but the first has begun.
+        torn: whether the hands were once too far apart for one object, or have lost it.
         goals: error of each task to its goal, by the tasks' rows.
     """
 
@@ -87,7 +90,7 @@ class Lane:
     def __init__(self, scenario: Scenario, name: str, hands: Hands) -> None:
         self.name, self._hands, self.us = name, hands, 0.0
         self.starts: list[Array] = []
-        self._ending = False
+        self._ending = self.torn = False
         self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
 
     @property
@@ -99,6 +102,12 @@ class Lane:
     def state(self) -> State:
         """That of the last tick."""
         return self.run.state
+
+    @property
+    def followed(self) -> bool:
+        """Whether something has arrived at all inputs, and nothing is refused."""
+        channels = self.feed.inputs.channels.values()
+        return all(c.sent > -math.inf for c in channels) and not self.state.inputs.refused
 
     @property
     def t(self) -> float:
@@ -113,6 +122,15 @@ class Lane:
             self._enter(begin_phase(self.run.scenario, self.run.controller, self.run))
         self.command, self.us = next(self._ticks)
         self.run.ticks += 1
+        self.torn = self.torn or self._is_torn()
+
+    def _is_torn(self) -> bool:
+        """Whether the hands are too far apart for one object, or have lost it."""
+        held = self.plant.signals.get("held")
+        if held is not None:  # hands that press may move along the object
+            return self.run.ticks > 1 and not held[0] > 0.0
+        true = self.plant.truth(self.state)
+        return torn(true.loop_position_error, true.loop_orientation_error)
 
     def turn(self, scenario: Scenario) -> None:
         """Build the law anew for other gains and the like, and go on from where it is.

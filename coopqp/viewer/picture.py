@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
+from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.checked import Array
 from coopqp.closed_loop.forces import squeezes
 from coopqp.mark import SolidMark, asked
@@ -24,8 +25,6 @@ from coopqp.viewer.lane import Lane
 from coopqp.viewer.messages import LawFrame, Surface
 
 FORCES = "hand_wrench"
-#: A joint that is beyond a limit by less is at it [rad, m].
-AT_LIMIT = 1e-4
 #: The longest force is drawn as long as this share of the object.
 ARROW = 0.8
 #: So far above the hands, and the weight below the object's middle, in its longest edge: inside
@@ -116,11 +115,6 @@ def outlines(lane: Lane, place: Place) -> Array:
     return np.concatenate(found)
 
 
-def speed(lane: Lane) -> float:
-    """Of the fastest joint [rad/s, m/s]."""
-    return float(np.abs(lane.state.v).max(initial=0.0))
-
-
 def _joint_pose(state: State, names: Sequence[str], joint: int | None) -> pin.SE3:
     if joint is None:
         return pin.SE3.Identity()
@@ -128,11 +122,12 @@ def _joint_pose(state: State, names: Sequence[str], joint: int | None) -> pin.SE
 
 
 def _left(state: State) -> Array:
-    """What is left to the nearer limit, in half ranges; 1 for joints that have none."""
+    """What is left to the nearer limit, in half ranges, 0 at it; 1 for joints that have none."""
     chain, q = state.chain, state.q
     with np.errstate(invalid="ignore"):
         room = np.minimum(q - chain.lower, chain.upper - q)
         left = room / (0.5 * (chain.upper - chain.lower))
+    left[np.abs(room) <= AT_LIMIT] = 0.0
     return np.asarray(np.nan_to_num(left, nan=1.0, posinf=1.0, neginf=-1.0), float)
 
 
@@ -144,13 +139,17 @@ def _broken(lane: Lane, state: State) -> str:
     said = []
     over = np.maximum(chain.lower - q, q - chain.upper)
     for i in np.argsort(-over)[:MOST_NAMED]:
-        if over[i] > AT_LIMIT:
+        if matters(float(over[i]), chain.joint_units[i]):
             past = size(float(over[i]), chain.joint_units[i])
             said.append(f"{chain.joint_names[i]} is {past} past its limit")
     fast = np.abs(lane.command.v) / chain.velocity
-    if len(fast) and fast.max() > 1.0 + 1e-6:
+    if len(fast) and fast.max() > 1.0 + TOO_FAST:
         i = int(fast.argmax())
         said.append(f"{chain.joint_names[i]} is told to go {fast[i]:.3g} times its fastest speed")
+    if lane.torn:
+        said.append("the loop came open so far that no goal counts any more")
+    elif not closed(state.loop_position_error, state.loop_orientation_error):
+        said.append(f"the loop is open by {size(state.loop_position_error, 'm')}")
     if not lane.command.status.usable:
         said.append(lane.command.status.value)
     return listed(said)
@@ -164,7 +163,7 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
         stack.update(state)
     except Exception:  # noqa: BLE001 - the tick, which met the same error, names it
         return False, lane.command.note
-    said, reached, at = [], True, 0
+    said, reached, at = [], lane.followed and not lane.torn, 0
     for task in problem.tasks:
         errors = []
         for part in task.parts(problem.chain):
@@ -174,7 +173,7 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
             if task.asks_velocity:
                 miss = stack.J[rows] @ state.v - stack.rate[rows]
             error = math.hypot(*miss.tolist())
-            reached = reached and error <= part.tolerance
+            reached = reached and within(error, part.tolerance)
             errors.append(size(round(error, DIGITS), part.unit))
         said.append(f"{task.name} {listed(errors)} off")
     return reached, ", ".join(said)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coopqp.assessment.thresholds import rests
 from coopqp.checked import Array
 from coopqp.controller_run import check_plant, controller_of
 from coopqp.errors import CoopqpError
@@ -37,8 +38,8 @@ from coopqp.viewer.messages import (
 )
 from coopqp.viewer.recording import Recording
 
-#: Slower than this the arms rest [rad/s, m/s]; nearer than this an input is where it goes to.
-RESTS, ARRIVED = 3e-4, 1e-6
+#: Nearer than this an input is where it goes to.
+ARRIVED = 1e-6
 SLOWEST, FASTEST = 0.05, 4.0
 #: What the slider of a force goes up to where its input has no bounds [N, N m].
 MOST_FORCE = 100.0
@@ -224,7 +225,7 @@ class Player:
             hand_wrench=None if state.hand_wrench is None else state.hand_wrench.copy(),
             inputs=followed,
             targets=lane.targets(),
-            rests=picture.speed(lane) < RESTS and _arrived(lane),
+            rests=rests(lane.state.v) and _arrived(lane),
         )
 
     def _playable(self, asked: Sequence[str]) -> tuple[str, ...]:

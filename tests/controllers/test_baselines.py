@@ -9,6 +9,7 @@ from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, answer, problem, run
 from scipy.optimize import linprog
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.constraint_equations import constraint_equations
@@ -106,7 +107,7 @@ def test_weighted_least_norm_spares_a_joint_at_its_limit_and_lets_it_back(
 def test_weighted_least_norm_solves_the_headline_inside_all_limits() -> None:
     """On point_on_point it is as good as the QP, and the documentation says so."""
     trace = coopqp.run(coopqp.load("point_on_point"), controller="weighted_least_norm")
-    assert trace.final_error[0] < 1e-5
+    assert assess(trace).errors[0] < 1e-5
     assert (trace.lower <= trace.q).all()
     assert (trace.q <= trace.upper).all()
 

@@ -21,10 +21,12 @@ def trace() -> Trace:
 def test_the_largest_force_of_a_hand_at_worst_and_in_the_last_half_second(trace: Trace) -> None:
     wrench = np.zeros((trace.ticks, 12))
     wrench[10, :3] = [3.0, 0.0, 4.0]
-    wrench[10, 3:6] = 100.0  # a torque is no force
+    wrench[10, 3:6] = [0.0, 6.0, 8.0]  # a moment is no force
     wrench[-50:, 6:9] = [0.0, 2.0, 0.0]
     squeezed = replace(trace, signals={"internal_wrench": wrench})
-    assert InternalForce().measure(squeezed) == {"worst": 5.0, "end": 2.0}
+    assert InternalForce().measure(squeezed) == {
+        "worst": 5.0, "end": 2.0, "moment_worst": 10.0, "moment_end": 0.0,
+    }  # fmt: skip
 
 
 def test_plants_that_do_not_tell_the_force_have_none(trace: Trace) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from laws import DT, PLAIN, run
 
+from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
-from coopqp.metrics.limits_audit import AT_BOUND, LimitsAudit
+from coopqp.metrics.limits_audit import LimitsAudit
 from coopqp.scenario.loader import load
 from coopqp.state import State
 from coopqp.trace import Trace
@@ -54,7 +55,7 @@ def test_audit_is_what_the_trace_says(blocked: tuple[ControlProblem, Trace]) -> 
     for name, margin in margins.items():
         found = audit[name]
         assert found["margin_min"] == pytest.approx(margin.min(), abs=1e-12)
-        sure = int((margin < AT_BOUND - 1e-9).sum()), int((margin < AT_BOUND + 1e-9).sum())
+        sure = int((margin < AT_LIMIT - 1e-9).sum()), int((margin < AT_LIMIT + 1e-9).sum())
         assert sure[0] <= found["ticks_at_bound"] <= sure[1]
         assert found["saturated_share"] == found["ticks_at_bound"] / 300
     at_bound = {name for name in margins if audit[name]["ticks_at_bound"]}

@@ -9,6 +9,7 @@ import pytest
 from scenario_files import HAS_ROBOTS
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.comparison import Comparison, summarize
 from coopqp.disturbance import Disturbance, Push
@@ -105,4 +106,4 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         assert found.verdicts["torque_qp"].startswith(words) is there
         (trace,) = found.traces.values()
         off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
-        assert trace.final_error[0] == pytest.approx(off)
+        assert assess(trace).errors[0] == pytest.approx(off)

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES, TAIL, phased
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
@@ -54,7 +55,7 @@ def test_plants_with_masses_open_and_close_the_loop(tmp_path: Path, plant: objec
     )
     assert trace.t[-1] == pytest.approx(1.7)
     np.testing.assert_allclose(trace.position, ideal.position, atol=2e-3)
-    assert (trace.final_error <= 4.0 * np.array([task.tolerance for task in trace.tasks])).all()
+    assert (assess(trace).errors <= 4.0 * np.array([task.tolerance for task in trace.tasks])).all()
     tau = trace.signals["tau"]
     assert np.isfinite(tau).all()
     assert (np.abs(tau) <= trace.effort + 1e-9).all()

@@ -11,6 +11,7 @@ import pytest
 from chains import HANDS
 from pads import pressing
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.section import section
@@ -109,7 +110,7 @@ def test_a_squeeze_that_is_asked_for_is_measured_within_one_per_cent(name: str, 
     assert found["mean"] == pytest.approx(9.0, rel=0.02)
     # The task is told like any other.
     assert [task.name for task in trace.tasks][-1] == "internal_wrench"
-    assert trace.final_error[-1] < 0.09
+    assert assess(trace).errors[-1] < 0.09
     assert trace.tasks[-1].unit == "N"
 
 
@@ -135,7 +136,7 @@ def test_with_half_the_friction_the_box_is_lost_in_both_plants() -> None:
         assert not found["held"]
         # The run ends there: nothing moves any more, and nothing counts on.
         assert trace.status[-1] == Status.OBJECT_LOST.name
-        assert trace.broke_down
+        assert assess(trace).ended
         assert np.array_equal(trace.q[-1], trace.q[-2])
         last = int(np.argmin(trace.signals["held"][:, 0]))
         assert np.array_equal(trace.signals["slip"][-1], trace.signals["slip"][last])

@@ -16,6 +16,7 @@ from conflicts import slightly_open
 from laws import problem, ticks
 from scenario_files import HAS_ROBOTS
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
@@ -66,7 +67,7 @@ def test_arms_do_not_freeze_at_the_loop_budget(name: str, kappa: str) -> None:
     assert (np.abs(trace.v).max(axis=1) > 0.0).all()
     assert trace.loop_position.max() <= 1e-3
     assert trace.loop_orientation.max() <= 1e-2
-    assert (trace.final_error <= [task.tolerance for task in trace.tasks]).all()
+    assert (assess(trace).errors <= [task.tolerance for task in trace.tasks]).all()
 
 
 @pytest.mark.parametrize("name", RATTLED)

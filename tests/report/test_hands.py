@@ -12,6 +12,8 @@ from command_line import typed
 from scenario_files import HAS_ROBOTS, cut, write
 
 import coopqp
+from coopqp.assessment import assess
+from coopqp.assessment.verdict import verdict
 from coopqp.comparison import Comparison, compare
 from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
@@ -21,7 +23,6 @@ from coopqp.report.how_to_read import how_to_read
 from coopqp.report.page import render
 from coopqp.solver import Status
 from coopqp.trace import Failure
-from coopqp.verdict import verdict
 
 SHIPPED = Path(coopqp.__file__).parent / "scenarios"
 
@@ -62,7 +63,7 @@ def test_the_verdict_tells_a_pad_on_its_edge_apart_from_friction(pressed: Compar
     told = {"edge_margin": EdgeMargin(), "friction_margin": FrictionMargin()}
     found = {key: metric.measure(tipping) for key, metric in told.items()}
     assert found == {"edge_margin": 0.0, "friction_margin": metrics["friction_margin"]}
-    said = verdict(tipping, {**metrics, **found})
+    said = verdict(assess(tipping), {**metrics, **found})
     assert "% of the friction unused and a pad on its edge; " in said
 
 
@@ -73,7 +74,7 @@ def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
     held[40:] = 0.0
     lost = replace(trace, signals={**trace.signals, "held": held})
     metrics = {**pressed.metrics[name], "held": Held().measure(lost)}
-    assert verdict(lost, metrics).startswith("Loses the object at 0.082 s; reaches no goal")
+    assert verdict(assess(lost), metrics).startswith("Loses the object at 0.082 s; reaches no goal")
     assert not Held().measure(lost)["held"]  # type: ignore[index]
     ended = replace(
         lost,
@@ -83,7 +84,7 @@ def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
             for k in range(41, trace.ticks)
         ),
     )
-    said = verdict(ended, metrics)
+    said = verdict(assess(ended), metrics)
     assert said.startswith("Loses the object at 0.082 s: right slips; reaches no goal")
 
 

@@ -13,6 +13,7 @@ import pytest
 from command_line import typed
 from scenario_files import HEAD, PHASES, TAIL, needs_robots, phased, write
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.comparison import compare, summarize
 from coopqp.controller_run import run
@@ -81,8 +82,8 @@ def test_each_phase_answers_for_its_own_tasks(regrasped: tuple[Scenario, Trace])
     assert [np.flatnonzero(column)[[0, -1]].tolist() for column in known.T] == [
         [0, ALONE], [ALONE, AGAIN], [ALONE, AGAIN], [AGAIN, 170],
     ]  # fmt: skip
-    reached = trace.final_error <= [task.tolerance for task in trace.tasks]
-    assert reached.all(), trace.final_error
+    reached = assess(trace).errors <= [task.tolerance for task in trace.tasks]
+    assert reached.all(), assess(trace).errors
     metrics = summarize(*_as_comparison(regrasped)).metrics["qp"]
     assert metrics["reached"]
     assert set(metrics["task_error"]) == set(names)
@@ -100,7 +101,7 @@ def test_a_posture_of_one_arm_leaves_the_other_to_the_object(tmp_path: Path) -> 
     assert lift != PHASES
     text = HEAD + lift.replace("    duration: 0.6\n    released", "    duration: 1.5\n    released")
     trace = run(phased(tmp_path, text + TAIL), controller="qp")
-    reached = dict(zip([t.name for t in trace.tasks], trace.final_error, strict=True))
+    reached = dict(zip([t.name for t in trace.tasks], assess(trace).errors, strict=True))
     assert reached["alone.stay"] < 5e-4
     assert reached["alone.away"] < 0.01
 
@@ -222,7 +223,7 @@ def test_a_fault_is_answered_with_its_place(
 def test_pandas_regrasp_a_box_with_a_quarter_turn() -> None:
     made = load("regrasp")
     trace = run(made, controller="qp")
-    assert (trace.final_error <= [task.tolerance for task in trace.tasks]).all()
+    assert (assess(trace).errors <= [task.tolerance for task in trace.tasks]).all()
     assert ((trace.lower <= trace.q) & (trace.q <= trace.upper)).all()
     lift = made.first_ticks[3]
     before = in_the_hand(made, trace, "right/arm", slice(0, 1)).reshape(3, 4)[:, :3]

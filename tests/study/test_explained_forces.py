@@ -10,6 +10,7 @@ import pytest
 from explained import explained
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.comparison import summarize
 from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.disturbance import Disturbance, Push
@@ -87,6 +88,6 @@ def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
     path = tmp_path / "trace.csv"
     files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
     read = recording_from_trace(path, scenario, "torque_qp").errors
-    own = dict(zip((task.name for task in trace.tasks), trace.final_error.tolist(), strict=True))
+    own = dict(zip((task.name for task in trace.tasks), assess(trace).errors.tolist(), strict=True))
     assert read == pytest.approx(own, rel=1e-5)
     assert read["press"] == pytest.approx(3.9, rel=0.02)

@@ -17,6 +17,7 @@ from laws import LIMITS, STEP
 from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.limits import (
     JointAcceleration,
@@ -54,7 +55,7 @@ def test_speeds_that_hold_up_are_named_with_the_time_that_would_do(
     assert found.time is not None
     assert found.held_back[0].words.startswith(word)
     ends = [
-        run(replace(scenario, duration=share * found.time), controller="qp").final_error[0]
+        assess(run(replace(scenario, duration=share * found.time), controller="qp")).errors[0]
         for share in (1.0, 0.9)
     ]
     assert ends[0] <= scenario.tasks[0].tolerance < ends[1]
@@ -117,12 +118,12 @@ def test_a_later_phase_is_explained_with_its_own_chain(tmp_path: Path) -> None:
 def test_a_law_that_knows_no_limits_is_not_blamed_on_them_but_told_to_break_them() -> None:
     scenario = load("joint_limit_stress")
     found = explained(scenario, "pseudoinverse")
-    assert found.kind == "reached"
+    assert found.kind == "broken"
     trace, limit = run(scenario, controller="pseudoinverse"), 2.0 * np.pi
     worst = min(trace.margins, key=lambda row: trace.margins[row].min() if row.unit == "rad" else 0)
     by = -trace.margins[worst].min()
     assert 0.1 < by < limit
-    assert found.sentence.startswith("every goal is reached, but beyond limits: ")
+    assert found.sentence.startswith("the goals are reached, but beyond limits: ")
     assert f"{worst.words} by {by:.3g} rad" in found.sentence
     assert explained(nao(REACH)).sentence == "every goal is reached"
 
@@ -171,7 +172,9 @@ def test_a_run_of_nans_says_its_status() -> None:
     recording = recording_of(run(scenario, controller="qp"))
     recording.q[-1, 0] = np.nan
     status = (*recording.status[:-1], "NOT_FINITE")
-    found = explain_run(scenario, replace(recording, status=status, errors={"reach": np.nan}))
+    found = explain_run(
+        scenario, replace(recording, status=status, errors={"reach": np.nan}, assessment=None)
+    )
     assert found.kind == "failed"
     assert "the state or the answer has NaN or infinite values" in found.sentence
 

@@ -15,6 +15,7 @@ from explained import HIGH, LOW, REACH, advice, explained, nao, nearest, of_case
 from laws import UNREACHABLE
 from scenario_files import needs_robots
 
+from coopqp.assessment import assess
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
@@ -30,7 +31,7 @@ def test_the_table_case_is_told_apart_from_what_is_out_of_reach_anyway() -> None
     way = nearest(scenario.chain, (0.19, 0.0, 0.0))
     assert found.kind == "reach"
     assert found.distance == pytest.approx(float(np.linalg.norm(way)), abs=2e-4)
-    end = run(scenario, controller="qp").final_error[0]
+    end = assess(run(scenario, controller="qp")).errors[0]
     assert f"back by {1e3 * (end - found.distance):.2g}" in found.sentence
     assert found.sentence.startswith("the table, corner ")
 

@@ -13,6 +13,7 @@ from explained import advice, explained, gap, nao, of_case
 from laws import LIMITS
 from scipy.optimize import minimize
 
+from coopqp.assessment import assess
 from coopqp.checked import Array
 from coopqp.controller_run import run
 from coopqp.limits import (
@@ -47,7 +48,7 @@ def given_more(scenario: Scenario, found: RunExplanation, share: float = 1.0) ->
         ends = model.upperPositionLimit if side == "upper" else model.lowerPositionLimit
         ends[i] += share * need.amount * (1 if side == "upper" else -1)
     other = replace(scenario, robot=Wider(replace(robot, model=model)))
-    return float(run(other, controller="qp").final_error[0] / scenario.tasks[0].tolerance)
+    return float(assess(run(other, controller="qp")).errors[0] / scenario.tasks[0].tolerance)
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ import pytest
 from laws import problem
 from numpy.typing import NDArray
 
+from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation, turns
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, Law
@@ -29,7 +30,6 @@ from coopqp.study.stress.driving import LONGEST, drive_on, record_of
 from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.firmness import as_soft, missed_hard_tasks, worse_than_soft
 from coopqp.study.stress.signs import Record
-from coopqp.study.stress.swing import LEAST, swing, turning
 from coopqp.tasks import PointOnPoint, Twist
 from coopqp.ticks import Ticks
 
@@ -47,6 +47,17 @@ def record(
     n, far = q.shape[1], np.full(q.shape[1], 1e3)
     units, v = (unit,) * n, np.diff(q, axis=0) / DT
     return Record(-far, far, far, units, DT, rest, longest, q, v, [(Status.OPTIMAL,)] * len(v))
+
+
+def swing(seen: Record, noise: float = 0.0) -> Oscillation | None:
+    """As the stress test asks."""
+    q = seen.q[seen.rest :]
+    return oscillation(q, seen.units, seen.dt, longest=seen.longest, noise=noise)
+
+
+def turning(seen: Record) -> bool:
+    """As the stress test asks."""
+    return turns(seen.q[seen.rest :], seen.units)
 
 
 def sine(frequency: float, size: float = 0.01) -> Array:

@@ -10,6 +10,7 @@ import pytest
 from command_line import typed
 from plate_study import HERE, STUDY, table_of, written
 
+from coopqp.assessment import assess
 from coopqp.cli.sweep import _Drawn
 from coopqp.controller_run import run
 from coopqp.errors import CoopqpError, ScenarioError
@@ -216,7 +217,7 @@ def test_rows_are_what_the_scenario_gives_by_itself(plate: Path) -> None:
     assert (controller, list(scenario.controllers)) == ("pseudoinverse", ["pseudoinverse"])
     trace = run(scenario, controller=controller)
     row = rows[5]
-    assert row["task_error.slide"] == float(trace.final_error[0])
+    assert row["task_error.slide"] == float(assess(trace).errors[0])
     assert row["loop_error_max.position"] == float(trace.loop_position.max())
     assert row["object.mass"] == scenario.held.mass
     assert row["variant_seed"] == scenario.seed

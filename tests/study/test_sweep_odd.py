@@ -13,11 +13,11 @@ import pytest
 from command_line import typed
 from plate_study import HERE, STUDY, plate_in, table_of, written
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
 from coopqp.study.sweep.journal import line_of
-from coopqp.study.sweep.variant import _blocked_by, _broken, succeeds
 
 pytest.importorskip("pyarrow.parquet")
 
@@ -104,12 +104,12 @@ def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
 def test_a_loop_that_opens_is_why_a_run_does_not_succeed(plate: Path) -> None:
     """Goals are reached, and no limit is broken."""
     trace = run(load("planar_pair"), controller="qp")
-    assert succeeds(trace)
-    assert not list(_broken(trace))
+    assert assess(trace).succeeds
+    assert not assess(trace).broken
     opened = replace(trace, loop_position=trace.loop_position + 1.2e-4)
-    assert not any(opened.torn)
-    assert not succeeds(opened)
-    assert list(_broken(opened)) == ["loop"]
+    assert assess(opened).reached
+    assert not assess(opened).succeeds
+    assert assess(opened).broken == ("loop",)
 
 
 @pytest.mark.parametrize(("duration", "named"), [(0.08, True), (3.0, False)])
@@ -127,15 +127,15 @@ def test_speeds_that_hold_a_run_up_are_named(plate: Path, duration: float, named
     (plate / "fast.yaml").write_text(text, encoding="utf-8")
     scenario = load(plate / "fast.yaml")
     trace = run(scenario, controller="qp")
-    assert succeeds(trace) is not named
+    assert assess(trace).succeeds is not named
     model = scenario.robot_model.model
     full = (np.abs(trace.v) > 0.9999 * model.velocityLimit).mean(axis=0) > 0.25
     fast = {f"speed of {joint}" for joint, at in zip(trace.joints, full, strict=True) if at}
-    found = {name for name in _blocked_by(trace) if name.startswith("speed")}
+    found = {name for name in assess(trace).blocked_by if name.startswith("speed")}
     assert found == (fast if named else set())
     assert fast or not named
     law = run(scenario, controller="pseudoinverse")
-    assert not [name for name in _blocked_by(law) if name.startswith("speed")]
+    assert not [name for name in assess(law).blocked_by if name.startswith("speed")]
 
 
 # Folders

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.profile import Profile
 from coopqp.scenario.loader import load
@@ -73,7 +74,7 @@ def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> N
     eased = replace(scenario, tasks=(goal,), duration=9.0)
     eased.__dict__["robot_model"] = scenario.robot_model
     trace = run(eased, controller="qp")
-    assert trace.final_error[0] < 5e-4
+    assert assess(trace).errors[0] < 5e-4
 
 
 def test_while_it_moves_it_is_told_how_near_it_gets() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.checked import Array
-from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.report import curves
 from coopqp.report.cells import length
 from coopqp.report.curves import Figure
@@ -77,13 +77,13 @@ def loop_errors(chart: Chart) -> list[Figure]:
             "mm",
             chart.lines(lambda trace: 1e3 * trace.loop_position),
             1e3 * FLOOR,
-            good=(1e3 * CLOSED_POSITION, "counts as closed"),
+            good=(1e3 * LOOP_CLOSED, "counts as closed"),
         ),
         chart.log(
             f"Loop error, orientation, {kappa}",
             "mrad",
             chart.lines(lambda trace: 1e3 * trace.loop_orientation),
             1e3 * FLOOR,
-            good=(1e3 * CLOSED_ORIENTATION, "counts as closed"),
+            good=(1e3 * LOOP_CLOSED_ANGLE, "counts as closed"),
         ),
     ]

@@ -7,9 +7,9 @@ from itertools import chain as joined
 
 import numpy as np
 
+from coopqp.assessment.thresholds import OUTSIDE
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import ROUNDING
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.figures.chart import Chart
@@ -133,7 +133,7 @@ def _marks(
 ) -> list[Json]:
     """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
     t, style, marks, (lower, upper) = chart.any.t, chart.styles[name], [], limits
-    beyond = np.flatnonzero((y < lower - ROUNDING) | (y > upper + ROUNDING))
+    beyond = np.flatnonzero((y < lower - OUTSIDE) | (y > upper + OUTSIDE))
     if len(beyond):
         k = beyond[0]
         crossed = lower if y[k] < lower else upper

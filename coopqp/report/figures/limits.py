@@ -1,4 +1,4 @@
-"""How much room the joints have: margin, the paper's criterion, speed."""
+"""How much room the joints have: margin, the paper's criterion, speed, acceleration."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from coopqp.assessment.assessment import accelerations
+from coopqp.assessment.limits import beyond
 from coopqp.checked import Array
 from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.report import curves
@@ -13,15 +15,24 @@ from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
 from coopqp.trace import Trace
 
-MOST_SPEED = 3.0  # times the limit, beyond which speeds need a log scale
-SMALL = 1e-3  # smallest share of the speed limit on a log scale
+MOST_SHARE = 3.0  # times the limit, beyond which shares need a log scale
+SMALL = 1e-3  # smallest share on a log scale
 MOST_CRITERION = 3.0  # times the calmest line's largest value, beyond which lines are cut off
 
 
 def limit_figures(chart: Chart) -> list[Figure]:
-    """Margin by unit, criterion and speed."""
+    """Margin by unit, criterion, speed and acceleration."""
     figures = [_margin(chart, unit) for unit in joint_units(chart.traces.values())]
-    return [*figures, *_criterion(chart), _speed(chart)]
+    speed, acceleration = chart.lines(speed_share), chart.lines(acceleration_share)
+    return [
+        *figures,
+        *_criterion(chart),
+        _shares(chart, "Speed of the fastest joint", "its limit", speed, "speed limit"),
+        _shares(
+            chart, "Largest acceleration of a joint", "what the loop for robots allows",
+            acceleration, "allowed",
+        ),
+    ]  # fmt: skip
 
 
 def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
@@ -37,8 +48,7 @@ def margin(trace: Trace, unit: str) -> Array:
         unit: "rad" or "m"; joints with another one do not count.
     """
     counts = np.array(trace.units) == unit
-    room = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
-    least: Array = room[:, counts].min(axis=1)
+    least: Array = 0.0 - beyond(trace)[:, counts].max(axis=1)
     return least
 
 
@@ -91,18 +101,24 @@ def _criterion(chart: Chart) -> list[Figure]:
     ]
 
 
-def _speed(chart: Chart) -> Figure:
-    lines = chart.lines(speed_share)
-    fastest = max(float(y.max(initial=0.0)) for y in lines.values())
-    log = fastest > MOST_SPEED
-    shown = Window(0.0, max(1.25, 1.1 * fastest))
+def acceleration_share(trace: Trace) -> Array:
+    """Largest acceleration of a joint over what the loop for robots allows, shape (T,)."""
+    share: Array = accelerations(trace).share.max(axis=1, initial=0.0)
+    return share
+
+
+def _shares(chart: Chart, title: str, what: str, lines: dict[str, Array], bound: str) -> Figure:
+    """Shares of a bound at each tick; on a log scale where some are far beyond it."""
+    most = max(float(y.max(initial=0.0)) for y in lines.values())
+    log = most > MOST_SHARE
+    shown = Window(0.0, max(1.25, 1.1 * most))
     if log:
-        shown = Window(SMALL, 3.0 * fastest)
+        shown = Window(SMALL, 3.0 * most)
         lines = {name: np.maximum(y, SMALL) for name, y in lines.items()}
     axis = curves.logarithmic(shown) if log else curves.linear(shown)
     return Figure(
-        title="Speed of the fastest joint",
-        unit=f"share of its limit{', log scale' if log else ''}",
+        title=title,
+        unit=f"share of {what}{', log scale' if log else ''}",
         data=chart.beyond_limits(shown, -np.inf, 1.0) + chart.curves(lines, steps=True),
-        layout=chart.layout(axis, curves.level(1.0, "speed limit", log=log)),
+        layout=chart.layout(axis, curves.level(1.0, bound, log=log)),
     )

@@ -25,19 +25,20 @@ def torques(chart: Chart) -> list[Figure]:
 def forces(chart: Chart) -> list[Figure]:
     """At the cut of the loop and between the hands, as far as told."""
     told, figures = _told(chart), []
-    for signal, title in (
-        ("internal_wrench", "Internal force, largest of the hands"),
-        ("cut_wrench", "Constraint force at the cut"),
+    for signal, part, title, unit in (
+        ("internal_wrench", slice(3), "Internal force, largest of the hands", "N"),
+        ("internal_wrench", slice(3, 6), "Internal moment, largest of the hands", "N m"),
+        ("cut_wrench", slice(3), "Constraint force at the cut", "N"),
     ):
         lines = {
             name: np.linalg.norm(
-                told[name].signals[signal].reshape(told[name].ticks, -1, 6)[:, :, :3], axis=2
+                told[name].signals[signal].reshape(told[name].ticks, -1, 6)[:, :, part], axis=2
             ).max(axis=1)
             for name in chart.names
             if name in told and signal in told[name].signals
         }
         if lines:
-            figures.append(chart.plain(title, "N", lines))
+            figures.append(chart.plain(title, unit, lines))
     return figures
 
 

@@ -13,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.assessment.limits import beyond
+from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.checked import Array
 from coopqp.closed_loop.forces import squeezes
 from coopqp.comparison import Comparison
@@ -31,7 +33,6 @@ from coopqp.trace import Trace
 Json = dict[str, Any]
 
 MOST_FRAMES = 80
-AT_LIMIT = 1e-4  # distance to a limit that is drawn as being at it [rad, m]
 INSIDE, AT, BEYOND = 0, 1, 2
 
 
@@ -140,8 +141,8 @@ def _middle(points: Mapping[str, Array]) -> Array:
 
 def joint_state(trace: Trace) -> NDArray[np.int64]:
     """Whether each joint is inside, at or beyond its limits, shape (T + 1, n)."""
-    room = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
-    state: NDArray[np.int64] = np.select([room < -AT_LIMIT, room <= AT_LIMIT], [BEYOND, AT], INSIDE)
+    out = beyond(trace)
+    state: NDArray[np.int64] = np.select([out > AT_LIMIT, out >= -AT_LIMIT], [BEYOND, AT], INSIDE)
     return state
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.assessment.thresholds import BEYOND
 from coopqp.checked import Array
 from coopqp.rank import independent_rows
 from coopqp.study.explanation.contradiction import (
@@ -27,8 +28,6 @@ from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import Place, Search, free_of_loops
 from coopqp.study.explanation.shares import Share, forces, shares
 
-#: A joint outside by more than this is outside [rad, m].
-OUTSIDE = 1e-4
 #: Limits that cost less of the distance are not told of; a restart nearer by this is.
 WORTH_TELLING = 0.1
 #: Closed configurations at which the freedoms are counted, how far they are off, and the cut.
@@ -156,7 +155,7 @@ def _blocked(
     held = held_back(goal, room, at.q)
     other = inside.best(at.q)
     other_or_none = other if other.reached else None
-    if other_or_none and not (near.reached and room.overrun(near.q) > OUTSIDE):
+    if other_or_none and not (near.reached and room.overrun(near.q) > BEYOND):
         return Elsewhere(held, other)
     return BlockedByLimits(held, at, (found.q,), other_or_none)
 

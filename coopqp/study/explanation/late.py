@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
 from coopqp.checked import Array, type_name
 from coopqp.disturbance import Disturbance
-from coopqp.overrun import RESTS
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import words
@@ -28,8 +28,6 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
-#: A motor this near to its limit is at it, and is the cause in more than this share of the ticks.
-AT_EFFORT, OFTEN = 0.999, 0.25
 
 
 @dataclass(frozen=True)
@@ -111,8 +109,7 @@ def _rests(leg: Leg, place: Place, held: Sequence[Share]) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
-    moves = float(np.abs(leg.v[-1]).max(initial=0.0)) > RESTS  # as after a reference that goes on
-    ends = "it keeps moving" if moves else "it rests"
+    ends = "it rests" if rests(leg.v[-1]) else "it keeps moving"  # as where a reference goes on
     why = f"{words.holding(held)}, and {ends}" if held else ends
     at = words.start(place.q, leg.problem.chain)
     return f"{why} although this is inside the limits: {at}"
@@ -172,7 +169,7 @@ def _motors(leg: Leg) -> Late | None:
         return None
     often = (np.abs(tau) >= AT_EFFORT * effort).mean(axis=0)
     often[~np.isfinite(effort) | (effort <= 0.0)] = 0.0
-    names = [leg.problem.chain.joint_names[i] for i in np.flatnonzero(often > OFTEN)]
+    names = [leg.problem.chain.joint_names[i] for i in np.flatnonzero(often > HELD_UP)]
     if not names:
         return None
     verb = "is at its torque limit" if len(names) == 1 else "are at their torque limits"

@@ -8,15 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 
+from coopqp.assessment import Assessment, assess
+from coopqp.assessment.thresholds import within
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.controller_run import controller_of
 from coopqp.errors import InvalidValueError
+from coopqp.row import Row
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Followed
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.goal import PartOfTask, parts_of
-from coopqp.trace import InputTrace, Trace, followed
+from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, followed, join
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +32,9 @@ class Recording:
         status: of each tick, as written.
         errors: at the end of its phase, by the name of each part of a task.
         tau: of each tick, shape (T, n) [N m, N]; empty where there are none.
+        loop: largest loop errors, shape (T + 1, 2) [m, rad].
         inputs: what was followed, by name.
+        assessment: of a run in memory; one that was read from a file is assessed by what it has.
         place: file and line where the names of errors stand, of a run that was read from one.
     """
 
@@ -39,7 +44,9 @@ class Recording:
     status: tuple[str, ...]
     errors: Mapping[str, float]
     tau: Array
+    loop: Array
     inputs: Mapping[str, InputTrace] = field(default_factory=dict)
+    assessment: Assessment | None = None
     place: str = ""
 
 
@@ -87,7 +94,7 @@ class Leg:
         found = [
             (part, float(error))
             for part, error in zip(self.parts, self.errors, strict=True)
-            if not error <= part.part.tolerance
+            if not within(float(error), part.part.tolerance)
         ]
         rank = ("hard", "scaled", "soft").index
         return tuple(
@@ -97,16 +104,71 @@ class Leg:
 
 def recording_of(trace: Trace) -> Recording:
     """A run in memory."""
-    errors = zip((task.name for task in trace.tasks), trace.final_error.tolist(), strict=True)
+    found = assess(trace)
     return Recording(
         controller=trace.controller,
         q=trace.q,
         v=trace.v,
         status=trace.status,
-        errors=dict(errors),
+        errors={task.name: task.error for task in found.tasks},
         tau=trace.signals.get("tau", np.zeros((0, 0))),
+        loop=np.column_stack([trace.loop_position, trace.loop_orientation]),
         inputs=trace.inputs,
+        assessment=found,
     )
+
+
+def assessed(scenario: Scenario, run: Recording) -> Assessment:
+    """The assessment of a recorded run.
+
+    Args:
+        scenario: as the controller holds it, :meth:`Scenario.held_by`.
+        run: of the controller.
+    """
+    if run.assessment:
+        return run.assessment
+    phases = [
+        (PhaseInfo(leg.name, leg.first, ()), _trace(scenario, run, leg))
+        for leg in legs(scenario, run)
+    ]
+    trace = join(phases) if scenario.phases else phases[0][1]
+    return assess(replace(trace, inputs=dict(run.inputs)))
+
+
+def _trace(scenario: Scenario, run: Recording, leg: Leg) -> Trace:
+    """What an assessment needs of a phase; what no file has is left empty."""
+    chain, dt, ticks = leg.problem.chain, leg.problem.dt, len(leg.v)
+    loop = run.loop[leg.first : leg.first + ticks + 1]
+    margins: dict[Row, Array] = {}
+    starts: dict[Row, Array] = {}
+    for limit in scenario.limits:
+        margins |= limit.margins(chain, leg.q, leg.v, dt)
+        starts |= limit.margins(chain, leg.q[[0, 0]], np.zeros_like(leg.q[:1]), dt)
+    usable = [causes[0].usable for causes in leg.causes]
+    some = np.zeros((ticks + 1, 0))
+    return Trace(
+        controller=run.controller, solver=None, engine=None, dt=dt, kappa=leg.problem.kappa,
+        joints=chain.joint_names, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
+        velocity=chain.velocity, effort=chain.model.effortLimit.copy(),
+        tasks=tuple(
+            TaskInfo(p.name, p.part.unit, p.part.tolerance, p.task.end) for p in leg.parts
+        ),
+        leverage=np.ones(len(leg.parts)), t=np.arange(ticks + 1.0, dtype=float) * dt,
+        q=leg.q, v=leg.v,
+        commanded=leg.q[:-1], measured=leg.q[:-1], gap=some[1:], memory=some[1:],
+        position=some, rotation=some, loop_position=loop[:, 0], loop_orientation=loop[:, 1],
+        task_error=np.tile(leg.errors, (ticks + 1, 1)), goal_error=some, task_rows=(), e=some,
+        rate=np.ones((ticks + 1, 1)),  # whether references move is not recorded
+        usable=np.array(usable, bool), inaccurate=np.zeros(ticks, bool),
+        status=run.status[leg.first : leg.first + ticks], scale=np.ones(ticks), margins=margins,
+        starts={row: float(left[0]) for row, left in starts.items()},
+        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={},
+        heeds=controller_of(scenario, run.controller).heeds,
+        failures=tuple(
+            Failure(k, causes[0].value) for k, causes in enumerate(leg.causes) if not usable[k]
+        ),
+        signals={"tau": leg.tau} if leg.tau.size else {},
+    )  # fmt: skip
 
 
 def legs(scenario: Scenario, run: Recording) -> Iterator[Leg]:

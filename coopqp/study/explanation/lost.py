@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import assess
+from coopqp.assessment.thresholds import SLIPPED
 from coopqp.closed_loop.hands import hands
 from coopqp.controller import Controller
 from coopqp.controller_run import controller_of, run
@@ -25,8 +27,6 @@ from coopqp.study.explanation import words
 from coopqp.study.explanation.leg import Leg
 from coopqp.trace import Trace
 
-#: A hand that has slipped by so much has lost its hold; less is the creep of contacts [m].
-SLIPPED = 1e-3
 #: From this share on what a contact bears is used up.
 TIPS = 0.98
 #: So many times of what the controller presses with are tried.
@@ -64,19 +64,13 @@ def lost(scenario: Scenario, controller: str, leg: Leg) -> Lost | None:
     if not presses or not scenario.plant.takes_torques:
         return None
     trace = run(scenario, controller=controller)
-    tick = _tick(trace)
+    tick = assess(trace).lost_tick
     if tick is None or tick >= leg.first + len(leg.v):
         return None
     time, why = float(trace.t[tick + 1]), _culprits(scenario, trace, leg, tick)
     said = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
     would = _would_hold(scenario, controller)
     return Lost(time, f"{said}; {would}" if would else said, True if would else None)
-
-
-def _tick(trace: Trace) -> int | None:
-    """In which it was lost."""
-    held = trace.signals.get("held")
-    return None if held is None or held[:, 0].all() else int(np.argmin(held[:, 0]))
 
 
 def _culprits(scenario: Scenario, trace: Trace, leg: Leg, tick: int) -> str:
@@ -175,4 +169,4 @@ def _again(
         trace = run(replace(scenario, **changed), controller=controller)
     except CoopqpError:
         return None
-    return trace if _tick(trace) is None else None
+    return trace if assess(trace).lost_tick is None else None

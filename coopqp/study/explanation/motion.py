@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Limit, bound_rows
@@ -28,8 +29,6 @@ from coopqp.task import TaskStack
 
 #: Most ticks that are looked at, and what a tick is off by to count [m/s, rad/s].
 TICKS, BEHIND = 150, 1e-3
-#: A velocity this near to its bound is at it [rad/s, m/s].
-AT_BOUND = 1e-4
 
 
 class Ticks:
@@ -72,9 +71,9 @@ class Ticks:
                 _tighter(tightest, (i, "lower"), v[i] - bounds.lb[i], lower)
                 _tighter(tightest, (i, "upper"), bounds.ub[i] - v[i], upper)
             left = bounds.h - bounds.G @ v
-            found += [(bounds.rows[i], bounds.G[i].copy()) for i in np.flatnonzero(left < AT_BOUND)]
+            found += [(bounds.rows[i], bounds.G[i].copy()) for i in np.flatnonzero(left < AT_LIMIT)]
         for (i, side), (left, row) in tightest.items():
-            if left < AT_BOUND:
+            if left < AT_LIMIT:
                 way = np.zeros(chain.n)
                 way[i] = -1.0 if side == "lower" else 1.0
                 found.append((row, way))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.assessment.thresholds import rests
 from coopqp.checked import Array
 from coopqp.closed_chain import AXES
 from coopqp.closed_loop.screw import LENGTH
@@ -15,8 +16,6 @@ from coopqp.study.explanation import words
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
 
-#: Slower than this the object rests [rad/s, m/s].
-RESTS = 2e-3
 #: A spring that bears less than this share of the strongest is not told of.
 WORTH_TELLING = 0.02
 
@@ -36,8 +35,7 @@ def pushed(scenario: Scenario, leg: Leg, goal: Goal) -> str:
     push = scenario.disturbance.push
     since = leg.first * leg.problem.dt
     lasts = push is not None and push.wrench(since + leg.t_end - leg.problem.dt) is not None
-    moves = float(np.abs(leg.v[-1]).max(initial=0.0)) > RESTS
-    if moves and not lasts:
+    if not (lasts or rests(leg.v[-1])):
         return ""
     rows = goal.stack.slices[goal.tasks.index(task)]
     forces = springs.stiffness * goal.stack.e[rows]

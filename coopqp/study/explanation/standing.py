@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from coopqp.assessment.thresholds import within
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.study.explanation import words
@@ -60,14 +61,14 @@ def explain_standing(
     goal.look(q)
     missed = _missed(goal)
     if not missed:
-        return Standing(True, False, "every goal is reached" if goal.parts else "")
+        return Standing(True, False, "at every goal" if goal.parts else "")
     return _said(goal, Room(chain, problem.limits, problem.dt), q, rests=rests)
 
 
 def _missed(goal: Goal) -> list[tuple[PartOfTask, float]]:
     """Parts outside their tolerance, the worst first."""
     found = zip(goal.parts, goal.errors().tolist(), strict=True)
-    missed = [(part, error) for part, error in found if not error <= part.part.tolerance]
+    missed = [(part, error) for part, error in found if not within(error, part.part.tolerance)]
     return sorted(missed, key=lambda pair: -pair[1] / pair[0].part.tolerance)
 
 

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import Assessment
+from coopqp.assessment.verdict import loop_words, not_followed, saturation_words
 from coopqp.checked import Array
 from coopqp.controller_run import controller_of
-from coopqp.limit import states_along
 from coopqp.scenario.scenario import Scenario
-from coopqp.solver import Budget, Status
+from coopqp.solver import Status
 from coopqp.study.explanation import late, velocity, words
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, cure
@@ -26,7 +27,7 @@ from coopqp.study.explanation.diagnosis import (
     diagnose,
 )
 from coopqp.study.explanation.goal import Goal, placed
-from coopqp.study.explanation.leg import Leg, Recording, legs
+from coopqp.study.explanation.leg import Leg, Recording, assessed, legs
 from coopqp.study.explanation.lost import lost
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
@@ -71,8 +72,8 @@ class RunExplanation:
         controller: whose run.
         phase: that missed, empty where there is one only.
         tick: its last.
-        kind: reached, open, lost, limits, elsewhere, reach, contradiction, freedom, speed, budget,
-            short, rest, model, motors, springs, way, failed or unplaced.
+        kind: reached, broken, open, input, lost, limits, elsewhere, reach, contradiction,
+            freedom, speed, budget, short, rest, model, motors, springs, way, failed or unplaced.
         missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
         held_back: limits by their share of the force.
         needed: what limits would have to give.
@@ -122,28 +123,43 @@ def explain_run(
         CoopqpError: no such controller, or the scenario cannot be run again.
     """
     held = scenario.held_by(run.controller)
-    leg = None
-    for leg in legs(held, run):
-        if leg.missed:
-            break
-    assert leg
-    base = _base(run, leg)
-    opened = "" if leg.missed else _opened(leg)
-    ended = any(Status.OBJECT_LOST in causes for causes in leg.causes)
-    if (leg.missed or opened or ended) and (gone := lost(held, run.controller, leg)):
+    found, phases = assessed(held, run), list(legs(held, run))
+    leg = next((leg for leg in phases if leg.missed), phases[-1])
+    explained = _explained(held, run, found, phases, leg, report)
+    saturated = saturation_words(found)
+    if not saturated or explained.kind == "motors":
+        return explained
+    return replace(explained, sentence=f"{explained.sentence}; it saturates {saturated}")
+
+
+def _explained(
+    held: Scenario,
+    run: Recording,
+    found: Assessment,
+    phases: Sequence[Leg],
+    leg: Leg,
+    report: Report,
+) -> RunExplanation:
+    base, torn = _base(run, leg), any(task.torn for task in found.tasks)
+    suspect = leg.missed or torn or found.held is False
+    if suspect and (gone := lost(held, run.controller, leg)):
         return replace(base, kind="lost", sentence=gone.sentence, tried=gone.tried, time=gone.time)
-    if opened:
-        return replace(base, kind="open", sentence=opened)
-    failed = _failed(leg) if leg.missed else ""
+    if unheard := not_followed(found):
+        return replace(base, kind="input", sentence=f"no goal counts as reached: {unheard}")
+    if torn and not leg.missed:
+        said = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
+        return replace(base, kind="open", sentence=said)
+    failed = _failed(leg) if leg.missed or not found.reached else ""
     if failed:
-        return replace(base, kind="failed", sentence=f"{words.stops(leg)}; {failed}")
-    phases = [leg] if leg.missed else list(legs(held, run))
-    base = replace(base, relaxed=_relaxed(held, run.controller, phases))
+        said = f"{words.stops(leg)}; {failed}" if leg.missed else failed
+        return replace(base, kind="failed", sentence=said)
+    relaxed_by = [leg] if leg.missed else phases
+    base = replace(base, relaxed=_relaxed(held, run.controller, relaxed_by))
     if not leg.missed:
-        return replace(base, kind="reached", sentence=_reached(held, phases, base.relaxed))
-    found = _Whole(held, run, leg, base, report).explained()
-    said = "; ".join([found.sentence, *(task.words for task in base.relaxed)])
-    return replace(found, sentence=said)
+        return _kept(found, phases, base)
+    answer = _Whole(held, run, leg, base, report).explained()
+    said = "; ".join([answer.sentence, *(task.words for task in base.relaxed)])
+    return replace(answer, sentence=said)
 
 
 def _relaxed(scenario: Scenario, controller: str, phases: Sequence[Leg]) -> tuple[Relaxed, ...]:
@@ -165,31 +181,29 @@ def _base(run: Recording, leg: Leg) -> RunExplanation:
     )
 
 
-def _opened(leg: Leg) -> str:
-    """Of a run whose tasks hold only because its loops do not."""
-    position = angle = 0.0
-    for state in states_along(leg.problem.chain, leg.q):
-        position = max(position, state.loop_position_error)
-        angle = max(angle, state.loop_orientation_error)
-    most = Budget()  # as for the verdict
-    if position <= most.loop_position and angle <= most.loop_orientation:
-        return ""
-    return (
-        "no goal counts as reached: the loop came open by "
-        f"{words.size(position, 'm')} and {np.degrees(angle):.3g} degrees on the way"
-    )
-
-
-def _reached(scenario: Scenario, phases: Sequence[Leg], unmet: Sequence[Relaxed]) -> str:
+def _kept(found: Assessment, phases: Sequence[Leg], base: RunExplanation) -> RunExplanation:
     """Of a run that got there, but perhaps not as it should."""
-    broken = words.broken(scenario.limits, phases)
-    found = [*([broken] if broken else []), *(task.words for task in unmet)]
+    said, kind = [], "reached"
+    if not found.succeeds:
+        kind = "broken" if found.loop_closed else "open"
+        said = [text for text in (_opened(found, phases[0]), words.broken(found)) if text]
+    said += [task.words for task in base.relaxed]
     count = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
-    if unmet:
-        found.append("--tick says why")
+    if base.relaxed:
+        said.append("--tick says why")
     elif count:
-        found.append(f"in {count} ticks hard tasks are not met in full")
-    return f"every goal is reached{', but ' if found else ''}{'; '.join(found)}"
+        said.append(f"in {count} ticks hard tasks are not met in full")
+    goals = "every goal is reached" if found.succeeds else "the goals are reached"
+    return replace(base, kind=kind, sentence=f"{goals}{', but ' if said else ''}{'; '.join(said)}")
+
+
+def _opened(found: Assessment, leg: Leg) -> str:
+    """How far the loop came open, and what corrects it; empty where it was closed."""
+    if found.loop_closed:
+        return ""
+    kappa = leg.problem.kappa
+    why = f"with kappa: {kappa:g} 1/s" if kappa else "kappa: 0 corrects no drift"
+    return f"the loop came open by {loop_words(found)} ({why})"
 
 
 def _failed(leg: Leg) -> str:

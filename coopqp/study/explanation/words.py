@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from coopqp.assessment import Assessment
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit
-from coopqp.overrun import matters
 from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.cure import Cure, Need
@@ -212,24 +211,13 @@ def freedoms(found: TooFewFreedoms) -> str:
     return f"{name} asks for {found.asked} motions, the loops leave {found.left}"
 
 
-def broken(limits: Sequence[Limit], phases: Sequence[Leg]) -> str:
-    """Limits that a run went beyond, each by its worst row; empty where there are none."""
-    worst: dict[str, tuple[float, Row]] = {}
-    for leg in phases:
-        chain, dt = leg.problem.chain, leg.problem.dt
-        for limit in limits:
-            begun = limit.margins(chain, leg.q[[0, 0]], np.zeros_like(leg.q[:1]), dt)
-            for row, margin in limit.margins(chain, leg.q, leg.v, dt).items():
-                before = max(0.0, -float(begun[row][0])) if row in begun else 0.0
-                by = -float(margin.min(initial=0.0)) - before
-                name = row.joint or row.owner
-                if matters(by, row.unit) and by > worst.get(name, (0.0, row))[0]:
-                    worst[name] = by, row
-    if not worst:
+def broken(found: Assessment) -> str:
+    """Limits that a run went beyond; empty where there are none."""
+    overruns = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
+    if not overruns:
         return ""
-    found = sorted(worst.values(), key=lambda entry: -entry[0])
-    said = [f"{row.words} by {size(by, row.unit)}" for by, row in found[:MOST]]
-    more = [f"{len(found) - MOST} more"] if len(found) > MOST else []
+    said = [f"{o.row.words} by {size(o.by - o.at_start, o.row.unit)}" for o in overruns[:MOST]]
+    more = [f"{len(overruns) - MOST} more"] if len(overruns) > MOST else []
     return f"beyond limits: {listed([*said, *more])}"
 
 

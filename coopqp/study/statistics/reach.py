@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
+from coopqp.assessment.thresholds import within
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem
 from coopqp.state import State
@@ -60,7 +61,7 @@ def met(problem: ControlProblem, stack: TaskStack) -> bool:
     at = 0
     for task in problem.tasks:
         for part in task.parts(problem.chain):
-            if not np.linalg.norm(stack.e[at : at + part.rows]) <= part.tolerance:
+            if not within(float(np.linalg.norm(stack.e[at : at + part.rows])), part.tolerance):
                 return False
             at += part.rows
     return True

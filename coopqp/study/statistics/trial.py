@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import assess
+from coopqp.assessment.limits import beyond
 from coopqp.controller import ControlProblem
 from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError
-from coopqp.metrics.reached import Reached
 from coopqp.plants import Kinematic
 from coopqp.rollout import rollout
 from coopqp.study.engine import Engine, Lost, Share
@@ -21,7 +22,6 @@ from coopqp.study.statistics.reach import holds_inside
 from coopqp.trace import Trace
 
 AFTER = 2.5  # time after the references have arrived [s]
-ROUNDING = 1e-6  # an overrun of a limit that counts as none [rad, m], and as a share of a speed
 HERE = Engine()
 OTHERS = 6  # configurations from which inverse kinematics begins, beside the start
 
@@ -34,7 +34,7 @@ class LawRun:
         law: its name.
         reached: every task's error ended within its tolerance.
         inside: no joint ever beyond a limit of its position or its speed.
-        loop: the loops never opened beyond the budget, 1 mm and 10 mrad.
+        loop: the loops were closed all the time.
         error: at the end, sqrt(sum_i w_i |e_i|^2), what the tasks' weights make of it.
         overrun: of a position limit, the worst [rad or m].
         speed: the largest, as a share of the joint's limit.
@@ -164,20 +164,17 @@ def _run(name: str, compared: Compared, problem: ControlProblem) -> LawRun:
 
 
 def _judge(name: str, trace: Trace, problem: ControlProblem) -> LawRun:
-    """What counts of a run; comparisons are written so that a NaN fails them."""
-    overrun = float(np.maximum(trace.lower - trace.q, trace.q - trace.upper).max())
-    speed = float((np.abs(trace.v) / trace.velocity).max())
-    position, angle = float(trace.loop_position.max()), float(trace.loop_orientation.max())
-    budget = problem.budget
+    """What counts of a run."""
+    found = assess(trace)
     return LawRun(
         law=name,
-        reached=Reached().measure(trace),
-        inside=overrun <= ROUNDING and speed <= 1.0 + ROUNDING,
-        loop=position <= budget.loop_position and angle <= budget.loop_orientation,
-        error=_norm(problem, trace.final_error.tolist()),
-        overrun=overrun,
-        speed=speed,
-        loop_error=position,
+        reached=found.reached,
+        inside=not (found.joints or found.speeds),
+        loop=found.loop_closed,
+        error=_norm(problem, [task.error for task in found.tasks]),
+        overrun=float(beyond(trace).max()),
+        speed=float((np.abs(trace.v) / trace.velocity).max()),
+        loop_error=found.loop[0],
     )
 
 

@@ -6,7 +6,6 @@ draw          a whole random problem from one seed
 masses        the same for plants with masses, with errors of the model
 driving       runs a law and keeps what happens
 signs         what a recorded rollout shows: standing still, an overrun
-swing         joints that go to and fro for ever
 firmness      hard tasks that end farther off than as soft ones
 ending        where it ended, and why there
 judgement     how one rollout went

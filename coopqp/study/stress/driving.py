@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from coopqp.assessment.oscillation import turns
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop import many_poses
@@ -18,7 +19,6 @@ from coopqp.state import State
 from coopqp.study.stress import signs
 from coopqp.study.stress.ending import PartErrors
 from coopqp.study.stress.signs import Record
-from coopqp.study.stress.swing import turning
 
 FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
 LONGEST = 24.0  # who may swing goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
@@ -117,10 +117,10 @@ def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool)
     ticks = len(record.v)
     if ticks < max(FEWEST, record.rest):
         return True
-    turns = turning(record)
-    if ticks >= MOST and not turns and not patient:
+    turning = turns(record.q[record.rest :], record.units)
+    if ticks >= MOST and not turning and not patient:
         return False
-    return ticks * record.dt < LONGEST and (turns or not _ended(state, record, errors))
+    return ticks * record.dt < LONGEST and (turning or not _ended(state, record, errors))
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.assessment.thresholds import AT_LIMIT, within
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.qp_law.bounds import Bounds
@@ -26,7 +27,6 @@ from coopqp.study.stress.signs import Record
 from coopqp.task import TaskStack
 
 INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]
-AT = 1e-4  # a joint this near its limit rests there [rad]
 SINGULAR = 0.05  # least motion of the object for a unit of joint motion [m/rad]
 OF_SPEED = ("limit.velocity", "limit.acceleration", "limit.object_speed")
 BEFORE, CHANGE = 50, 0.01  # a task whose error changes by less in so many ticks has come to rest
@@ -113,21 +113,22 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     problem = law.problem
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
+    outside, missed = signs.outside(record) > signs.EXCESS, errors.at_end(state, record)
+    if not outside and within(float(missed.max()), 1.0):
+        return Ending("reached")
     if stands and problem.on_infeasible == "stop":
         return asked
-    if signs.outside(record) > signs.EXCESS:
+    if outside:
         way = way_back(problem, state)
-        stuck = way > INWARD and signs.slowest(record) < signs.AT_REST
+        stuck = way > INWARD and signs.at_rest(record)
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
     if stands:
         return asked
-    missed = errors.at_end(state, record)
-    if missed.max() <= 1.0:
-        return Ending("reached")
-    speed = signs.slowest(record)
-    if signs.held_up(record) and speed < signs.AT_REST:
+    rests = signs.at_rest(record)
+    if signs.held_up(record) and rests:
         return Ending("at rest", said, frozen=True)
-    if speed > signs.AT_REST and _nears(missed, errors.before(state, record)):
+    if not rests and _nears(missed, errors.before(state, record)):
+        speed = signs.slowest(record)
         return Ending("moving", f"moving at {speed:.2g} of the speed limits, {said}")
     return _rest(law, state, record, errors)
 
@@ -151,8 +152,7 @@ def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     if _near_singular(tasks.J, state, list(held)):
         return Ending("at rest", ", ".join(["singular pose", *held.values()]))
     if limits:
-        still = signs.slowest(record) < signs.AT_REST
-        return Ending("at rest" if still else "blocked", ", ".join(limits))
+        return Ending("at rest" if signs.at_rest(record) else "blocked", ", ".join(limits))
     return Ending("at rest", why.sentence, frozen=signs.slowest(record) < signs.STILL)
 
 
@@ -183,7 +183,7 @@ def _at_limits(problem: ControlProblem, state: State) -> dict[int, str]:
     """Joints that rest at a position limit, with the limit's name."""
     chain = problem.chain
     margin = max((getattr(limit, "margin", 0.0) for limit in problem.limits), default=0.0)
-    low, high = state.q - chain.lower < margin + AT, chain.upper - state.q < margin + AT
+    low, high = state.q - chain.lower < margin + AT_LIMIT, chain.upper - state.q < margin + AT_LIMIT
     names = chain.joint_names
     lowest = {i: f"limit.position[{names[i]}].lower" for i in np.flatnonzero(low).tolist()}
     highest = {i: f"limit.position[{names[i]}].upper" for i in np.flatnonzero(high).tolist()}

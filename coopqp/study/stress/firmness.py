@@ -96,8 +96,7 @@ def _goes_on(law: Law, state: State, i: int) -> float | None:
 
 
 def _rests(state: State, record: Record) -> bool:
-    inside = signs.outside(record) <= signs.EXCESS
-    return inside and signs.slowest(record) < signs.AT_REST
+    return signs.outside(record) <= signs.EXCESS and signs.at_rest(record)
 
 
 def _errors(problem: ControlProblem, state: State) -> list[float]:

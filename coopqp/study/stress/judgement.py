@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.controller import Law
 from coopqp.solver import Status
 from coopqp.state import State
@@ -12,7 +13,6 @@ from coopqp.study.stress import signs
 from coopqp.study.stress.draw import Draw
 from coopqp.study.stress.ending import Ending, PartErrors, ending
 from coopqp.study.stress.signs import Record
-from coopqp.study.stress.swing import Swing, swing
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def judged(
         noise: standard deviation of the encoders' [rad].
     """
     end = ending(law, state, record, errors)
-    swings = swing(record, noise)
+    resting, units = record.q[record.rest :], record.units
+    swings = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
     return Rollout(
         seed=seed,
         robot=drawn.robot,
@@ -118,7 +119,7 @@ def judged(
     )
 
 
-def _seen(end: Ending, drawn: Draw, swings: Swing | None) -> Iterator[str]:
+def _seen(end: Ending, drawn: Draw, swings: Oscillation | None) -> Iterator[str]:
     """The signs in words."""
     chain = drawn.problem.chain
     if end.frozen:

@@ -13,12 +13,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.assessment.thresholds import rests
 from coopqp.checked import Array
 from coopqp.solver import Budget, Status
 
 EXCESS = 1e-9  # what a bound may be exceeded by, rounding [rad, rad/s]
 STILL = 1e-6  # a joint below this share of its speed limit does not move
-AT_REST = 1e-3  # ... and below this one it has arrived
 LATEST = 10  # ticks that tell how it ends
 SHORTENED = (Status.STEP_SHORTENED, Status.LOOP_BUDGET)
 
@@ -119,6 +119,11 @@ def slowest(record: Record) -> float:
     """Largest speed in the last ticks, as a share of the limit."""
     v = np.abs(record.v[-LATEST:]) / record.scale
     return float(v.max(initial=0.0))
+
+
+def at_rest(record: Record) -> bool:
+    """Whether the joints were at rest in the last ticks."""
+    return rests(record.v[-LATEST:])
 
 
 def held_up(record: Record) -> bool:

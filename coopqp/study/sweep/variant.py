@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,11 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.errors import CoopqpError, InternalError
-from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.limit import ROUNDING
-from coopqp.overrun import at_limits, broken, matters, outside, slowed_by
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.known import Known
 from coopqp.scenario.loader import load_file
@@ -28,12 +26,9 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, parsed
 from coopqp.study.sweep.study import Study, Variant, changed
 from coopqp.trace import Trace
-from coopqp.verdict import FASTER
 from coopqp.wording import by_user, raised
 
 DONE, INVALID, FAILED = "done", "invalid", "failed"
-#: What a run can break that is no limit: the closed loops, the hold of an object, the plant.
-LOOP, HOLD, PLANT = "loop", "hold", "plant"
 
 Row = dict[str, Any]
 """What came of one variant under one controller: state, reason, success and so on, metrics."""
@@ -106,10 +101,11 @@ def _row(job: Job, scenario: Scenario, controller: str) -> Row:
         measured = {name: entries[name].cls() for name in job.metrics}
         timed = any(metric.timed for metric in measured.values())
         trace = run(scenario, controller=controller, timed=timed)
+        found = assess(trace)
         own: Row = {
-            "success": succeeds(trace),
-            "blocked_by": ", ".join(_blocked_by(trace)),
-            "broken": ", ".join(_broken(trace)),
+            "success": found.succeeds,
+            "blocked_by": ", ".join(found.blocked_by),
+            "broken": ", ".join(found.broken),
         }
         for name, metric in measured.items():
             own |= _flat(name, _measured(metric, trace))
@@ -122,46 +118,6 @@ def _row(job: Job, scenario: Scenario, controller: str) -> Row:
 
 def _without(state: str, reason: str) -> Row:
     return {"state": state, "reason": "; ".join(reason.splitlines())}
-
-
-def succeeds(trace: Trace) -> bool:
-    """Whether a run reaches all goals, goes beyond no limit and keeps the loops closed."""
-    ends = zip(trace.final_error, trace.tasks, strict=True)
-    return all(bool(error <= task.tolerance) for error, task in ends) and not any(_broken(trace))
-
-
-def _broken(trace: Trace) -> Iterator[str]:
-    """What the run broke, by name: limits of joints, other limits, the loop, the hold, the plant.
-
-    A run that reaches its goals and breaks nothing is a success.
-    """
-    beyond = np.maximum(outside(trace), 0.0)
-    worst = beyond.max(axis=0)
-    fast = np.abs(trace.v).max(axis=0, initial=0.0) > (1.0 + FASTER) * trace.velocity
-    for i, joint in enumerate(trace.joints):
-        farther = worst[i] > beyond[0, i] + ROUNDING and matters(worst[i], trace.units[i])
-        if farther or not math.isfinite(worst[i]):
-            yield joint
-        if fast[i]:
-            yield f"speed of {joint}"
-    yield from (found.row.owner for found in broken(trace) if found.farther)
-    position, angle = trace.loop_position.max(), trace.loop_orientation.max()
-    if not (position <= CLOSED_POSITION and angle <= CLOSED_ORIENTATION):  # a NaN is open
-        yield LOOP
-    if any(trace.torn) and "held" in trace.signals:
-        yield HOLD
-    elif trace.broke_down:
-        yield PLANT
-
-
-def _blocked_by(trace: Trace) -> dict[str, None]:
-    """Limits at which the run stands where it has missed a goal, or that held it up on its way."""
-    found: dict[str, None] = {}
-    for k, (error, task) in enumerate(zip(trace.final_error, trace.tasks, strict=True)):
-        if not error <= task.tolerance:
-            found |= dict.fromkeys(at_limits(trace, trace.last_instants[k]))
-            found |= dict.fromkeys(slowed_by(trace, k))
-    return found
 
 
 def _measured(metric: Any, trace: Trace) -> Any:

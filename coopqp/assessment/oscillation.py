@@ -1,6 +1,6 @@
 """Whether joints go to and fro for ever, at any frequency, while the references rest.
 
-A joint swings where its path is much longer than its range, and the range does not fade:
+A joint oscillates where its path is much longer than its range, and the range does not fade:
 
     sum |q_k+1 - q_k| > RATIO (max q - min q),    range > LEAST,    range now > KEPT range before
 
@@ -12,25 +12,27 @@ median block counts.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.assessment.thresholds import OSCILLATES
 from coopqp.checked import Array
-from coopqp.study.stress.signs import Record
 
-RATIO = 2.5  # path over range of a swing: more than once there and back
+RATIO = 2.5  # path over range of an oscillation: more than once there and back
 TURNS = 1.1  # ... and of what may become one
-KEPT = 0.7  # a swing whose range becomes less than this from one third to the next fades
-#: A range that nobody sees: 0.1 mm is what arms repeat, and what half a metre makes of 0.2 mrad.
-LEAST = {"rad": 2e-4, "m": 1e-4}
+KEPT = 0.7  # one whose range becomes less than this from one third to the next fades
+#: Ranges that nobody sees: what half a metre makes of 0.2 mrad is 0.1 mm.
+LEAST = {"rad": 2.0 * OSCILLATES, "m": float(OSCILLATES)}
 NOISY = 5.0  # deviations of the encoders' noise that the range of commands may be wider
 SHORTEST = 8  # ticks of the shortest block
 
 
 @dataclass(frozen=True)
-class Swing:
-    """A joint that swings.
+class Oscillation:
+    """A joint that oscillates.
 
     Attributes:
         joint: its index.
@@ -43,36 +45,46 @@ class Swing:
     frequency: float
 
 
-def swing(record: Record, noise: float = 0.0) -> Swing | None:
-    """The widest swing of a rollout; None where nothing swings.
+def oscillation(
+    q: Array, units: Sequence[str], dt: float, *, longest: float = math.inf, noise: float = 0.0
+) -> Oscillation | None:
+    """The widest oscillation of joints; None where nothing oscillates.
 
     Args:
-        record: of all ticks.
+        q: since all references rest, shape (T + 1, n) [rad, m].
+        units: of the joints.
+        dt: control period [s].
+        longest: time in which what still moves is as good as at rest, in ticks.
         noise: standard deviation of the encoders' [rad].
     """
-    q = record.q[record.rest :]
     third = (len(q) - 1) // 3
     if third < SHORTEST or not np.isfinite(q).all():
         return None
-    least = _least(record) + NOISY * noise
+    least = _least(units) + NOISY * noise
     before, now = q[-1 - 2 * third : -third], q[-1 - third :]
-    widest: Swing | None = None
-    for ticks in _lengths(third, record.longest):
+    widest: Oscillation | None = None
+    for ticks in _lengths(third, longest):
         (was, was_ratio), (size, ratio) = _blocks(before, ticks), _blocks(now, ticks)
-        swings = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > least)
-        over = np.where(swings, size / least, 0.0)
+        found = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > least)
+        over = np.where(found, size / least, 0.0)
         i = int(over.argmax())
-        if swings[i] and (widest is None or size[i] > widest.size):
+        if found[i] and (widest is None or size[i] > widest.size):
             # A range is crossed twice a period.
-            widest = Swing(i, float(size[i]), float(ratio[i]) / (2.0 * ticks * record.dt))
+            widest = Oscillation(i, float(size[i]), float(ratio[i]) / (2.0 * ticks * dt))
     return widest
 
 
-def turning(record: Record) -> bool:
-    """Whether a joint turns round in the last half of the resting time, so that it may swing."""
-    rested = len(record.q) - record.rest
-    size, ratio = _extent(record.q[-max(rested // 2, 2) :])
-    return rested > SHORTEST and bool(((ratio > TURNS) & (size > _least(record))).any())
+def turns(q: Array, units: Sequence[str]) -> bool:
+    """Whether a joint turns round in the last half of the time, so that it may oscillate.
+
+    Args:
+        q: since all references rest, shape (T + 1, n) [rad, m].
+        units: of the joints.
+    """
+    if len(q) <= SHORTEST:
+        return False
+    size, ratio = _extent(q[-(len(q) // 2) :])
+    return bool(((ratio > TURNS) & (size > _least(units))).any())
 
 
 def _lengths(third: int, longest: float) -> list[int]:
@@ -81,8 +93,8 @@ def _lengths(third: int, longest: float) -> list[int]:
     return [ticks for ticks in (*doubled, third) if ticks <= longest]
 
 
-def _least(record: Record) -> Array:
-    return np.array([LEAST[unit] for unit in record.units])
+def _least(units: Sequence[str]) -> Array:
+    return np.array([LEAST[unit] for unit in units])
 
 
 def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:

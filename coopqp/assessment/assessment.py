@@ -1,0 +1,355 @@
+"""What became of a run: one answer to each question, which all others read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.assessment import limits
+from coopqp.assessment.ends import end_errors, oscillates
+from coopqp.assessment.limits import Overrun
+from coopqp.assessment.oscillation import Oscillation, oscillation
+from coopqp.assessment.thresholds import (
+    ACCELERATION_UNLIMITED,
+    AT_EFFORT,
+    SATURATED,
+    SPEED_UP,
+    closed,
+    rests,
+    torn,
+    within,
+)
+from coopqp.checked import Array
+from coopqp.solver import Status, causes_of
+from coopqp.trace import Trace
+
+#: What a run can break that is no limit: the closed loops, the hold of an object, the plant.
+LOOP, HOLD, PLANT = "loop", "hold", "plant"
+#: After these a run does not go on, so that nothing is true of it any more.
+ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
+
+
+def assess(trace: Trace) -> Assessment:
+    """Assess a run.
+
+    Args:
+        trace: of the run; each answer is found when it is first asked for.
+    """
+    return Assessment(trace)
+
+
+@dataclass(frozen=True)
+class TaskEnd:
+    """How a task, or a part of it with a unit of its own, ended.
+
+    Attributes:
+        name, unit, tolerance: of it.
+        error: at its end [unit]; a force's largest of the last stretch.
+        torn: whether no object was held any more before its end.
+        oscillates: whether the goal is only passed through, or about.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    error: float
+    torn: bool
+    oscillates: bool
+
+    @property
+    def share(self) -> float:
+        """The error in its tolerance; infinite where it is no number."""
+        return float(np.nan_to_num(self.error / self.tolerance, nan=np.inf))
+
+    @property
+    def arrives(self) -> bool:
+        """Whether the error is within the tolerance."""
+        return within(self.error, self.tolerance)
+
+    @property
+    def reached(self) -> bool:
+        """Whether it arrives, with the object in all hands on the way."""
+        return self.arrives and not self.torn
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Whether inputs were followed as sent.
+
+    Attributes:
+        refused, stale: in how many ticks something was refused, and nothing new had arrived.
+        nothing_at: names of those at which nothing that can be used has arrived.
+        refused_at_end: whether the run ends with what arrives being refused.
+    """
+
+    refused: int
+    stale: int
+    nothing_at: tuple[str, ...]
+    refused_at_end: bool
+
+    @property
+    def followed(self) -> bool:
+        """Whether goals that are inputs are what was sent."""
+        return not (self.nothing_at or self.refused_at_end)
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """The joint whose speed changes most, measured by what the loop for robots allows it.
+
+    Attributes:
+        joint: its name. unit: rad/s2 or m/s2.
+        value: the largest change of its velocity from tick to tick, over dt [unit].
+        at: when that was [s].
+        allowed: what :class:`coopqp.OnlineLoop` allows where a scenario has no limit of it [unit].
+    """
+
+    joint: str
+    unit: str
+    value: float
+    at: float
+    allowed: float
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether it is more than the loop for robots allows."""
+        return not self.value <= self.allowed
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """All answers on one run.
+
+    Attributes:
+        trace: of the run.
+    """
+
+    trace: Trace
+
+    @cached_property
+    def tasks(self) -> tuple[TaskEnd, ...]:
+        """How each task ended, in their order."""
+        trace = self.trace
+        lost = np.array([any(apart[: i + 1]) for apart, i in self._apart])
+        return tuple(
+            TaskEnd(
+                task.name,
+                task.unit,
+                task.tolerance,
+                float(end_errors(trace, k).max()),
+                bool(lost[k]),
+                oscillates(trace, k),
+            )
+            for k, task in enumerate(trace.tasks)
+        )
+
+    @property
+    def errors(self) -> Array:
+        """Each task's error at its end, shape (K,) [the task's unit]."""
+        return np.array([task.error for task in self.tasks], float)
+
+    @property
+    def reached(self) -> bool:
+        """Whether all tasks are reached, and all inputs were followed."""
+        lost = self.ended or self.held is False
+        return not lost and self.inputs.followed and all(task.reached for task in self.tasks)
+
+    @property
+    def missed(self) -> tuple[TaskEnd, ...]:
+        """Tasks whose error ends outside its tolerance."""
+        return tuple(task for task in self.tasks if not task.arrives)
+
+    @property
+    def succeeds(self) -> bool:
+        """Whether it reaches its goals and keeps everything: limits, loops, hold, plant."""
+        return self.reached and not self.broken
+
+    @cached_property
+    def broken(self) -> tuple[str, ...]:
+        """What it broke, by name: joints, their speeds, limits, the loop, the hold, the plant."""
+        order = self.trace.joints.index
+        overruns = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
+        names = [overrun.name for overrun in (*overruns, *self.limits) if overrun.farther]
+        if self.held is False:
+            return *names, HOLD
+        if not self.loop_closed:
+            names.append(LOOP)
+        return (*names, PLANT) if self.ended else tuple(names)
+
+    @cached_property
+    def joints(self) -> tuple[Overrun, ...]:
+        """Joints beyond their places' limits, the farthest first."""
+        return limits.joint_overruns(self.trace)
+
+    @cached_property
+    def speeds(self) -> tuple[Overrun, ...]:
+        """Joints faster than they can be, by the share of their limit."""
+        return limits.too_fast(self.trace)
+
+    @cached_property
+    def limits(self) -> tuple[Overrun, ...]:
+        """All other limits that it was beyond, one each."""
+        return limits.other_overruns(self.trace)
+
+    @property
+    def blocked_by(self) -> tuple[str, ...]:
+        """Limits at which it stands where it has missed a goal, or that held it up on its way."""
+        found: dict[str, None] = {}
+        for k, task in enumerate(self.tasks):
+            if not task.arrives:
+                found |= dict.fromkeys(self.at_limits(k))
+                found |= dict.fromkeys(limits.slowed_by(self.trace, k))
+        return tuple(found)
+
+    def at_limits(self, k: int) -> tuple[str, ...]:
+        """Limits of place at which it is when task k ends, by name."""
+        return limits.at_limits(self.trace, self.trace.last_instants[k])
+
+    @property
+    def loop(self) -> tuple[float, float]:
+        """How far apart two arms carried the object at most [m], [rad]."""
+        return float(self.trace.loop_position.max()), float(self.trace.loop_orientation.max())
+
+    @property
+    def loop_closed(self) -> bool:
+        """Whether the loops were closed all the time."""
+        return closed(*self.loop)
+
+    @property
+    def held(self) -> bool | None:
+        """Whether hands that press held the object to the end; None where none presses."""
+        if self.lost_tick is not None or Status.OBJECT_LOST in self._causes:
+            return False
+        return None if "held" not in self.trace.signals else True
+
+    @property
+    def lost_tick(self) -> int | None:
+        """The tick in which the object was lost; None where it was not."""
+        held = self.trace.signals.get("held")
+        return None if held is None or held[:, 0].all() else int(np.argmin(held[:, 0]))
+
+    @property
+    def ended(self) -> bool:
+        """Whether it could not go on: the plant broke down, or the object was lost."""
+        return not ENDED.isdisjoint(self._causes)
+
+    @cached_property
+    def inputs(self) -> Inputs:
+        """Whether inputs were followed; all were where there are none."""
+        trace = self.trace
+        if not trace.inputs:
+            return Inputs(0, 0, (), False)
+        causes = [causes_of(word) for word in trace.status]
+        refused = [Status.INPUT_REFUSED in of for of in causes]
+        never = (name for name, kept in trace.inputs.items() if np.isnan(kept.sent).all())
+        stale = sum(Status.INPUT_STALE in of for of in causes)
+        return Inputs(sum(refused), stale, tuple(never), bool(refused) and refused[-1])
+
+    @cached_property
+    def acceleration(self) -> Acceleration | None:
+        """The worst of all joints with a motor; it begins at rest. None without ticks."""
+        trace = self.trace
+        if not trace.ticks or not len(trace.joints):
+            return None
+        change, share, allowed = accelerations(trace)
+        k, i = divmod(int(share.argmax()), share.shape[1])
+        unit, value = f"{trace.units[i]}/s2", float(change[k, i])
+        at = float(trace.t[k])
+        return Acceleration(trace.joints[i], unit, value, at, float(allowed[i]))
+
+    @cached_property
+    def saturated(self) -> dict[str, float]:
+        """Share of the ticks in which motors were at their limits, by joint, the largest first."""
+        at = self._at_effort
+        share = at.mean(axis=0) if at.size else np.zeros(0)
+        order = np.argsort(-share, kind="stable").tolist()
+        return {self.trace.joints[i]: float(share[i]) for i in order if share[i] > SATURATED}
+
+    @cached_property
+    def oscillation(self) -> Oscillation | None:
+        """The widest oscillation of a joint since all references have arrived."""
+        trace = self.trace
+        moves = np.flatnonzero((np.nan_to_num(trace.rate) != 0.0).any(axis=1))
+        first = moves[-1] + 1 if len(moves) else 0
+        return oscillation(trace.q[first:], trace.units, trace.dt)
+
+    @property
+    def motion(self) -> str:
+        """How it ends: "at rest", "moving" or "oscillating"."""
+        if self.oscillation:
+            return "oscillating"
+        return "at rest" if rests(self.trace.v[-1:]) else "moving"
+
+    @property
+    def failed(self) -> tuple[int, dict[str, int]]:
+        """Ticks that held still, and how often for which cause, the most frequent first."""
+        causes: dict[str, int] = {}
+        for failure in self.trace.failures:
+            causes[failure.cause] = causes.get(failure.cause, 0) + 1
+        ordered = dict(sorted(causes.items(), key=lambda item: -item[1]))
+        return int((~self.trace.usable).sum()), ordered
+
+    @cached_property
+    def _causes(self) -> set[Status]:
+        """All that any tick said."""
+        return {cause for word in set(self.trace.status) for cause in causes_of(word)}
+
+    @cached_property
+    def _apart(self) -> list[tuple[list[bool], int]]:
+        """Whether hands were too far apart for one object at each instant, and each task's last."""
+        trace = self.trace
+        if "held" in trace.signals:  # hands that press may move along the object
+            lost = [False, *(trace.signals["held"][:, 0] <= 0.0).tolist()]
+        else:
+            sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
+            lost = [torn(*size) for size in sizes]
+        return [(lost, i) for i in trace.last_instants]
+
+    @property
+    def _at_effort(self) -> NDArray[np.bool_]:
+        """Which motors were at their limits in each tick, shape (T, n), or (0, 0)."""
+        signals, effort = self.trace.signals, self.trace.effort
+        if "saturated" in signals:
+            return np.asarray(signals["saturated"] > 0.0)
+        if "tau" not in signals:
+            return np.zeros((0, 0), bool)
+        limited = np.isfinite(effort) & (effort > 0.0)
+        return np.asarray((np.abs(signals["tau"]) >= AT_EFFORT * effort) & limited)
+
+
+class Accelerations(NamedTuple):
+    """Of all joints in all ticks.
+
+    Attributes:
+        change: of the velocity, over dt; it begins at rest, shape (T, n) [rad/s2, m/s2].
+        share: of what the loop for robots allows, 0 for joints without a motor, shape (T, n).
+        allowed: shape (n,) [rad/s2, m/s2].
+    """
+
+    change: Array
+    share: Array
+    allowed: Array
+
+
+def accelerations(trace: Trace) -> Accelerations:
+    """How fast the speeds of joints change from tick to tick, by finite differences."""
+    change = np.abs(np.diff(trace.v, axis=0, prepend=0.0)) / trace.dt
+    allowed = allowed_acceleration(trace.velocity)
+    motors = (trace.effort != 0.0) | np.isfinite(trace.velocity)
+    return Accelerations(change, np.where(motors, change / allowed, 0.0), allowed)
+
+
+def allowed_acceleration(velocity: Array, speed_up: float = SPEED_UP) -> Array:
+    """What the loop for robots allows joints whose scenario has no limit of it, shape (n,).
+
+    Args:
+        velocity: speed limits, shape (n,) [rad/s, m/s].
+        speed_up: time from rest to full speed [s].
+    """
+    limited = np.isfinite(velocity) & (velocity > 0.0)
+    allowed: Array = np.where(limited, velocity / speed_up, float(ACCELERATION_UNLIMITED))
+    return allowed

@@ -1,0 +1,162 @@
+"""Which limits a run was beyond, and which it was at.
+
+Places and speeds of joints are judged by the robot's own limits, whatever the scenario keeps free
+of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was beyond a limit from
+the start counts from where it began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.assessment.thresholds import AT_LIMIT, HELD_UP, OUTSIDE, TOO_FAST, matters, rests
+from coopqp.checked import Array
+from coopqp.row import Row
+from coopqp.trace import Trace
+
+#: Judged by the robot's limits; what cannot be braked any more shows when the place is overrun.
+JUDGED_OTHERWISE = ("position", "velocity", "braking")
+#: What joints' limits that bound no place are called, by the end of their unit.
+RATES = {"/s": "speed", "/s2": "acceleration"}
+
+
+@dataclass(frozen=True)
+class Overrun:
+    """A limit that a run was beyond by more than is negligible.
+
+    Attributes:
+        name: of the joint, or of the limit; "speed of" the joint.
+        row: the one of its rows that was broken most.
+        by: how far beyond the limit it was, at worst [the row's unit].
+        at: when that was [s].
+        at_start: how far it was when the run began, 0 inside.
+        at_end: how far it is when the run has ended, 0 inside.
+    """
+
+    name: str
+    row: Row
+    by: float
+    at: float
+    at_start: float
+    at_end: float
+
+    @property
+    def farther(self) -> bool:
+        """Whether the run went farther out than it began."""
+        return matters(self.by - self.at_start, self.row.unit)
+
+
+def beyond(trace: Trace) -> Array:
+    """How far each joint is beyond its place's limits, negative inside, shape (T + 1, n)."""
+    return np.maximum(trace.lower - trace.q, trace.q - trace.upper)
+
+
+def joint_overruns(trace: Trace) -> tuple[Overrun, ...]:
+    """Of the places of joints, the farthest first."""
+    out = np.maximum(beyond(trace), 0.0)
+    found = []
+    for i in np.flatnonzero(~(out.max(axis=0) <= 0.0)).tolist():
+        joint, unit = trace.joints[i], trace.units[i]
+        k = int(out[:, i].argmax())
+        side = "upper" if trace.q[k, i] > trace.upper[i] else "lower"
+        row = Row(
+            name=joint, kind="limit", owner=joint, unit=unit, joint=joint, of_place=True,
+            label=f"{joint} ({side})",
+        )  # fmt: skip
+        start, end = float(out[0, i]), float(out[-1, i])
+        overrun = Overrun(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
+        if matters(overrun.by, unit):
+            found.append(overrun)
+    return tuple(sorted(found, key=lambda overrun: -np.nan_to_num(overrun.by, nan=np.inf)))
+
+
+def too_fast(trace: Trace) -> tuple[Overrun, ...]:
+    """Speeds of joints beyond their limits, the largest share of it first."""
+    speed = np.abs(trace.v)
+    most = speed.max(axis=0, initial=0.0)
+    fast = np.flatnonzero(~(most <= (1.0 + TOO_FAST) * trace.velocity))
+    found = []
+    for i in sorted(fast.tolist(), key=lambda i: -most[i] / trace.velocity[i]):
+        joint, k = trace.joints[i], int(speed[:, i].argmax())
+        unit = f"{trace.units[i]}/s"
+        row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
+        over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
+        at = float(trace.t[k])
+        found.append(Overrun(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
+    return tuple(found)
+
+
+def other_overruns(trace: Trace) -> tuple[Overrun, ...]:
+    """Of all other limits that say so, one each."""
+    worst: dict[str, Overrun] = {}
+    for row, margin in trace.margins.items():
+        if (row.joint and row.owner in JUDGED_OTHERWISE) or not margin.size:
+            continue
+        begun, k = -trace.starts.get(row, float(margin[0])), int(margin.argmin())
+        by, at = max((-float(margin[k]), float(trace.t[k + 1])), (begun, float(trace.t[0])))
+        at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
+        found = Overrun(row.owner, row, by, at, at_start, at_end)
+        known = worst.get(row.owner)
+        if matters(by, row.unit) and (
+            not known or (found.farther, found.by) > (known.farther, known.by)
+        ):
+            worst[row.owner] = found
+    return tuple(worst.values())
+
+
+def at_limits(trace: Trace, instant: int) -> tuple[str, ...]:
+    """Joints at a limit that they have not left, and other limits of place, by name.
+
+    Args:
+        trace: of a run.
+        instant: row of trace.q.
+    """
+    return tuple(dict.fromkeys((*_joints_at(trace, instant), *_others_at(trace, instant))))
+
+
+def _joints_at(trace: Trace, instant: int) -> Iterator[str]:
+    out = beyond(trace)
+    near = (out.max(axis=0) <= OUTSIDE) & (out[instant] > -AT_LIMIT)
+    yield from np.array(trace.joints)[near].tolist()
+
+
+def _others_at(trace: Trace, instant: int) -> Iterator[str]:
+    """Of a controller that keeps them: one that breaks limits is not stopped by any."""
+    if not trace.keeps_limits or instant == 0:
+        return
+    for row, margin in trace.margins.items():
+        at = margin[instant - 1] < AT_LIMIT
+        if at and row.owner == "position":
+            yield row.joint
+        elif at and row.unit == "m" and not row.joint:
+            yield row.owner
+
+
+def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
+    """Limits of speed and acceleration that held a run up, by name, such as "speed of left_2".
+
+    Those that were met in many of the ticks for which a task counts, where the arms still move when
+    these end. ``coopqp explain`` finds out more, with what would do.
+
+    Args:
+        trace: of a run.
+        k: which of its tasks.
+    """
+    instants = range(len(trace.t))[trace.tasks[k].rows]
+    ticks = slice(instants[0], instants[-1])
+    if not trace.keeps_limits or rests(trace.v[ticks][-1:]):
+        return ()
+    met = (
+        row
+        for row, margin in trace.margins.items()
+        if row.unit.endswith(tuple(RATES)) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP
+    )
+    return tuple(dict.fromkeys(_rate_of(row) for row in met))
+
+
+def _rate_of(row: Row) -> str:
+    rate = next(word for end, word in RATES.items() if row.unit.endswith(end))
+    return f"{rate} of {row.joint}" if row.joint else row.owner

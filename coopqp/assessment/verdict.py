@@ -1,0 +1,310 @@
+"""One sentence on a run: does it get there, keep the limits and the loops closed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from coopqp.assessment.assessment import Assessment
+from coopqp.assessment.ends import pushed
+from coopqp.assessment.limits import Overrun, beyond
+from coopqp.assessment.thresholds import (
+    CALIBRATE,
+    CALIBRATE_ANGLE,
+    FRICTION_LEFT,
+    MODEL_OFF,
+    MODEL_OFF_ANGLE,
+    ON_EDGE,
+    OUTSIDE,
+    SINGULAR,
+    SLIPPED,
+    matters,
+)
+from coopqp.solver import Status
+from coopqp.trace import Trace
+
+#: What a run that gave something up has done, by cause.
+GIVEN_UP = {
+    "TASKS_RELAXED": "does not meet hard or scaled tasks in full",
+    "CONTACT_GIVEN_UP": "asks for more than friction can bear",
+    "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
+    "SQUEEZE_GIVEN_UP": "stands at most_way without the squeeze",
+}
+#: Speeds below so many times the limit are told by what they are beyond it.
+HARDLY = 1.1
+MOST_NAMES = 3
+
+
+def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
+    """Say in one sentence whether it gets there, keeps the limits and the loop closed.
+
+    Args:
+        found: the assessment of the run.
+        metrics: of its trace, by name.
+        unseen: what the limits ought to bound and cannot, one sentence each.
+    """
+    parts = [
+        *_broken(found.trace), _hold(found, metrics), _arrival(found), _limits(found, unseen),
+        _speed(found), _acceleration(found), _loop(found),
+        _gap(metrics), _motors(found), _oscillation(found), _ticks(found, metrics),
+    ]  # fmt: skip
+    text = "; ".join(part for part in parts if part)
+    return text[0].upper() + text[1:] + "."
+
+
+def _arrival(found: Assessment) -> str:
+    if found.ended or found.held is False:
+        return "reaches no goal"
+    if unheard := not_followed(found):
+        return f"reaches no goal: {unheard}"
+    if not found.missed and (yielded := _gives_way(found)):
+        return yielded
+    if not found.missed:
+        torn = any(task.torn for task in found.tasks)
+        return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
+    task = max(found.missed, key=lambda task: task.share)
+    if np.isnan(task.error):
+        return f"loses '{task.name}': its error is no number"
+    far = _far(task.error, task.unit)
+    if task.oscillates:
+        return f"swings to the end up to {far} off the goal of '{task.name}'"
+    return f"ends {far} off the goal of '{task.name}'{_where(found, found.tasks.index(task))}"
+
+
+def _far(error: float, unit: str) -> str:
+    return f"{1e3 * error:.1f} mm" if unit == "m" else f"{error:.3g} {unit}"
+
+
+def _gives_way(found: Assessment) -> str:
+    """How far impedances have given way to what pushes the object to the end, as asked."""
+    said, trace = [], found.trace
+    for k, task in enumerate(found.tasks):
+        far = float(trace.task_error[trace.last_instants[k], k])
+        if pushed(trace, k) and far > task.tolerance and not task.torn:
+            amount = _far(far, task.unit)
+            said.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
+    return "; ".join(said)
+
+
+def not_followed(found: Assessment) -> str:
+    """Why goals that are inputs are not what was sent; empty if they are."""
+    if found.inputs.nothing_at:
+        listed = _listed(found.inputs.nothing_at)
+        return f"nothing that can be used arrives at the input {listed}"
+    if found.inputs.refused_at_end:
+        return "what arrives at an input is refused to the end"
+    return ""
+
+
+def _where(found: Assessment, k: int) -> str:
+    """What can be seen where task k is missed; ``coopqp explain`` finds out why."""
+    if found.trace.leverage[k] < SINGULAR:
+        return ", at a pose in which the arms can hardly move it that way"
+    names = found.at_limits(k)
+    if not names:
+        return ""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f", with {_listed(names[:MOST_NAMES])}{more} at the limit"
+
+
+def _limits(found: Assessment, unseen: Sequence[str]) -> str:
+    if found.ended:
+        return ""
+    others = "; ".join(_beyond(overrun) for overrun in found.limits)
+    if not found.joints:
+        return others or f"keeps {_kept(found.trace, unseen)}"
+    worst = next((overrun for overrun in found.joints if overrun.farther), found.joints[0])
+    if worst.farther:
+        far = _amount(worst.by, worst.row.unit)
+        joints = f"drives {worst.name} {far} beyond its limit"
+    else:
+        joints = _way_back(found, worst)
+    return f"{joints}; {others}" if others else joints
+
+
+def _kept(trace: Trace, unseen: Sequence[str]) -> str:
+    """What is kept, where nothing was broken."""
+    others = any(not row.joint for row in trace.margins)
+    kept = "every limit" if others else "every joint inside its limits"
+    if others and unseen:
+        told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
+        others_too = f" and {len(more)} more, see the notes" if more else ""
+        kept = f"every limit as far as it is watched: {told}{others_too}"
+    if trace.unaudited:
+        verb = "is" if len(trace.unaudited) == 1 else "are"
+        kept += f", but {_listed(trace.unaudited)} {verb} not audited"
+    return kept
+
+
+def _beyond(overrun: Overrun) -> str:
+    """A limit other than a joint's, and how far it was broken."""
+    row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
+    if row.unit not in ("m", "rad"):
+        return f"exceeds the {row.words} by {far}"
+    if row.bodies:
+        return _too_near(overrun)
+    if not overrun.farther:
+        out = matters(overrun.at_end, row.unit)
+        return f"starts {far} beyond {row.words} and {'ends outside' if out else 'comes back'}"
+    start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
+    return f"goes {far} beyond {row.words}{start}"
+
+
+def _too_near(overrun: Overrun) -> str:
+    """Two bodies that were nearer to each other than asked."""
+    row, far = overrun.row, _amount(overrun.by, "m")
+    one, other = row.bodies
+    left = row.kept - overrun.by
+    what = f"{one} {far} nearer to {other} than asked"
+    if left > 0.0:
+        what += f" ({_round(1e3 * left)} of {_round(1e3 * row.kept)} mm left)"
+    elif left < 0.0:
+        what += f", {_amount(-left, 'm')} deep in it"
+    if not overrun.farther:
+        return f"starts with {what} and {'ends so' if matters(overrun.at_end, 'm') else 'parts'}"
+    start = f", {_amount(overrun.at_start, 'm')} at the start" if overrun.at_start else ""
+    return f"brings {what}{start}"
+
+
+def _way_back(found: Assessment, worst: Overrun) -> str:
+    """Of a run that starts outside, and goes no farther out."""
+    trace = found.trace
+    far = _amount(worst.at_start, worst.row.unit)
+    start = f"starts with {worst.name} {far} beyond its limit"
+    outside = beyond(trace).max(axis=1)
+    if outside[-1] > OUTSIDE:
+        return f"{start} and ends outside"
+    back = float(trace.t[1 + int(np.flatnonzero(outside > OUTSIDE)[-1])] - trace.t[0])
+    return f"{start}, is inside after {back:.2g} s and stays there"
+
+
+def _speed(found: Assessment) -> str:
+    if not found.speeds:
+        return ""
+    worst = found.speeds[0]
+    limit = found.trace.velocity[found.trace.joints.index(worst.row.joint)]
+    share = 1.0 + worst.by / limit
+    if share < HARDLY:
+        return f"needs {100.0 * (share - 1.0):.1g} % more speed than {worst.row.joint} has"
+    return f"needs {_round(share)} times the speed {worst.row.joint} has"
+
+
+def _acceleration(found: Assessment) -> str:
+    worst = found.acceleration
+    if worst is None or not worst.exceeds:
+        return ""
+    share = _round(worst.value / worst.allowed)
+    return (
+        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {share} times what the "
+        "loop for robots allows"
+    )
+
+
+def _loop(found: Assessment) -> str:
+    if found.held is False or found.loop_closed:
+        return ""
+    return f"lets the loop open by {loop_words(found)}"
+
+
+def loop_words(found: Assessment) -> str:
+    """How far the loops were open at most."""
+    position, orientation = found.loop
+    return f"{_round(1e3 * position)} mm and {_round(np.degrees(orientation))} degrees"
+
+
+def _gap(metrics: Mapping[str, Any]) -> str:
+    position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
+    if position <= MODEL_OFF and orientation <= MODEL_OFF_ANGLE:
+        return ""
+    off = position > CALIBRATE or orientation > CALIBRATE_ANGLE
+    return (
+        f"the hands are {_round(1e3 * position)} mm and {_round(1e3 * orientation)} mrad apart "
+        f"from what the model says{': calibrate' if off else ''}"
+    )
+
+
+def _motors(found: Assessment) -> str:
+    saturated = saturation_words(found)
+    return f"saturates {saturated}" if saturated else ""
+
+
+def saturation_words(found: Assessment) -> str:
+    """The motor that is most often at its limit; empty where none is."""
+    for joint, share in found.saturated.items():
+        return f"the motor of {joint} in {100.0 * share:.0f} % of the ticks"
+    return ""
+
+
+def _oscillation(found: Assessment) -> str:
+    swings = found.oscillation
+    if swings is None:
+        return ""
+    size = _amount(swings.size, found.trace.units[swings.joint])
+    joint = found.trace.joints[swings.joint]
+    return f"{joint} oscillates to the end by {size} at {swings.frequency:.2g} Hz"
+
+
+def _broken(trace: Trace) -> list[str]:
+    """What is first to be said where code raised an error, or the plant broke down."""
+    lost = Status.OBJECT_LOST.value
+    said = [failure for failure in trace.failures if failure.note and failure.cause != lost]
+    return [f"stands still from {trace.t[said[0].tick]:.3g} s: {said[0].note}"] if said else []
+
+
+def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
+    """Whether hands that press hold the object, and how much friction they leave unused."""
+    held = metrics.get("held")
+    if held is None:
+        return ""
+    if not held["held"]:
+        failures = found.trace.failures
+        lost = [f.note for f in failures if f.cause == Status.OBJECT_LOST.value]
+        why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
+        return f"loses the object at {held['lost_at']:.3g} s{why}"
+    margin, edge, slip = (
+        metrics[name] for name in ("friction_margin", "edge_margin", "slip_distance")
+    )
+    if margin is None:  # a run that was over before they pressed
+        return "holds the object so far"
+    said = "at the edge of its friction"
+    if margin >= FRICTION_LEFT:
+        said = f"with {100.0 * margin:.0f} % of the friction unused"
+    if edge is not None and edge <= ON_EDGE:
+        said += " and a pad on its edge"
+    slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
+    return f"holds the object {said}{slipped}"
+
+
+def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
+    failed, causes = found.failed
+    given_up, ticks = metrics["fallback_ticks"], found.trace.ticks
+    said = []
+    if failed and Status.OBJECT_LOST.value not in causes:
+        why = next(iter(causes)).removeprefix("stands still: ")
+        said.append(f"holds still in {failed} of {ticks} ticks: {why}")
+    if found.inputs.refused:
+        said.append(f"has an input refused in {found.inputs.refused} of {ticks} ticks")
+    if found.inputs.stale:
+        said.append(f"has an input stale in {found.inputs.stale} of {ticks} ticks")
+    said += [
+        f"{words} in {given_up[cause]} of {ticks} ticks"
+        for cause, words in GIVEN_UP.items()
+        if cause in given_up
+    ]
+    return "; ".join(said)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names)
+
+
+def _amount(value: float, unit: str) -> str:
+    """With a unit for people."""
+    return f"{_round(1e3 * value)} mm" if unit == "m" else f"{_round(value)} {unit}"
+
+
+def _round(value: float) -> str:
+    """Two digits, and never an exponent for large numbers."""
+    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"

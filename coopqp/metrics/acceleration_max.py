@@ -1,0 +1,23 @@
+"""The worst acceleration of a joint, beside what the loop for robots allows it."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from coopqp.assessment import assess
+from coopqp.checked import spec
+from coopqp.metric import Metric
+from coopqp.trace import Trace
+
+
+@spec
+class AccelerationMax(Metric):
+    """The joint whose speed changes most from tick to tick, for what robots are allowed."""
+
+    unit: ClassVar[str] = "rad/s2 or m/s2"
+
+    def measure(self, trace: Trace) -> dict[str, Any] | None:
+        """Over the whole run, which begins at rest; allowed is OnlineLoop's own limit."""
+        worst = assess(trace).acceleration
+        told = ("value", "joint", "at", "allowed")
+        return None if worst is None else {name: getattr(worst, name) for name in told}

@@ -1,0 +1,1 @@
+"""One answer to every question about a run."""
