@@ -160,7 +160,7 @@ def _task_errors(legs: Legs, name: str) -> Array:
         for error in getattr(leg, name).T:
             columns.append(np.full(instants, np.nan))
             columns[-1][rows] = error
-    return np.stack(columns, axis=1)
+    return np.reshape(columns, (len(columns), instants)).T
 
 
 def _margins(legs: Legs, name: str) -> dict[Row, Array]:

@@ -234,7 +234,7 @@ def line_of(kind: str, name: str, text: str, folder: Path) -> str:
 HALF_WRITTEN = {
     "robots": ("Robot", "'build'"),
     "grasps": ("Grasp", "'passive_joints'"),
-    "tasks": ("Task", "'bind' and 'rows'"),
+    "tasks": ("Task", "'rows'"),
     "signals": ("Signal", "'bind'"),
     "limits": ("Limit", "'bind'"),
     "controllers": ("Controller", "'build'"),
@@ -250,6 +250,17 @@ def test_a_half_written_plug_in_says_what_it_needs(kind: str, tmp_path: Path) ->
     text = f"from coopqp import {idea}, spec\n\n@spec\nclass Mine({idea}):\n    '''Mine.'''\n"
     said = line_of(kind, "mine", text, tmp_path)
     assert said == f"{kind}/mine.py:3: Mine is half-written; it needs {missing}"
+
+
+def test_a_task_with_rows_alone_says_what_it_needs(tmp_path: Path) -> None:
+    text = "from coopqp import Task, spec\n\n@spec\nclass Mine(Task):\n    '''Mine.'''\n"
+    text += "\n    def rows(self, chain):\n        return ('x',)\n"
+    write(tmp_path, "tasks/mine.py", text)
+    shipped = (ROOT / "scenarios" / "point_on_plane.yaml").read_text(encoding="utf-8")
+    tasks = re.sub(r"(?ms)^tasks:.*?^(?=\w)", "tasks: [mine]\n", shipped)
+    file = write(tmp_path, "own.yaml", tasks)
+    (said,) = refused("validate", "--plugins", tmp_path, file)
+    assert said.endswith("tasks[0]: mine: needs a method bind, or program")
 
 
 @pytest.mark.parametrize(
