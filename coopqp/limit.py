@@ -40,7 +40,7 @@ class LimitRows:
 
 
 class Bounded(IntEnum):
-    """What bounds on joints are of, numbered as in ``kernel/core/bounds.hpp``.
+    """What bounds on joints are of, from which ``kernel/core/shared.hpp`` is made.
 
     Attributes:
         VELOCITY: v.

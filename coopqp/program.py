@@ -36,7 +36,7 @@ WORLD = Reference()  # at rest, so that nobody ever writes to it
 
 
 class Kind(IntEnum):
-    """What a primitive does, numbered as in ``kernel/core/program.hpp``."""
+    """What a primitive does; ``kernel/core/shared.hpp`` is made from it."""
 
     POINT = 0
     RADIAL = 1

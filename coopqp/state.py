@@ -127,12 +127,17 @@ class State:
         J_arms = [pin.getFrameJacobian(model, data, frame, axes) for frame in self.chain.frames]
         self.chain.mixing.dot(np.concatenate(J_arms), self._J_ext)
 
-    def written(self) -> tuple[Array, ...]:
+    def written(self) -> dict[str, Array]:
         """Arrays for the kernel to write instead of :meth:`update`; then Jacobians are due.
 
-        p_WO, R_WO, loop_error, drift and the q that they belong to; and what :meth:`advance` keeps.
+        By name; ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance`
+        keeps.
         """
-        return self.p_WO, self.R_WO, self.loop_error, self.drift, self._q_seen, self._commanded
+        return {
+            "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
+            "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
+            "commanded": self._commanded,
+        }  # fmt: skip
 
     def _refresh(self) -> None:
         """Compute the Jacobians of the q that the poses belong to, if that is still to be done."""

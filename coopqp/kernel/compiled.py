@@ -21,26 +21,26 @@ from coopqp.state import State
 
 
 class Outcome(IntEnum):
-    """What became of a tick of the kernel, numbered as in ``core/status.hpp``.
+    """What became of a tick of the kernel; ``core/shared.hpp`` is made from it.
 
     RELAXED is added to an answer where hard or scaled tasks are not met in full, COMES_BACK where
-    joints are on their way back from outside their limits.
+    joints are on their way back from outside their limits, STANDS where nothing moves.
     """
 
     BUSY = -1
     OPTIMAL = 0
-    INACCURATE = 1
-    INFEASIBLE = 2
-    ITERATIONS = 3
-    NOT_FINITE = 4
-    EQUALITY = 5
-    BOUND = 6
-    SINGULAR = 7
-    OPENS = 8
-    OUTSIDE = 9
-    SHORTENED = 10
-    UNPROVEN = 11
-    CLASHING = 12
+    INACCURATE = 1  # feasible, but the certificate is short of digits
+    INFEASIBLE = 2  # the first level's constraints leave nothing, as is proved
+    ITERATIONS = 3  # the active set changed too often
+    NOT_FINITE = 4  # the state or the answer has NaN or infinite values
+    EQUALITY = 5  # the answer breaks the loop closure
+    BOUND = 6  # the answer breaks a limit
+    SINGULAR = 7  # loop or hard rows that are independent in general are not so here
+    OPENS = 8  # hardly a step leaves the loops within their budget
+    OUTSIDE = 9  # a joint is outside its limits; no way back does all of the drift correction
+    SHORTENED = 10  # optimal, but for the length of the step
+    UNPROVEN = 11  # no answer was found, and no proof that there is none
+    CLASHING = 12  # the first level's constraints leave nothing, by less than they may give way
     RELAXED = 16
     STANDS = 32
     COMES_BACK = 64
@@ -105,8 +105,7 @@ class Compiled:
     def bind(self, state: State, memory: Memory) -> bool:
         """Show it the arrays of a state; False where an input is no place."""
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
-        remembered = (memory[name] for name in names)
-        self.engine.bind_state(state.q, state.v, state.gap, *state.written(), *remembered)
+        self.engine.bind_state({**state.written(), **{name: memory[name] for name in names}})
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:
             for name, value, rate in before:

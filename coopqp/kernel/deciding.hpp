@@ -11,6 +11,8 @@
 // Of its own name in each variant, so that two of them may be imported side by side.
 namespace KERNEL_MODULE {
 
+using coopqp::BUSY, coopqp::RELAXED, coopqp::STANDS, coopqp::COMES_BACK;
+
 // Rows that Python fills, and where they go.
 struct Filled {
     const double *e, *J, *rate;
@@ -51,32 +53,27 @@ class Engine {
                                                    std::move(levels));
     }
 
-    void bind_state(const Written& q, const Written& v_last, const Numbers& gap,
-                    const Written& p_WO, const Written& R_WO, const Written& loop_error,
-                    const Written& drift, const Written& q_seen,
-                    const Written& commanded, const Written& later_pulls, const Written& missed,
-                    const Written& missing, const Written& scaled_pull,
-                    const Written& recovery, const Written& swing,
-                    const Written& stopped) {
+    // Arrays of a state and of what the law remembers, by name.
+    void bind_state(const nb::dict& d) {
         auto& b = kernel_->bound;
-        b.q = q_now_ = q.data();
-        b.v_last = v_now_ = v_last.data();
-        commanded_ = commanded.data();
-        b.gap = gap.data();
-        b.p_WO = p_WO.data();
-        b.R_WO = R_WO.data();
-        b.loop_error = loop_error.data();
-        b.drift = drift.data();
-        b.q_seen = q_seen.data();
-        b.later_pulls = later_pulls.data();
-        b.missed = missed.data();
-        b.missing = missing.data();
-        b.scaled_pull = scaled_pull.data();
-        b.recovery = recovery.data();
-        b.swing = swing.data();
-        stopped_ = stopped.data();
-        state_ = nb::make_tuple(q, v_last, gap, p_WO, R_WO, loop_error, drift, q_seen, commanded,
-                                later_pulls, missed, missing, scaled_pull, recovery, swing, stopped);
+        const auto of = [&](const char* name) { return nb::cast<Written>(d[name]).data(); };
+        b.q = q_now_ = of("q");
+        b.v_last = v_now_ = of("v");
+        commanded_ = of("commanded");
+        b.gap = of("gap");
+        b.p_WO = of("p_WO");
+        b.R_WO = of("R_WO");
+        b.loop_error = of("loop_error");
+        b.drift = of("drift");
+        b.q_seen = of("q_seen");
+        b.later_pulls = of("later pulls");
+        b.missed = of("missed");
+        b.missing = of("missing");
+        b.scaled_pull = of("scaled pull");
+        b.recovery = of("recovery");
+        b.swing = of("swing");
+        stopped_ = of("stopped");
+        state_ = d;
     }
 
     void bind_command(const Written& v) {
@@ -192,10 +189,6 @@ class Engine {
     }
 
   private:
-    static constexpr int BUSY = -1;
-    // Added to the status of a tick.
-    static constexpr int RELAXED = 16, STANDS = 32, COMES_BACK = 64;
-
     // The status of a tick and who decided it; BUSY where that is Python's.
     //   stops: whether the law stands still from a tick on that is infeasible.
     int decide(double t, bool stops, bool all_corrected) {

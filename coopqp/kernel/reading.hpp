@@ -157,7 +157,7 @@ coopqp::Bounds bounds_of(const nb::list& limits, std::size_t n, double dt) {
     coopqp::Bounds bounds(n, dt);
     for (nb::handle limit : limits) {
         const auto d = nb::cast<nb::dict>(limit);
-        bounds.take({static_cast<coopqp::JointLimit::Kind>(int(number(d, "kind"))),
+        bounds.take({static_cast<coopqp::Bounded>(int(number(d, "kind"))),
                      numbers(d, "lower"), numbers(d, "upper"), numbers(d, "step"),
                      number(d, "speed")});
     }

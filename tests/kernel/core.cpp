@@ -230,8 +230,8 @@ Case random_case(Random& random) {
             s.upper[j] = q[j] - by;
         if (s.lower[j] > s.upper[j]) s.lower[j] = -2.0;
     }
-    made.bounds.take({JointLimit::Position, s.lower, s.upper, {}, 0.5});
-    if (brakes) made.bounds.take({JointLimit::Braking, s.lower, s.upper, step, 0.0});
+    made.bounds.take({Bounded::Position, s.lower, s.upper, {}, 0.5});
+    if (brakes) made.bounds.take({Bounded::Braking, s.lower, s.upper, step, 0.0});
     made.twist_limits = twist_limits;
     made.kernel = std::make_unique<Kernel>(std::move(arena), std::move(model), kept, s,
                                            std::move(levels));

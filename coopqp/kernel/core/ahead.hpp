@@ -7,11 +7,10 @@
 
 #include "kinematics.hpp"
 #include "problem.hpp"
+#include "shared.hpp"
 #include "small.hpp"
 
 namespace coopqp {
-
-constexpr double SHORTEN = 0.5, SHORTEST = 1.0 / 1024;  // as coopqp.qp_law.safety
 
 class Ahead {
   public:

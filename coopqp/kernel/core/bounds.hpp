@@ -11,15 +11,10 @@ namespace coopqp {
 
 // One limit whose bounds change from tick to tick; what they mean depends on the kind.
 struct JointLimit {
-    enum Kind {
-        Velocity,  // lower, upper: of v
-        Position,  // of q; speed: fastest way back from outside
-        Braking,   // of q, which no joint may come to faster than it can brake; step: change of v
-        Lead,      // of q - q_measured
-    };
-    Kind kind;
-    std::vector<double> lower, upper, step;
-    double speed;
+    Bounded kind;
+    std::vector<double> lower, upper;  // of what the kind says
+    std::vector<double> step;          // of braking: change of v
+    double speed;                      // of a position: fastest way back from outside
 };
 
 class Bounds {
@@ -33,7 +28,7 @@ class Bounds {
     const double* q_measured = nullptr;
 
     void take(JointLimit limit) {
-        if (limit.kind != JointLimit::Velocity) return limits_.push_back(std::move(limit));
+        if (limit.kind != Bounded::Velocity) return limits_.push_back(std::move(limit));
         for (std::size_t j = 0; j < lower.size(); j++) {
             lower[j] = std::max(lower[j], limit.lower[j]);
             upper[j] = std::min(upper[j], limit.upper[j]);
@@ -47,12 +42,12 @@ class Bounds {
         std::copy_n(lower.data(), n, least);
         std::copy_n(upper.data(), n, most);
         for (const JointLimit& limit : limits_) {
-            if (limit.kind == JointLimit::Position) {
+            if (limit.kind == Bounded::Position) {
                 keep_place(limit, n, q, least, most);
                 continue;
             }
             for (std::size_t j = 0; j < n; j++) {
-                if (limit.kind == JointLimit::Braking)
+                if (limit.kind == Bounded::Braking)
                     brake(limit, j, q[j], v[j], least[j], most[j]);
                 else if (q_measured && std::isfinite(q_measured[j]))
                     lead(limit, j, q[j] - q_measured[j], least[j], most[j]);

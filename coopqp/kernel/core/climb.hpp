@@ -7,11 +7,9 @@
 
 #include "model.hpp"
 #include "rotation.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
-
-constexpr double LARGE_PHI = 3.0;   // as tasks.manipulability
-constexpr double REGULAR = 1e-12;
 
 class Climb {
   public:

@@ -6,12 +6,12 @@
 
 #include "least_distance.hpp"
 #include "problem.hpp"
+#include "shared.hpp"
 #include "shares.hpp"
 
 namespace coopqp {
 
 constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
-constexpr double DECIDED = 1e-7;  // share of a limit's row that a later level may move, not to see it
 
 // lb <= v <= ub and G v <= h of a tick, for all levels.
 struct Limits {

@@ -5,13 +5,9 @@
 #include <vector>
 
 #include "rows.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
-
-constexpr double MOST_DAMPING = 1e4, LEAST_SPEED = 1e-4;  // as coopqp.qp_law.equations
-constexpr double GROWS = 1.5, MOST_GROWN = 16.0, FADES_IN = 0.1;
-constexpr double SWINGS_AT = 1e-3, AMONG_THE_FAST = 0.25;
-constexpr double LETS_GO = 0.9, FIRM = 100.0;
 
 class StepDamping {
   public:

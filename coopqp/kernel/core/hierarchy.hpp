@@ -10,11 +10,10 @@
 
 #include "problem.hpp"
 #include "reflections.hpp"
-#include "status.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
 
-constexpr double NOISE = 1e-6;       // singular values of task rows up to this ask for nothing
 constexpr double NOTHING = 1e-13;    // left of a task row that others explain
 constexpr double IDLE = 1e-8;        // left of a row that must hold, of which no speed makes anything
 constexpr double ORTHOGONAL = 1e-13;  // cosine of rows whose lengths are singular values

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "reflections.hpp"
-#include "status.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
 

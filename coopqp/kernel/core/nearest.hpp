@@ -8,10 +8,9 @@
 
 #include "cascade.hpp"
 #include "damping.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
-
-constexpr double SLOW = 5e-3, WHOLE = 0.5, LITTLE = 0.1, LESS = 1e-3, MET = 1e-6;  // as there
 
 class Nearest {
   public:

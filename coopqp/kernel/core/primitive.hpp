@@ -4,28 +4,27 @@
 #include <vector>
 
 #include "rotation.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
 
-constexpr double RAMP = 0.25;   // as coopqp.profile
-
 // As coopqp.profile.Profile.
 struct Profile {
-    enum Kind { Step, ConstantVelocity, Trapezoid, Quintic };
-    Kind kind = Step;
+    using Kind = ProfileKind;
+    Kind kind = Kind::Step;
     double duration = 1.0, delay = 0.0;
 
     void at(double t, double& share, double& speed) const {
         share = 1.0;
         speed = 0.0;
-        if (t >= (kind == Step ? delay : delay + duration)) return;
+        if (t >= (kind == Kind::Step ? delay : delay + duration)) return;
         const double x = (t - delay) / duration;
         if (x < 0.0) {
             share = 0.0;
-        } else if (kind == Quintic) {
+        } else if (kind == Kind::Quintic) {
             share = x * x * x * (10.0 + x * (6.0 * x - 15.0));
             speed = 30.0 * x * x * (1.0 - x) * (1.0 - x) / duration;
-        } else if (kind == ConstantVelocity) {
+        } else if (kind == Kind::ConstantVelocity) {
             share = x;
             speed = 1.0 / duration;
         } else {
@@ -89,8 +88,6 @@ struct Reference {
         std::copy(followed.omega, followed.omega + 3, omega);
     }
 };
-
-enum class Kind { Point, Radial, Lean, Tilt, Rotation, Twist, Centering, Barrier, Posture, Manipulability, Relative };
 
 struct Primitive {
     Kind kind;

@@ -4,11 +4,9 @@
 #include <vector>
 
 #include "lanes.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
-
-constexpr double SCALE_WEIGHT = 1e3;  // as coopqp.qp_law.equations
-constexpr double OUTSIDE = 1e-9;      // as coopqp.limit.ROUNDING [rad, m]
 
 struct Budget {
     double equality, bound, accuracy, loop_position, loop_orientation;

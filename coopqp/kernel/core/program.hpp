@@ -11,12 +11,11 @@
 #include "primitive.hpp"
 #include "problem.hpp"
 #include "rows.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
 
 constexpr double PI = 3.14159265358979323846;
-constexpr double TINY = 1e-12;  // as coopqp.geometry
-constexpr double CONE = 0.02;
 class Program {
   public:
     std::vector<Primitive> primitives;

@@ -4,10 +4,9 @@
 #include <vector>
 
 #include "rows.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
-
-constexpr double SHALLOW = 1e-3;  // as coopqp.limit
 
 struct TwistLimit {
     int at;                        // its first row

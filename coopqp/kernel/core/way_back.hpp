@@ -6,11 +6,11 @@
 #include <vector>
 
 #include "cascade.hpp"
+#include "shared.hpp"
 
 namespace coopqp {
 
-constexpr double LEAST_RECOVERY = 0.02, LEAST_MOTION = 1e-4, KEPT = 0.995;  // as there
-constexpr double IN_PART = 1e-6;  // of the drift correction, as coopqp.qp_law.equations.ALL_OF_IT
+constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the drift correction
 
 class WayBack {
   public:

@@ -1,0 +1,101 @@
+// Made by `python -m tests.kernel.shared` from Python, where the names are explained.
+#pragma once
+
+namespace coopqp {
+
+// coopqp.qp_law.equations
+constexpr double SCALE_WEIGHT = 1000.0;
+constexpr double ALL_OF_IT = 0.999999;
+constexpr double LEAST_SPEED = 0.0001;
+constexpr double MOST_DAMPING = 10000.0;
+constexpr double GROWS = 1.5;
+constexpr double MOST_GROWN = 16.0;
+constexpr double FADES_IN = 0.1;
+constexpr double SWINGS_AT = 0.001;
+constexpr double AMONG_THE_FAST = 0.25;
+constexpr double LETS_GO = 0.9;
+constexpr double FIRM = 100.0;
+
+// coopqp.qp_law.nearest
+constexpr double WHOLE = 0.5;
+constexpr double LITTLE = 0.1;
+constexpr double SLOW = 0.005;
+constexpr double LESS = 0.001;
+constexpr double MET = 1e-06;
+
+// coopqp.qp_law.level
+constexpr double DECIDED = 1e-07;
+
+// coopqp.qp_law.priorities
+constexpr double NOISE = 1e-06;
+
+// coopqp.qp_law.safety
+constexpr double SHORTEN = 0.5;
+constexpr double SHORTEST = 0.0009765625;
+
+// coopqp.qp_law.way_back
+constexpr double LEAST_RECOVERY = 0.02;
+constexpr double LEAST_MOTION = 0.0001;
+constexpr double KEPT = 0.995;
+
+// coopqp.limit
+constexpr double OUTSIDE = 1e-09;
+constexpr double SHALLOW = 0.001;
+
+// coopqp.profile
+constexpr double RAMP = 0.25;
+
+// coopqp.geometry
+constexpr double TINY = 1e-12;
+constexpr double CONE = 0.02;
+
+// coopqp.tasks.manipulability
+constexpr double LARGE_PHI = 3.0;
+constexpr double REGULAR = 1e-12;
+
+// coopqp.kernel.compiled.Outcome
+enum class Status : int {
+    Optimal = 0,
+    Inaccurate = 1,
+    Infeasible = 2,
+    Iterations = 3,
+    NotFinite = 4,
+    Equality = 5,
+    Bound = 6,
+    Singular = 7,
+    Opens = 8,
+    Outside = 9,
+    Shortened = 10,
+    Unproven = 11,
+    Clashing = 12,
+};
+constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
+
+// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.profile.KINDS
+enum class Kind {
+    Point = 0,
+    Radial = 1,
+    Lean = 2,
+    Tilt = 3,
+    Rotation = 4,
+    Twist = 5,
+    Centering = 6,
+    Barrier = 7,
+    Posture = 8,
+    Manipulability = 9,
+    Relative = 10,
+};
+enum class Bounded {
+    Velocity = 0,
+    Position = 1,
+    Braking = 2,
+    Lead = 3,
+};
+enum class ProfileKind {
+    Step = 0,
+    ConstantVelocity = 1,
+    Trapezoid = 2,
+    Quintic = 3,
+};
+
+}  // namespace coopqp

@@ -1,0 +1,86 @@
+"""What Python and the compiled kernel share, as a C++ header made from Python's own names.
+
+``python -m tests.kernel.shared`` writes ``coopqp/kernel/core/shared.hpp`` anew, after a constant, a
+kind or an outcome has changed in Python; a test says when that is to be done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from coopqp import geometry, limit, profile, program
+from coopqp.kernel import compiled
+from coopqp.kernel.compiled import Outcome
+from coopqp.qp_law import equations, level, nearest, priorities, safety, way_back
+from coopqp.tasks import manipulability
+
+HEADER = Path(compiled.__file__).parent / "core" / "shared.hpp"
+
+#: Where Python has each constant, and what C++ calls it where that is another name.
+CONSTANTS: Mapping[object, Mapping[str, str]] = {
+    equations: {
+        name: name
+        for name in (
+            "SCALE_WEIGHT", "ALL_OF_IT", "LEAST_SPEED", "MOST_DAMPING", "GROWS", "MOST_GROWN",
+            "FADES_IN", "SWINGS_AT", "AMONG_THE_FAST", "LETS_GO", "FIRM",
+        )
+    },
+    nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET")},
+    level: {"DECIDED": "DECIDED"},
+    priorities: {"NOISE": "NOISE"},
+    safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
+    way_back: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
+    limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
+    profile: {"RAMP": "RAMP"},
+    geometry: {"TINY": "TINY", "CONE": "CONE"},
+    manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},
+}  # fmt: skip
+
+#: Outcomes from here on are added to one of those before.
+ADDED = Outcome.RELAXED
+
+
+def header() -> str:
+    """The text of the header."""
+    return "\n".join(_lines()) + "\n"
+
+
+def _lines() -> Iterator[str]:
+    yield "// Made by `python -m tests.kernel.shared` from Python, where the names are explained."
+    yield "#pragma once"
+    yield ""
+    yield "namespace coopqp {"
+    for module, names in CONSTANTS.items():
+        yield ""
+        yield f"// {getattr(module, '__name__', module)}"
+        for name, here in names.items():
+            yield f"constexpr double {here} = {float(getattr(module, name))!r};"
+    outcomes = {_camel(o.name): o for o in Outcome if 0 <= o < ADDED}
+    flags = {o.name: o for o in Outcome if o < 0 or o >= ADDED}
+    yield ""
+    yield "// coopqp.kernel.compiled.Outcome"
+    yield from _enum("enum class Status : int", outcomes)
+    yield f"constexpr int {', '.join(f'{name} = {int(o)}' for name, o in flags.items())};"
+    yield ""
+    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.profile.KINDS"
+    yield from _enum("enum class Kind", {_camel(k.name): k for k in program.Kind})
+    yield from _enum("enum class Bounded", {_camel(k.name): k for k in limit.Bounded})
+    kinds = {_camel(name): i for i, name in enumerate(profile.KINDS)}
+    yield from _enum("enum class ProfileKind", kinds)
+    yield ""
+    yield "}  // namespace coopqp"
+
+
+def _enum(head: str, members: Mapping[str, int]) -> Iterator[str]:
+    yield f"{head} {{"
+    yield from (f"    {name} = {int(value)}," for name, value in members.items())
+    yield "};"
+
+
+def _camel(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+if __name__ == "__main__":
+    HEADER.write_text(header(), encoding="utf-8")
