@@ -266,7 +266,7 @@ def memory_sizes(
     rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
     task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they left their
     directions, and each later level pulled at the rows decided before (:meth:`LaterLevel.improve`);
-    "swing" how much more damping there is because joints swing back
+    "swing" how much more damping there is because joints swing back, and which do
     (:func:`coopqp.qp_law.equations.note_swing`); the others are the squeezer's.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
@@ -274,5 +274,5 @@ def memory_sizes(
     return {
         "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled,
         "scaled pull": min(scaled, 1), "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
+        **(squeezer.memory_sizes if squeezer else {}), "swing": 1 + problem.chain.n,
     }  # fmt: skip

@@ -10,8 +10,8 @@ namespace coopqp {
 
 constexpr double MOST_DAMPING = 1e4, LEAST_SPEED = 1e-4;  // as coopqp.qp_law.equations
 constexpr double GROWS = 1.5, MOST_GROWN = 16.0, FADES_IN = 0.1;
-constexpr double SWINGS_AT = 1e-3, AMONG_THE_FAST = 0.25;
-constexpr double LETS_GO = 0.9, FIRM = 100.0;
+constexpr double SWINGS_AT = 2e-4;
+constexpr double LETS_GO = 0.98, FIRM = 100.0;
 
 class StepDamping {
   public:
@@ -67,21 +67,18 @@ class StepDamping {
         return held > FIRM ? std::max(pull, held) : pull;
     }
 
-    // Note how joints swing in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
-    void note_swing(const double* v, double* swing, int blocks) const {
-        v4 back4 = v4{}, fastest4 = v4{}, before4 = v4{};
-        for (int b = 0; b < blocks; b++) back4 = larger(back4, -(lanes(v)[b] * lanes(v_last_)[b]));
-        const double back = largest(back4), grown = 1.0 + swing[0];
-        bool swings = back > SWINGS_AT * SWINGS_AT;
-        for (int b = 0; b < blocks; b++) {
-            fastest4 = larger(fastest4, larger(lanes(v)[b], -lanes(v)[b]));
-            before4 = larger(before4, larger(lanes(v_last_)[b], -lanes(v_last_)[b]));
+    // Note how n joints swing in a tick with the velocity v, as coopqp.qp_law.equations.
+    void note_swing(const double* v, const double* v_last, double* swing, int n) const {
+        double fastest = 0.0;
+        bool again = false;
+        for (int j = 0; j < n; j++) {
+            const bool back = -v[j] * v_last[j] > SWINGS_AT * SWINGS_AT;
+            again |= back && swing[1 + j] > 0.0;
+            swing[1 + j] = back;
+            fastest = std::max(fastest, std::fabs(v[j]));
         }
-        const double fastest = largest(fastest4);
-        swings = swings && back > AMONG_THE_FAST * (largest(before4) * fastest);
-        const bool again = swings && swing[1] > 0.0;
-        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / (1.0 + dt_ * fastest / FADES_IN), 1.0)) - 1.0;
-        swing[1] = swings;
+        const double grown = 1.0 + swing[0], fades = 1.0 + dt_ * fastest / FADES_IN;
+        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
     }
 
   private:
