@@ -9,6 +9,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.solver import norm
 from coopqp.state import State
+from coopqp.task import TaskStack
 
 #: Cost of a missing share of what may be done in part, far above any soft task.
 SCALE_WEIGHT = 1e3
@@ -58,6 +59,15 @@ class Damping:
     def of(self, bend: float, state: State) -> float:
         """What a bend adds to d, share dt bend; more of it where joints have swung back."""
         return self.share * (1.0 + float(state.memory["swing"][0])) * self.dt * bend
+
+    def of_tasks(self, tasks: TaskStack, state: State) -> float:
+        """What soft tasks add to d.
+
+        How joint objectives bend is not known beforehand, only that they do where joints swing:
+        these make them slower, as many times as other damping has grown.
+        """
+        grown = float(state.memory["swing"][0]) if self.share > 0.0 else 0.0
+        return self.of(tasks.bend(state.v), state) + grown * tasks.joint_weight
 
     def of_drift(self, state: State, kappa: float) -> float:
         """What a drift correction adds that is done in part; nothing where the last tick did all.

@@ -141,8 +141,8 @@ class QPLaw(Law):
     def _assemble_first(self, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m, first = self.problem.chain.n, len(state.e_loop), self.first
-        bend = self._damping.of(first.tasks.bend(state.v), state)
-        first.assemble(state, kappa, bend + self._scaled_damping(state))
+        damping = self._damping.of_tasks(first.tasks, state)
+        first.assemble(state, kappa, damping + self._scaled_damping(state))
         A, b = self.qp.A[m:], self.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):

@@ -27,6 +27,7 @@ class StepDamping {
     // At the last velocity, in lanes, which must stay where it is, with how joints swing.
     void begin(const double* v_last, double swing) {
         v_last_ = v_last;
+        swing_ = swing;
         share_ = error_damping_ * (1.0 + swing) * dt_;
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
@@ -49,7 +50,7 @@ class StepDamping {
         double bend = 0.0;
         for (int s = level.exact; s < level.rows; s++)
             bend += level.weight[std::size_t(s)] * of_row(level, s, v_last_, V_);
-        return share_ * bend;
+        return share_ * bend + swing_ * level.joint_weight;
     }
 
     // For a pull at rows decided before.
@@ -109,7 +110,7 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double error_damping_, dt_, share_ = 0.0, *V_;
+    double error_damping_, dt_, swing_ = 0.0, share_ = 0.0, *V_;
     const double* v_last_ = nullptr;
     bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;
