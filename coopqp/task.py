@@ -244,6 +244,8 @@ class TaskStack:
         self.J = np.zeros((k, n))
         self.sizes = tuple(sizes)
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
+        #: Of the tasks in joint space that ask something of every joint.
+        self.joint_weight = sum(float(t.weight) for t in tasks if t.joint_space and t.all_joints)
         self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
         #: Largest second derivative of each row's error [unit/rad2].
         self.levers = np.array(

@@ -176,7 +176,7 @@ class Cascade:
             J: its rows.
             pull: at the rows decided before it, in the last tick.
         """
-        d = self._damping.least + self._damping.of(tasks.bend(self._state.v), self._state)
+        d = self._damping.least + self._damping.of_tasks(tasks, self._state)
         needed = self._damping.of(pull, self._state)
         share = MOST_DAMPING / max(needed, MOST_DAMPING)  # of the step that is made
         wanted = tasks.wanted.astype(LONG)

@@ -9,6 +9,7 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.solver import norm
 from coopqp.state import State
+from coopqp.task import TaskStack
 
 #: Cost of a missing share of what may be done in part, far above any soft task.
 SCALE_WEIGHT = 1e3
@@ -18,17 +19,17 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
-#: After two ticks on end in which a joint swings back damping is this many times what it was, up to
-#: the most,
+#: After two ticks on end in which one joint swings back damping is this many times what it was, up
+#: to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.1
-#: A joint swings back that changes its sign at this speed [rad/s, m/s] or faster, and is among the
-#: fast ones: speeds before and after, times each other, over the same of the fastest.
-SWINGS_AT, AMONG_THE_FAST = 1e-3, 0.25
+#: A joint swings back whose speed changes its sign, from more than this to more than this
+#: [rad/s, m/s], however fast others go on: a swing grows from little, and is damped while small.
+SWINGS_AT = 2e-4
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
-LETS_GO, FIRM = 0.9, 100.0
+LETS_GO, FIRM = 0.98, 100.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,15 @@ class Damping:
         """What a bend adds to d, share dt bend; more of it where joints have swung back."""
         return self.share * (1.0 + float(state.memory["swing"][0])) * self.dt * bend
 
+    def of_tasks(self, tasks: TaskStack, state: State) -> float:
+        """What soft tasks add to d.
+
+        How joint objectives bend is not known beforehand, only that they do where joints swing:
+        these make them slower, as many times as other damping has grown.
+        """
+        grown = float(state.memory["swing"][0]) if self.share > 0.0 else 0.0
+        return self.of(tasks.bend(state.v), state) + grown * tasks.joint_weight
+
     def of_drift(self, state: State, kappa: float) -> float:
         """What a drift correction adds that is done in part; nothing where the last tick did all.
 
@@ -75,17 +85,15 @@ class Damping:
 def note_swing(state: State, v: Array, dt: float) -> None:
     """Remember whether joints swing back in v after state.v, for the damping of the next ticks.
 
-    Kept are how much more than its own the damping is, and whether a joint swung back in the last
-    tick: in one tick they also do so where a reference turns.
+    Kept are how much more than its own the damping is, and which joints swung back in the last
+    tick: in one tick each does so where a reference turns.
     """
-    swing, before = state.memory["swing"], np.abs(state.v).max(initial=0.0)
-    now = np.abs(v).max(initial=0.0)
-    back = -(v * state.v).min(initial=0.0)
-    swings = back > max(AMONG_THE_FAST * before * now, SWINGS_AT * SWINGS_AT)
-    grown = 1.0 + swing[0]
-    again = bool(swings) and swing[1] > 0.0
+    swing, now = state.memory["swing"], np.abs(v).max(initial=0.0)
+    back = (v * state.v < 0.0) & (np.minimum(np.abs(v), np.abs(state.v)) > SWINGS_AT)
+    grown, again = 1.0 + swing[0], (swing[1:] * back).any()
     less = max(grown / (1.0 + dt * now / FADES_IN), 1.0)
-    swing[:] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0, float(swings)
+    swing[0] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0
+    swing[1:] = back
 
 
 def held_pull(new: float, old: float) -> float:

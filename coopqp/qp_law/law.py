@@ -141,8 +141,8 @@ class QPLaw(Law):
     def _assemble_first(self, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m, first = self.problem.chain.n, len(state.e_loop), self.first
-        bend = self._damping.of(first.tasks.bend(state.v), state)
-        first.assemble(state, kappa, bend + self._scaled_damping(state))
+        damping = self._damping.of_tasks(first.tasks, state)
+        first.assemble(state, kappa, damping + self._scaled_damping(state))
         A, b = self.qp.A[m:], self.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):
@@ -266,7 +266,7 @@ def memory_sizes(
     rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
     task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they left their
     directions, and each later level pulled at the rows decided before (:meth:`LaterLevel.improve`);
-    "swing" how much more damping there is because joints swing back
+    "swing" how much more damping there is because joints swing back, and which do
     (:func:`coopqp.qp_law.equations.note_swing`); the others are the squeezer's.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
@@ -274,5 +274,5 @@ def memory_sizes(
     return {
         "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled,
         "scaled pull": min(scaled, 1), "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}), "swing": 2,
+        **(squeezer.memory_sizes if squeezer else {}), "swing": 1 + problem.chain.n,
     }  # fmt: skip

@@ -134,7 +134,7 @@ class LaterLevel(Step):
         shape (1,): of the last tick, then of this one.
         """
         damping = self._given.damping
-        needed, own = damping.of(pull[0], state), damping.of(self.tasks.bend(state.v), state)
+        needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)
         d = damping.least + own + min(needed, MOST_DAMPING)
         self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
         decided = np.concatenate([stack.J for stack in self._before])

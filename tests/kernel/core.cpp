@@ -49,7 +49,7 @@ struct Owner {
         pulls.assign(std::size_t(levels), 0.0);
         for (auto* a : {&scaled_pull, &recovery}) a->assign(1, 0.0);
         missed.assign(std::size_t(k.levels[0].hard), 0.0);
-        swing.assign(2, 0.0);
+        swing.assign(1 + std::size_t(n), 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
                    error.data(), drift.data(), seen.data(), pulls.data(), missed.data(),

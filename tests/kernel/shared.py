@@ -23,7 +23,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         name: name
         for name in (
             "SCALE_WEIGHT", "ALL_OF_IT", "LEAST_SPEED", "MOST_DAMPING", "GROWS", "MOST_GROWN",
-            "FADES_IN", "SWINGS_AT", "AMONG_THE_FAST", "LETS_GO", "FIRM",
+            "FADES_IN", "SWINGS_AT", "LETS_GO", "FIRM",
         )
     },
     nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET")},

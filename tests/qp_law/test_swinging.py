@@ -32,7 +32,7 @@ def centred(chain: ClosedChain) -> ControlProblem:
 
 def after(swing: float, velocities: Sequence[tuple[float, float]], chain: ClosedChain) -> float:
     """What is remembered when the first two joints go at these velocities, tick by tick."""
-    state = State(chain, memory=Memory({"swing": 2}))
+    state = State(chain, memory=Memory({"swing": 1 + chain.n}))
     state.memory["swing"][0] = swing
     for pair in velocities:
         v = np.zeros(chain.n)
@@ -48,14 +48,18 @@ def test_damping_grows_by_half_a_swing_up_to_sixteen_times(chain: ClosedChain) -
     assert after(0.0, back_and_forth, chain) == 15.0
 
 
+def test_swing_beside_a_joint_that_goes_on_much_faster_is_seen(chain: ClosedChain) -> None:
+    assert after(0.0, [(0.001, 1.0), (-0.001, 1.0), (0.001, 1.0)], chain) == 0.5
+
+
 @pytest.mark.parametrize(
     "velocities",
     [
         [(0.1, 0.0), (0.1, 0.0)],  # goes on
         [(0.1, 0.0), (0.0, 0.0), (-0.1, 0.0)],  # stands in between
         [(0.1, 0.0), (-0.1, 0.0), (-0.1, 0.0), (0.1, 0.0)],  # turns, as references do
-        [(0.0009, 0.0), (-0.0009, 0.0)],  # slowly
-        [(0.1, 1.0), (-0.1, 1.0)],  # beside a joint that goes on ten times as fast
+        [(0.00019, 0.0), (-0.00019, 0.0), (0.00019, 0.0)],  # slowly
+        [(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1)],  # one joint after the other
     ],
 )
 def test_what_is_no_swing_lets_it_fade(
@@ -72,7 +76,14 @@ def test_arms_at_rest_keep_their_damping(chain: ClosedChain) -> None:
 
 def commanded(law: QPController, chain: ClosedChain, memory: str, value: float) -> Array:
     """The command of a first tick that remembers something."""
-    built = law.build(centred(chain))
+    return ticked(law, centred(chain), memory, value)
+
+
+def ticked(
+    law: QPController, asked: ControlProblem, memory: str, value: float | list[float]
+) -> Array:
+    """Likewise, of any problem."""
+    built = law.build(asked)
     state = built.start()
     state.memory[memory][:] = value
     return built.tick(state).v.copy()
@@ -82,10 +93,23 @@ def commanded(law: QPController, chain: ClosedChain, memory: str, value: float) 
 def test_swing_is_damped_as_by_a_larger_error_damping(
     engine: Literal["python", "auto"], chain: ClosedChain
 ) -> None:
-    swung = commanded(QPController(engine=engine), chain, "swing", 2.0)
-    calmer = QPController(engine=engine, error_damping=1.5)
-    np.testing.assert_allclose(swung, commanded(calmer, chain, "swing", 0.0), rtol=0.0, atol=1e-12)
-    assert np.linalg.norm(swung - commanded(QPController(), chain, "swing", 0.0)) > 1e-6
+    near = PointOnPlane(name="near", normal=(0, 0, 1), through=NEAR, profile=STEP)
+    asked, law = problem(chain, near), QPController(engine=engine)
+    calmer = ticked(QPController(engine=engine, error_damping=1.5), asked, "swing", 0.0)
+    swung = ticked(law, asked, "swing", [2.0, *[0.0] * chain.n])
+    np.testing.assert_allclose(swung, calmer, rtol=0.0, atol=1e-12)
+    assert np.linalg.norm(swung - ticked(law, asked, "swing", 0.0)) > 1e-6
+
+
+@both_engines
+def test_joint_objective_that_swings_is_slower(
+    engine: Literal["python", "auto"], chain: ClosedChain
+) -> None:
+    alone = problem(chain, secondary=[JointCentering(name="centre", gain=0.5)])
+    law = QPController(engine=engine)
+    fast, slow = (ticked(law, alone, "swing", [s, *[0.0] * chain.n]) for s in (0.0, 2.0))
+    np.testing.assert_allclose(slow, fast / 3.0, rtol=1e-5, atol=1e-12)
+    assert np.linalg.norm(fast) > 1e-3
 
 
 @both_engines

@@ -88,7 +88,11 @@ class Cascade {
         if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
         copy(V_, check_.V, 2);
         Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
-        if (is_short(outcome)) outcome = refined(l, first, d, outcome);
+        for (int pass = 0; pass < MOST_PASSES && is_short(outcome); pass++) {
+            const double off = outcome.off;
+            outcome = refined(l, first, d, outcome);
+            if (!(outcome.off < off)) break;
+        }
         pulls_[std::size_t(l)] = outcome.pull;
         return outcome.status;
     }

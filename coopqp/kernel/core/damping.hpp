@@ -23,6 +23,7 @@ class StepDamping {
     // At the last velocity, in lanes, which must stay where it is, with how joints swing.
     void begin(const double* v_last, double swing) {
         v_last_ = v_last;
+        swing_ = swing;
         share_ = error_damping_ * (1.0 + swing) * dt_;
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
@@ -45,7 +46,7 @@ class StepDamping {
         double bend = 0.0;
         for (int s = level.exact; s < level.rows; s++)
             bend += level.weight[std::size_t(s)] * of_row(level, s, v_last_, V_);
-        return share_ * bend;
+        return share_ * bend + swing_ * level.joint_weight;
     }
 
     // For a pull at rows decided before.
@@ -63,21 +64,19 @@ class StepDamping {
         return held > FIRM ? std::max(pull, held) : pull;
     }
 
-    // Note how joints swing in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
-    void note_swing(const double* v, double* swing, int blocks) const {
-        v4 back4 = v4{}, fastest4 = v4{}, before4 = v4{};
-        for (int b = 0; b < blocks; b++) back4 = larger(back4, -(lanes(v)[b] * lanes(v_last_)[b]));
-        const double back = largest(back4), grown = 1.0 + swing[0];
-        bool swings = back > SWINGS_AT * SWINGS_AT;
-        for (int b = 0; b < blocks; b++) {
-            fastest4 = larger(fastest4, larger(lanes(v)[b], -lanes(v)[b]));
-            before4 = larger(before4, larger(lanes(v_last_)[b], -lanes(v_last_)[b]));
+    // Note how n joints swing in a tick with the velocity v, as coopqp.qp_law.equations.
+    void note_swing(const double* v, const double* v_last, double* swing, int n) const {
+        double fastest = 0.0;
+        bool again = false;
+        for (int j = 0; j < n; j++) {
+            const double slower = std::min(std::fabs(v[j]), std::fabs(v_last[j]));
+            const bool back = v[j] * v_last[j] < 0.0 && slower > SWINGS_AT;
+            again |= back && swing[1 + j] > 0.0;
+            swing[1 + j] = back;
+            fastest = std::max(fastest, std::fabs(v[j]));
         }
-        const double fastest = largest(fastest4);
-        swings = swings && back > AMONG_THE_FAST * (largest(before4) * fastest);
-        const bool again = swings && swing[1] > 0.0;
-        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / (1.0 + dt_ * fastest / FADES_IN), 1.0)) - 1.0;
-        swing[1] = swings;
+        const double grown = 1.0 + swing[0], fades = 1.0 + dt_ * fastest / FADES_IN;
+        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
     }
 
   private:
@@ -108,7 +107,7 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double error_damping_, dt_, share_ = 0.0, *V_;
+    double error_damping_, dt_, swing_ = 0.0, share_ = 0.0, *V_;
     const double* v_last_ = nullptr;
     bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;

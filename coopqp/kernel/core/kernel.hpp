@@ -322,7 +322,7 @@ class Kernel {
 
     void write() {
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
-        damping_.note_swing(v_, bound.swing, m_->blocks);
+        damping_.note_swing(bound.v, bound.v_last, bound.swing, m_->n());
     }
 
     Ahead ahead_;
