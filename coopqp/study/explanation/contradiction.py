@@ -17,7 +17,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.search import RESTARTS, Search
+from coopqp.study.explanation.search import Search
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -30,12 +30,7 @@ OF_OBJECT = 1e-6
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Tasks that cannot hold together, none of which could be left out.
-
-    Attributes:
-        tasks: at least two; one alone cannot be met.
-        any_robot: whether a free object could not do it either.
-    """
+    """Two tasks or more that cannot hold together, on any robot if a free object cannot either."""
 
     tasks: tuple[Task, ...]
     any_robot: bool
@@ -56,23 +51,23 @@ def irreducible(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> t
     return kept
 
 
+def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
+    """Such a subset of two or more; none where all hold, or one alone fails."""
+    found = irreducible(tasks, fails) if len(tasks) > 1 and fails(tuple(tasks)) else ()
+    return found if len(found) > 1 else ()
+
+
 def on_a_free_object(goal: Goal) -> tuple[Task, ...]:
     """Tasks of the object that contradict each other on any robot; empty where none do."""
     if goal.chain.n < 6:
         return ()
     own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
-    if not own or not _free_fails(goal.only(own)):
-        return ()
-    return irreducible(own, lambda some: _free_fails(goal.only(some)))
+    return contradicting(own, lambda some: _free_fails(goal.only(some)))
 
 
-def on_this_robot(goal: Goal, q: Array, restarts: int = RESTARTS) -> tuple[Task, ...]:
-    """A smallest set of tasks that cannot hold on the robot without limits."""
-
-    def fails(some: tuple[Task, ...]) -> bool:
-        return not Search(goal.only(some)).best(q, restarts).reached
-
-    return irreducible(goal.tasks, fails)
+def on_this_robot(goal: Goal, q: Array) -> tuple[Task, ...]:
+    """A smallest set of tasks that cannot hold on the robot without limits, maybe one alone."""
+    return irreducible(goal.tasks, lambda some: not Search(goal.only(some)).best(q).reached)
 
 
 def _of_object(goal: Goal) -> bool:

@@ -10,7 +10,7 @@ mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -109,9 +109,10 @@ def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
     return shares(rows, np.array(amounts))
 
 
-def is_speed(row: Row) -> bool:
-    """Whether a limit bounds a speed or an acceleration, and no place."""
-    return not row.of_place and row.unit not in PLACE_UNITS
+def speed_share(shares: Sequence[Share]) -> float:
+    """What limits of speeds and accelerations, and of no place, have of the force."""
+    rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
+    return sum(share.share for share in rates)
 
 
 def speed_needed(leg: Leg, k: int, rows: slice) -> float:

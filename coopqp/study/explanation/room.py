@@ -6,13 +6,14 @@ they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, RoomLeft
 from coopqp.row import Row
 from coopqp.state import State
@@ -23,12 +24,7 @@ AT_BOUND = 1e-4
 
 
 class Room:
-    """What limits leave.
-
-    Args:
-        chain: what is limited.
-        limits: all that count.
-        dt: control period [s].
+    """What the limits of a problem leave.
 
     Attributes:
         lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
@@ -38,8 +34,9 @@ class Room:
         limits: those with rooms in space.
     """
 
-    def __init__(self, chain: ClosedChain, limits: Sequence[Limit], dt: float) -> None:
-        self.chain, self._dt = chain, dt
+    def __init__(self, problem: ControlProblem) -> None:
+        chain = self.chain = problem.chain
+        self._dt = problem.dt
         self.lower, self.upper = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
         self.sides: dict[tuple[int, str], Row] = {}
         self.rows: tuple[Row, ...] = ()
@@ -47,7 +44,7 @@ class Room:
         self.limits: list[Limit] = []
         self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
         self._state = State(chain)
-        for limit in limits:
+        for limit in problem.limits:
             self._add(limit)
 
     def _add(self, limit: Limit) -> None:
@@ -95,12 +92,7 @@ class Room:
             self._state.update()
 
     def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
-        """The pair of bodies with least room, and its distance [m]; None where there are none.
-
-        Args:
-            owner: name of a limit.
-            q: configuration, shape (n,).
-        """
+        """The pair of bodies of a limit with least room, and its distance [m]; None without."""
         left = zip(self.rows, self.at(q).tolist(), strict=True)
         found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
         if not found:

@@ -79,13 +79,14 @@ def part_of_rate(got: Array, wanted: Array) -> float:
 def relaxed(legs: Sequence[Leg]) -> tuple[Relaxed, ...]:
     """Who is not met in full in the ticks that say so, the most often first.
 
-    Args:
-        legs: phases of a run of a law that commands velocities, in their order.
+    Those of a law that commands torques do not show it.
     """
     modes: dict[str, Mode] = {}
     ticks: dict[str, int] = {}
     missing: dict[str, float] = {}
     for leg in legs:
+        if leg.controller.commands_torques:
+            break
         missing = {}
         modes |= {task.name: task.mode for task in leg.problem.tasks}
         for k, lacks in _lacks(leg):
