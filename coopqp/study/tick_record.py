@@ -200,9 +200,10 @@ def record_tick(
     qp = level.qp
     shares = qp.rows.variables[problem.chain.n :]
     pad = ((0, 0), (0, len(shares)))
+    named = NamedBounds(problem, state)
     below, above = (
-        [*rows, *(_share_bound(share, side) for share in shares)]
-        for rows, side in zip(bounding(problem, state), SIDES, strict=True)
+        [*rows, *(replace(share, name=f"scale.{side}", side=side) for share in shares)]
+        for rows, side in zip((named.below, named.above), SIDES, strict=True)
     )
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
@@ -247,29 +248,55 @@ def _first_level(law: QPLaw, state: State) -> Level:
     return law.first
 
 
-def bounding(problem: ControlProblem, state: State) -> tuple[list[Row], list[Row]]:
-    """The limits that each joint's lower and upper bounds on v come from."""
-    chain = problem.chain
-    tightest = np.full((2, chain.n), np.inf)
-    below, above = found = tuple(
-        [
-            Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
-            for joint in chain.joint_names
+class NamedBounds:
+    """The limits of a problem one by one, so that each bound on v has the name of one.
+
+    Args:
+        problem: with the limits.
+        state: the first that they are looked at.
+
+    Attributes:
+        lb, ub: the tightest of all limits. G, h: rows of one after the other.
+        below, above: the limits that lb and ub come from.
+    """
+
+    def __init__(self, problem: ControlProblem, state: State) -> None:
+        chain = problem.chain
+        self._none = [
+            [
+                Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
+                for joint in chain.joint_names
+            ]
+            for side in SIDES
         ]
-        for side in SIDES
-    )
-    for limit in problem.limits:
-        alone = Bounds(chain, [limit], state, problem.dt)
-        alone.update(state)
-        bounds, rows = np.array([-alone.lb, alone.ub]), [bound_rows(limit, chain, s) for s in SIDES]
-        for k, i in np.argwhere(bounds < tightest).tolist():
-            found[k][i] = rows[k][i]
-        np.minimum(tightest, bounds, out=tightest)
-    return below, above
+        self._each = [
+            (
+                Bounds(chain, [limit], state, problem.dt),
+                [bound_rows(limit, chain, side) for side in SIDES],
+            )
+            for limit in problem.limits
+        ]
+        self.update(state)
 
+    def update(self, state: State) -> None:
+        """Bring all to a state."""
+        n = len(state.v)
+        self.below, self.above = found = [*self._none[0]], [*self._none[1]]
+        tightest = np.full((2, n), np.inf)
+        for alone, rows in self._each:
+            alone.update(state)
+            bounds = np.array([-alone.lb, alone.ub])
+            for k, i in np.argwhere(bounds < tightest).tolist():
+                found[k][i] = rows[k][i]
+            np.minimum(tightest, bounds, out=tightest)
+        self.lb, self.ub = -tightest[0], tightest[1]
+        self.G = np.vstack([np.zeros((0, n)), *(alone.G for alone, _ in self._each)])
+        self.h = np.concatenate([np.zeros(0), *(alone.h for alone, _ in self._each)])
 
-def _share_bound(share: Row, side: Side) -> Row:
-    return replace(share, name=f"scale.{side}", side=side)
+    @property
+    def rows(self) -> list[Row]:
+        """The limits that lb, ub and h come from, in this order."""
+        return [*self.below, *self.above, *(row for alone, _ in self._each for row in alone.rows)]
 
 
 def _finite(values: Array) -> list[float]:

@@ -14,17 +14,16 @@ motion, late   what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
 unmet          hard and scaled tasks that are not met in full
-tick           one tick: what was asked, the answer, and what leaves it no motion
+asked, tick    one tick: what was asked, and the answer; what leaves it no motion
 standing       arms at rest now: what keeps them from their goals
 """
 
 from coopqp.study.explanation.answer import RunExplanation
+from coopqp.study.explanation.asked import Asked, asked_now
 from coopqp.study.explanation.standing import Standing, explain_standing
 from coopqp.study.explanation.tick import (
-    Asked,
     Explanation,
     Relaxation,
-    asked_now,
     at_bound,
     explain,
     explain_asked,

@@ -154,9 +154,7 @@ def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
     """Shares of the limits that hold the goal back at a configuration."""
     Z = free_of_loops(goal, q)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
-    found = [(row, Z.T @ way) for row, way in room.at_bound(q)]
-    found = [(row, way) for row, way in found if np.linalg.norm(way) > 1e-9]
-    return shares([row for row, _ in found], forces(pull, [way for _, way in found]))
+    return shares(forces(pull, Z, room.at_bound(q)))
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:

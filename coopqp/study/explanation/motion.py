@@ -10,88 +10,17 @@ mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.limit import Limit, bound_rows
-from coopqp.qp_law.bounds import Bounds
-from coopqp.rank import null_space
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.study.explanation.asked import Ticks
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.room import PLACE_UNITS
-from coopqp.study.explanation.shares import Share, forces, shares
-from coopqp.task import TaskStack
+from coopqp.study.explanation.shares import Share, shares
 
 #: Most ticks that are looked at, and what a tick is off by to count [m/s, rad/s].
 TICKS, BEHIND = 150, 1e-3
-
-
-class Ticks:
-    """The ticks of a leg looked at again: limits at their bound, and what the tasks missed.
-
-    Args:
-        leg: of a law that commands velocities.
-
-    Attributes:
-        state: of the tick looked at last.
-        stack: its tasks.
-    """
-
-    def __init__(self, leg: Leg) -> None:
-        self._leg, problem = leg, leg.problem
-        chain, dt = problem.chain, problem.dt
-        self.state, self.stack = State(chain), TaskStack(problem.tasks, State(chain))
-        self._limits = [
-            (Bounds(chain, [k], State(chain), dt), _sides(k, chain)) for k in problem.limits
-        ]
-
-    def look(self, k: int) -> Array:
-        """Bring all to tick k; what its tasks missed, wanted - J v."""
-        state, leg = self.state, self._leg
-        state.q[:], state.t = leg.q[k], k * leg.problem.dt
-        state.v[:] = leg.v[k - 1] if k else 0.0
-        state.inputs = leg.followed(k)
-        state.update()
-        self.stack.update(state)
-        return np.asarray(self.stack.wanted - self.stack.J @ leg.v[k], float)
-
-    def active(self, k: int) -> list[tuple[Row, Array]]:
-        """Limits that the velocity of tick k is at, with the motion that breaks them."""
-        v, chain = self._leg.v[k], self._leg.problem.chain
-        tightest: dict[tuple[int, str], tuple[float, Row]] = {}
-        found = []
-        for bounds, sides in self._limits:
-            bounds.update(self.state)
-            for i, (lower, upper) in enumerate(sides):
-                _tighter(tightest, (i, "lower"), v[i] - bounds.lb[i], lower)
-                _tighter(tightest, (i, "upper"), bounds.ub[i] - v[i], upper)
-            left = bounds.h - bounds.G @ v
-            found += [(bounds.rows[i], bounds.G[i].copy()) for i in np.flatnonzero(left < AT_LIMIT)]
-        for (i, side), (left, row) in tightest.items():
-            if left < AT_LIMIT:
-                way = np.zeros(chain.n)
-                way[i] = -1.0 if side == "lower" else 1.0
-                found.append((row, way))
-        return found
-
-    def forces(self, k: int) -> Iterator[tuple[Row, float]]:
-        """What held tick k back, each limit with its force."""
-        missed = self.look(k)
-        Z = null_space(self.state.J_loop)
-        pull = Z.T @ self.stack.J.T @ (self.stack.weights * missed)
-        ways = [(row, Z.T @ way) for row, way in self.active(k)]
-        ways = [(row, way) for row, way in ways if np.linalg.norm(way) > 1e-9]
-        amounts = forces(pull, [way for _, way in ways])
-        size = float(np.linalg.norm(missed))
-        total = float(amounts.sum())
-        for (row, _), amount in zip(ways, amounts.tolist(), strict=True):
-            if total > 0.0:
-                yield row, amount / total * size
 
 
 def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
@@ -101,12 +30,9 @@ def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
         leg: of a law that commands velocities.
         ticks: all of them when None.
     """
-    look, rows, amounts = Ticks(leg), [], []
-    for k in _behind(leg, look, ticks or range(len(leg.v))):
-        for row, amount in look.forces(k):
-            rows.append(row)
-            amounts.append(amount)
-    return shares(rows, np.array(amounts))
+    look = Ticks(leg)
+    behind = _behind(look, ticks or range(len(leg.v)))
+    return shares(force for k in behind for force in look.forces(k))
 
 
 def speed_share(shares: Sequence[Share]) -> float:
@@ -137,20 +63,7 @@ def speed_needed(leg: Leg, k: int, rows: slice) -> float:
     return float(found.fun) if found.success else np.inf
 
 
-def _behind(leg: Leg, look: Ticks, ticks: range) -> list[int]:
+def _behind(look: Ticks, ticks: range) -> list[int]:
     """Ticks in which the tasks were not followed, not more than can be looked at."""
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return [k for k in some if np.abs(look.look(k)).max(initial=0.0) > BEHIND]
-
-
-def _sides(limit: Limit, chain: ClosedChain) -> list[tuple[Row, Row]]:
-    """What its lower and upper bound of each joint are called."""
-    lower, upper = (bound_rows(limit, chain, side) for side in ("lower", "upper"))
-    return list(zip(lower, upper, strict=True))
-
-
-def _tighter(
-    found: dict[tuple[int, str], tuple[float, Row]], key: tuple[int, str], left: float, row: Row
-) -> None:
-    if left < found.get(key, (np.inf, row))[0]:
-        found[key] = left, row

@@ -19,27 +19,21 @@ or less; what would do in all is said of the whole run (:mod:`coopqp.study.expla
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
-from coopqp.controller import Command, ControlProblem
-from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.safety import drift_gain
-from coopqp.rank import null_space
 from coopqp.row import Row, names_of
-from coopqp.solver import HALTS, Budget, Status, causes_of
-from coopqp.state import State
+from coopqp.solver import HALTS, Budget, Status
+from coopqp.study.explanation.asked import Asked, asked_then
 from coopqp.study.explanation.contradiction import contradicting
-from coopqp.study.explanation.shares import Share, forces, shares, thing_of
+from coopqp.study.explanation.shares import Share, shares, thing_of
 from coopqp.study.explanation.unmet import Unmet, part_of_rate
 from coopqp.study.explanation.words import listed, with_note
-from coopqp.study.tick_record import TickRecord, bounding
-from coopqp.task import Mode, TaskStack
+from coopqp.study.tick_record import TickRecord
 
 Mask = NDArray[np.bool_]
 
@@ -61,82 +55,6 @@ AT_BOUND = 1e-6
 
 #: Ticks that end so have an answer that says something of limits and tasks.
 CONFLICTS = (Status.INFEASIBLE, Status.LOOP_BUDGET)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """A tick without its solver's program.
-
-    Attributes:
-        causes: what became of it.
-        dt: control period [s].
-        A, b: rows of the closed loops, A v = b.
-        lb, ub, G, h: the limits, lb <= v <= ub and G v <= h.
-        J, wanted, task_rows: rows of all tasks, J v = wanted.
-        modes: soft, hard or scaled, by the task's name.
-        v: the answer; beside velocities it may have the shares of scaled tasks.
-        name_limits: finds ``limit_rows``, which few need.
-    """
-
-    causes: tuple[Status, ...]
-    dt: float
-    A: Array
-    b: Array
-    lb: Array
-    ub: Array
-    G: Array
-    h: Array
-    J: Array
-    wanted: Array
-    task_rows: Sequence[Row]
-    modes: Mapping[str, Mode]
-    v: Array
-    name_limits: Callable[[], Sequence[Row]]
-
-    @cached_property
-    def slack(self) -> Array:
-        """What the answer leaves of lb, ub and h."""
-        return np.concatenate([self.v - self.lb, self.ub - self.v, self.h - self.G @ self.v])
-
-    @cached_property
-    def limit_rows(self) -> Sequence[Row]:
-        """The limits that lb, ub and h come from, in this order."""
-        return self.name_limits()
-
-
-def asked_then(record: TickRecord) -> Asked:
-    """What a kept tick was asked; hard and scaled tasks are tasks here."""
-    qp = record.qp()
-    loops = [i for i, row in enumerate(record.equality_rows) if row.kind == "loop"]
-    return Asked(
-        causes=causes_of(record.status), dt=record.dt,
-        A=qp.A[loops], b=qp.b[loops], lb=qp.lb, ub=qp.ub, G=qp.G, h=qp.h,
-        J=np.array(record.J).reshape(-1, qp.n), wanted=np.array(record.wanted),
-        task_rows=record.task_rows, modes=record.modes, v=np.array(record.answer),
-        name_limits=lambda: [*record.lb_rows, *record.ub_rows, *record.inequality_rows],
-    )  # fmt: skip
-
-
-def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: Command) -> Asked:
-    """What a tick is asked at a state with its joints inside their limits.
-
-    Args:
-        problem: what is controlled.
-        state: up to date.
-        tasks: those of the problem, up to date.
-        command: the tick's answer.
-    """
-    bounds = Bounds(problem.chain, problem.limits, state, problem.dt)
-    bounds.update(state)
-    return Asked(
-        causes=command.causes, dt=problem.dt,
-        A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
-        lb=bounds.lb, ub=bounds.ub, G=bounds.G, h=bounds.h,
-        J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows,
-        modes={task.name: task.mode for task in problem.tasks}, v=command.v,
-        name_limits=lambda: [row for side in bounding(problem, state) for row in side]
-        + [*bounds.rows],
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -208,7 +126,7 @@ def explain_asked(tick: Asked) -> Explanation:
     against = rows.contradicting(wanted, allowed)
     answer = None if against else _relax(tick, J[rows.kept], wanted[rows.kept])
     relaxations = _named(tick, answer) if answer is not None else ()
-    held = () if against else _holding(tick)
+    held = () if against else shares(tick.forces(AT_BOUND))
     found = Explanation(
         missed, impossible, relaxations, "", against, tuple(s.row.name for s in held), unmet
     )
@@ -219,8 +137,7 @@ def explain_asked(tick: Asked) -> Explanation:
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """The limits that the answer is at, each side of a joint and each thing in space once."""
     tick = asked_then(record)
-    rows = [row for row, x in zip(tick.limit_rows, tick.slack, strict=True) if x < AT_BOUND]
-    return tuple({thing_of(row): row for row in rows}.values())
+    return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
 
 def _allowed(tick: Asked) -> Array:
@@ -349,19 +266,6 @@ def _named(tick: Asked, r: Array) -> tuple[Relaxation, ...]:
         if amount > NOTHING
     ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
-
-
-def _holding(tick: Asked) -> tuple[Share, ...]:
-    """Limits at their bound that hold the missed motion back."""
-    at = np.flatnonzero(tick.slack < AT_BOUND).tolist()
-    if not len(at):
-        return ()
-    Z, eye = null_space(tick.A), np.eye(len(tick.v))
-    pull = Z.T @ tick.J.T @ (tick.wanted - tick.J @ tick.v)
-    ways, rows = np.vstack([-eye, eye, tick.G]), tick.limit_rows
-    within = [(rows[i], Z.T @ ways[i]) for i in at]
-    within = [(row, way) for row, way in within if np.linalg.norm(way) > 1e-9]
-    return shares([row for row, _ in within], forces(pull, [way for _, way in within]))
 
 
 def _sentence(

@@ -13,8 +13,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.solver import Status
+from coopqp.study.explanation.asked import Ticks
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import Ticks
 from coopqp.task import Mode
 
 #: A task that lacks more than this share of its rate counts, beside the one that lacks most.

@@ -16,11 +16,12 @@ from coopqp.checked import Array
 from coopqp.rank import null_space
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
+from coopqp.study.explanation.asked import Ticks
 from coopqp.study.explanation.contradiction import contradicting as smallest
 from coopqp.study.explanation.cure import by_rerun, with_cure
 from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import Ticks, held_up, speed_needed, speed_share
+from coopqp.study.explanation.motion import held_up, speed_needed, speed_share
 from coopqp.task import Task
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
