@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.row import Row
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import Needed, RunExplanation
 from coopqp.study.explanation.diagnosis import BlockedByLimits
@@ -33,21 +32,6 @@ STARTS = 5
 
 
 @dataclass(frozen=True)
-class Need:
-    """What one limit would have to give.
-
-    Attributes:
-        row: of the limit, or one of them where it moves as a whole.
-        amount: [rad or m].
-        space: index of the limit in ``Room.limits``; None for a joint's.
-    """
-
-    row: Row
-    amount: float
-    space: int | None = None
-
-
-@dataclass(frozen=True)
 class Cure:
     """Amounts, and what came of trying them.
 
@@ -58,7 +42,7 @@ class Cure:
         time: that it takes then, where that is more than the run has [s].
     """
 
-    needs: tuple[Need, ...]
+    needs: tuple[Excess, ...]
     after: Leg | None
     time: float | None = None
 
@@ -101,10 +85,10 @@ def by_rerun(leg: Leg, goal: Goal | None) -> Cure | None:
         free = rerun(leg, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(leg, _needs_of(leg.room, excess_at(leg.room, free.q)), goal)
+    return _tried(leg, _told(excess_at(leg.room, free.q)), goal)
 
 
-def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Need, ...]:
+def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Excess, ...]:
     """The least of what was found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [found.start]
@@ -112,11 +96,10 @@ def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Need, .
         other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
-    least = least_excess(goal, room, starts)
-    return _needs_of(room, least) if least else ()
+    return _told(least_excess(goal, room, starts))
 
 
-def _tried(leg: Leg, needs: tuple[Need, ...], goal: Goal | None) -> Cure | None:
+def _tried(leg: Leg, needs: tuple[Excess, ...], goal: Goal | None) -> Cure | None:
     """A rerun with what would have to be given, as it is told."""
     if not needs:
         return None
@@ -137,20 +120,10 @@ def _tried(leg: Leg, needs: tuple[Need, ...], goal: Goal | None) -> Cure | None:
     return Cure(needs, after)
 
 
-def _needs_of(room: Room, excess: Excess) -> tuple[Need, ...]:
+def _told(found: Sequence[Excess]) -> tuple[Excess, ...]:
     """What limits would have to give, as it is told; the largest first."""
-    joints = [Need(row, _rounded_up(x)) for row, x in excess.joints.items()]
-    spaces = [
-        Need(room.rows[_deepest(room, excess, owner)], _rounded_up(x), owner)
-        for owner, x in excess.spaces.items()
-    ]
-    return tuple(sorted([*joints, *spaces], key=lambda need: -need.amount))
-
-
-def _deepest(room: Room, excess: Excess, owner: int) -> int:
-    """The row of a limit in space that is broken most."""
-    own = [i for i, other in enumerate(room.owners) if other == owner]
-    return own[int(np.argmin(room.at(excess.q)[own]))]
+    told = [replace(excess, amount=_rounded_up(excess.amount)) for excess in found]
+    return tuple(sorted(told, key=lambda need: -need.amount))
 
 
 def _rounded_up(amount: float) -> float:
@@ -194,7 +167,7 @@ def _said(cure: Cure | None, shares: Sequence[Share]) -> str:
     return f"{text}{time} (tried: reached)"
 
 
-def needed(needs: Sequence[Need], *, alone: bool = True) -> str:
+def needed(needs: Sequence[Excess], *, alone: bool = True) -> str:
     """Amounts that limits would have to give, each beside its limit; the verb with the first."""
     said: list[str] = []
     for need in needs:

@@ -91,9 +91,9 @@ def geometry(
         ordered: whether the law heeds which task comes first.
     """
     if isinstance(found, Contradiction):
-        return contradiction(found, missed, ordered=ordered)
+        return _contradiction(found, missed, ordered=ordered)
     if isinstance(found, OutOfReach):
-        return reach(found)
+        return _reach(found)
     short = stops_short(*missed[0])
     if isinstance(found, Elsewhere):
         return f"{short}; {holding(found.shares)}; {elsewhere(found.place, chain)}"
@@ -117,7 +117,7 @@ def start(q: Array, chain: ClosedChain) -> str:
     return "; ".join(arms)
 
 
-def reach(found: OutOfReach) -> str:
+def _reach(found: OutOfReach) -> str:
     """How far out of reach, which way, and what the limits cost beside."""
     part = found.part
     name, unit = part.task.name, part.part.unit
@@ -131,17 +131,16 @@ def reach(found: OutOfReach) -> str:
         text = name
     text += f" is out of reach by {size(found.distance, unit)}"
     if found.in_world:
-        text += f" along {direction(found.gap)}"
+        text += f" along {_direction(found.gap)}"
     elif part.part.name:
         text += f" of {part.part.name}"
     text += ", whatever the limits"
     if found.in_world:
-        text += f"; the nearest point is {point(_reached_point(found))}"
+        text += f"; the nearest point is {_point(_reached_point(found))}"
     if 0.0 < found.cost <= found.distance:
         text += f"; limits cost another {size(found.cost, unit)}: {held}"
     if found.elsewhere is not None:
-        e = np.linalg.norm(found.elsewhere.e[part.rows])
-        text += f"; from another configuration {size(float(e), unit)}"
+        text += f"; from another configuration {size(part.size(found.elsewhere.e), unit)}"
     return text
 
 
@@ -151,22 +150,20 @@ def _reached_point(found: OutOfReach) -> Array:
     return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
 
 
-def direction(way: Array) -> str:
+def _direction(way: Array) -> str:
     """``+x``, or a unit vector."""
     u = way / max(float(np.linalg.norm(way)), 1e-300)
     i = int(np.abs(u).argmax())
-    if abs(u[i]) > ALONG:
-        return f"{'+' if u[i] > 0 else '-'}{'xyz'[i]}"
-    return point(u, 2)
+    return f"{'+' if u[i] > 0 else '-'}{'xyz'[i]}" if abs(u[i]) > ALONG else _point(u, 2)
 
 
-def point(p: Array, digits: int = 3) -> str:
+def _point(p: Array, digits: int = 3) -> str:
     """``(0.210, 0.000, 0.100)``."""
     rounded = np.round(p, digits) + 0.0
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
+def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
     """Which tasks, what they miss, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
