@@ -152,8 +152,8 @@ def replay(
     from coopqp.recordings.known import is_run
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
+    from coopqp.study.tick_record import replay as solve_again
 
     recorded = is_run(file)
     record = read_tick(file, catalog, controller, tick) if recorded else TickRecord.read(file)

@@ -1,4 +1,4 @@
-"""One tick of a QP controller, whole, so that it can be saved, explained and solved again."""
+"""One tick of a QP controller, whole: saved, read, and solved again with any solver."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
@@ -21,7 +22,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
 from coopqp.reading import line_in_json, read_text
 from coopqp.row import Row, Side
-from coopqp.solver import Budget, Status, written
+from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
 from coopqp.state import State
 from coopqp.task import Mode, TaskStack
 from coopqp.wording import Location, dotted
@@ -34,7 +35,7 @@ UNBOUNDED = 1e30  # what an infinite bound is written as
 @with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 @dataclass(frozen=True)
 class TickRecord:
-    """One tick of a QP controller, whole: it can be saved, explained and solved again.
+    """All that explains one tick of a QP controller, and solves it again.
 
     Attributes:
         scenario, controller, tick: where it is from.
@@ -208,35 +209,18 @@ def record_tick(
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
     return TickRecord(
-        scenario=scenario,
-        controller=controller,
-        tick=tick,
-        t=state.t,
-        q=state.q.tolist(),
-        v=state.v.tolist(),
-        memory=memory,
-        dt=problem.dt,
-        damping=level.curvature,
-        budget=problem.budget,
-        P=qp.P.tolist(),
-        q_cost=qp.q.tolist(),
-        C=qp.C.tolist(),
-        lower=_finite(qp.lower),
-        upper=_finite(qp.upper),
-        inequalities=qp.p,
-        variables=list(qp.rows.variables),
-        inequality_rows=list(qp.rows.inequalities),
-        equality_rows=list(qp.rows.equalities),
-        lb_rows=below,
-        ub_rows=above,
-        J=np.pad(tasks.J, pad).tolist(),
-        wanted=tasks.wanted.tolist(),
-        task_rows=list(tasks.rows),
+        scenario=scenario, controller=controller, tick=tick,
+        t=state.t, q=state.q.tolist(), v=state.v.tolist(), memory=memory,
+        dt=problem.dt, damping=level.curvature, budget=problem.budget,
+        P=qp.P.tolist(), q_cost=qp.q.tolist(), C=qp.C.tolist(),
+        lower=_finite(qp.lower), upper=_finite(qp.upper), inequalities=qp.p,
+        variables=list(qp.rows.variables), inequality_rows=list(qp.rows.inequalities),
+        equality_rows=list(qp.rows.equalities), lb_rows=below, ub_rows=above,
+        J=np.pad(tasks.J, pad).tolist(), wanted=tasks.wanted.tolist(), task_rows=list(tasks.rows),
         modes={task.name: task.mode for task in problem.tasks},
         answer=command.v.tolist() + [command.scale] * len(shares),
-        first_answer=level.solution.v.tolist(),
-        status=written(command.causes),
-    )
+        first_answer=level.solution.v.tolist(), status=written(command.causes),
+    )  # fmt: skip
 
 
 def _first_level(law: QPLaw, state: State) -> Level:
@@ -308,3 +292,36 @@ def _infinite(values: Sequence[float]) -> Array:
     array = np.array(values, float)
     array[np.abs(array) >= UNBOUNDED] *= np.inf
     return array
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A saved tick solved again.
+
+    Attributes:
+        status: as verified.
+        v: the answer.
+        primal_residual, dual_residual: of the answer.
+        difference: largest distance to the answer that was saved [rad/s].
+    """
+
+    status: Status
+    v: Array
+    primal_residual: float
+    dual_residual: float
+    difference: float
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
+
+
+def replay(record: TickRecord, solver: Solver) -> Replay:
+    """Solve a saved tick with any solver."""
+    qp = record.qp()
+    solution = Solution(qp)
+    solver.open(qp, solution)()
+    status = Verifier(qp, solution, record.budget, record.damping).check()
+    v, difference = solution.v.copy(), np.abs(solution.v - np.array(record.first_answer)).max()
+    primal, dual = float(solution.primal_residual), float(solution.dual_residual)
+    return Replay(status, v, primal, dual, float(difference))

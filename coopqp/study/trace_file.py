@@ -1,4 +1,4 @@
-"""What a recorded run tells: the whole run, the state of a tick, and what the sensors measured.
+"""What a recorded run tells: the whole run, a tick done again, and what the sensors measured.
 
 A file that is damaged, or of another scenario, is refused with the line that shows it.
 """
@@ -6,9 +6,10 @@ A file that is damaged, or of another scenario, is refused with the line that sh
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,12 @@ import numpy as np
 from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Heeds, Law
 from coopqp.controller_run import controller_of
+from coopqp.controllers.qp import QPController
 from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.input import wanted
 from coopqp.plants import Kinematic
+from coopqp.reading import absolute
 from coopqp.recordings.column import Layout, of_field
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import format_of, read
@@ -30,6 +33,7 @@ from coopqp.signal import Course, Followed, Kind
 from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.goal import parts_of
+from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input
 
 #: What times may be off by, as a share of a tick, and joints that do as told [rad, m].
@@ -171,6 +175,63 @@ def _input(run: Run, name: str, kind: Kind) -> InputTrace:
     return replace(no_input(kind, len(run)), value=value, rate=rate, sent=sent)
 
 
+def recorded_tick(
+    path: Path | Run, scenario: Scenario, controller: str | None = None, tick: int | None = None
+) -> TickRecord:
+    """Do a tick of a trace again and keep it.
+
+    Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
+
+    Args:
+        path: of ``trace.csv``, or of a run in another format; or the run, as read.
+        scenario: that it was written for.
+        controller: whose; the first QP controller of the trace when None.
+        tick: which; the first that gave something up when None, else the last.
+
+    Raises:
+        CoopqpError: no such file, controller or tick; no controller that solves a QP.
+    """
+    run, known = read(path), scenario.controllers
+    solving = [name for name in run.controllers if isinstance(known.get(name), QPController)]
+    if not solving:
+        raise InvalidValueError(f"{run.path}: no controller here solves a QP in velocities")
+    chosen = controller or solving[0]
+    if chosen not in solving:
+        raise UnknownNameError("QP controller", chosen, solving, f"{run.path}: ")
+    k = blocked_tick(run, chosen) if tick is None else tick
+    held, plugin = scenario.held_by(chosen), known[chosen]
+    assert isinstance(plugin, QPController)
+    law = plugin.plain(held.problem())
+    phase = max(0, bisect_right(held.first_ticks, k) - 1)
+    if phase:
+        # The arms that hold from here on took hold where the trace says that they were.
+        problems = held.problems(lambda first: state_from_trace(run, chosen, first, law).q)
+        law = plugin.plain(next(islice(problems, phase, None)))
+    state = state_from_trace(run, chosen, k, law, held.first_ticks[phase] * held.dt)
+    name = absolute(run.path.parent).name
+    record = record_tick(law, state, scenario=name, controller=chosen, tick=k)
+    rested = halted(run, chosen, k)
+    return replace(record, status=rested) if rested else record
+
+
+def off_the_record(path: Path | Run, record: TickRecord) -> float:
+    """How far a tick that was done again is from the velocities that were recorded [rad/s, m/s].
+
+    More than rounding says that its scenario is not the one that was run, or that the code is not.
+
+    Raises:
+        CoopqpError: as :func:`recorded_tick`.
+    """
+    run = read(path).of(record.controller)
+    row = row_of(run, record.tick)
+    if row is None or halted(run, record.controller, record.tick):
+        return 0.0  # the law did not make it
+    joints = [x.joint for x in record.variables if x.joint]
+    was = run.only([row]).joints("v", joints, empty=True)[0]
+    now = np.array([x for x, of in zip(record.answer, record.variables, strict=True) if of.joint])
+    return float(np.nanmax(np.abs(was - now), initial=0.0))
+
+
 def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0) -> State:
     """The state that a tick of a recorded run decided from; the law's tick repeats it.
 
@@ -190,12 +251,11 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     run = run.of(controller).ticks
     joints, state = law.problem.chain.joint_names, law.start()
     own, before = row_of(run, tick), row_of(run, tick - 1)
-    if own is None:
-        last = max(run.columns["tick"].tolist(), default=0)
-        words = f"has no tick {tick}; it has 0 to {last}"
-        raise InvalidValueError(f"{run.path}: controller '{controller}' {words}")
-    if before is None and tick:
+    if own is None or (before is None and tick):
         words = f"has tick {tick}, but not the one before it, which it follows from"
+        if own is None:
+            last = max(run.columns["tick"].tolist(), default=0)
+            words = f"has no tick {tick}; it has 0 to {last}"
         raise InvalidValueError(f"{run.path}: controller '{controller}' {words}")
     row = run.only([own])
     state.t = max(0.0, float(row.numbers(["t"])[0, 0]) - t_start)  # of the phase, but for rounding
@@ -239,20 +299,15 @@ def row_of(run: Run, tick: int) -> int | None:
 
 
 def halted(run: Run, controller: str, tick: int) -> str:
-    """What became of a tick in which a live loop came to rest, and its law did nothing.
+    """The causes of a tick in which a live loop came to rest; empty where its law was asked.
 
     Its time stands still then, so that is how it shows.
-
-    Returns:
-        Its causes, as written; empty where the law was asked.
     """
     run = run.of(controller)
     row, t = row_of(run.ticks, tick), run.columns["t"]
-    if row is None:
-        return ""
-    status = str(run.columns["status"][row])
-    stands = row + 1 < len(run) and t[row + 1] <= t[row]
-    return status if stands or HALTS.intersection(causes_of(status)) else ""
+    status = "" if row is None else str(run.columns["status"][row])
+    stands = row is not None and row + 1 < len(run) and t[row + 1] <= t[row]
+    return status if stands or (status and HALTS.intersection(causes_of(status))) else ""
 
 
 def blocked_tick(run: Run, controller: str) -> int:

@@ -25,10 +25,8 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
 from coopqp.study.explanation.leg import legs
-from coopqp.study.recorded_tick import recorded_tick
-from coopqp.study.replay import replay
-from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import measured_run, trace_from_file
+from coopqp.study.tick_record import TickRecord, replay
+from coopqp.study.trace_file import measured_run, recorded_tick, trace_from_file
 
 from . import meshes, mutations, trees
 from .lines import Mutated, wrong_line

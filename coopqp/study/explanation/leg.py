@@ -110,17 +110,9 @@ def legs(scenario: Scenario, trace: Trace) -> Iterator[Leg]:
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {words}")
         ticks = slice(first, end)
         yield Leg(
-            scenario=scenario,
-            name=trace.controller,
+            scenario=scenario, name=trace.controller, index=i, phase=phase.name, first=first,
             problem=problem if "limits" in controller.heeds else replace(problem, limits=()),
-            index=i,
-            phase=phase.name,
-            first=first,
-            q=trace.q[first : end + 1],
-            v=trace.v[ticks],
-            tau=tau[ticks],
+            q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
-            parts=parts,
-            errors=tuple(errors[name] for name in names),
-            inputs=trace.inputs,
-        )
+            parts=parts, errors=tuple(errors[name] for name in names), inputs=trace.inputs,
+        )  # fmt: skip

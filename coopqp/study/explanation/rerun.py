@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from coopqp.closed_chain import ClosedChain
-from coopqp.controller import ControlProblem
 from coopqp.controller_run import run
+from coopqp.grasp import PassiveJoint
 from coopqp.hold import Hold
 from coopqp.limit import Limit
 from coopqp.row import Row
-from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg, legs
 from coopqp.study.explanation.room import PLACE_UNITS
@@ -32,10 +33,10 @@ class _Wider(Scenario):
 
     wider: Mapping[Row, float] = field(default_factory=dict)
 
-    def problem(
-        self, phase: Phase | None = None, chain: ClosedChain | None = None
-    ) -> ControlProblem:
-        return super().problem(phase, ClosedChain(_widened((chain or self.chain).hold, self.wider)))
+    @cached_property
+    def chain(self) -> ClosedChain:
+        """As the scenario's; later phases take its limits over."""
+        return ClosedChain(_widened(super().chain.hold, self.wider))
 
 
 def rerun(
@@ -87,22 +88,21 @@ def without_places(scenario: Scenario) -> tuple[Limit, ...]:
 
 def _widened(hold: Hold, wider: Mapping[Row, float]) -> Hold:
     """The hold with other position limits; passive joints have theirs in the grasp."""
-    model = hold.robot.model.copy()
-    own = {name: i for i, name in enumerate(hold.robot.joint_names)}
-    passive = {arm: list(joints) for arm, joints in hold.passive.items()}
+    model, own = hold.robot.model.copy(), hold.robot.joint_names
+    passive = dict(hold.passive)
     for row, amount in wider.items():
         if row.joint in own:
             side = model.lowerPositionLimit if row.side == "lower" else model.upperPositionLimit
-            side[own[row.joint]] += -amount if row.side == "lower" else amount
+            side[own.index(row.joint)] += -amount if row.side == "lower" else amount
             continue
         arm, _, name = row.joint.partition(".")
-        for i, joint in enumerate(passive[arm]):
-            if joint.name == name and row.side == "lower":
-                passive[arm][i] = replace(joint, lower=joint.lower - amount)
-            elif joint.name == name:
-                passive[arm][i] = replace(joint, upper=joint.upper + amount)
-    return replace(
-        hold,
-        robot=replace(hold.robot, model=model),
-        passive={arm: tuple(joints) for arm, joints in passive.items()},
-    )
+        passive[arm] = tuple(
+            _wider(joint, row, amount) if joint.name == name else joint for joint in passive[arm]
+        )
+    return replace(hold, robot=replace(hold.robot, model=model), passive=passive)
+
+
+def _wider(joint: PassiveJoint, row: Row, amount: float) -> PassiveJoint:
+    if row.side == "lower":
+        return replace(joint, lower=joint.lower - amount)
+    return replace(joint, upper=joint.upper + amount)

@@ -74,20 +74,17 @@ class Room:
 
     def at(self, q: Array) -> Array:
         """The rooms in space at a configuration, shape (p,) [m]."""
-        if not self.rows:
-            return np.zeros(0)
         self._look(q)
-        return np.concatenate([left(self._state) for left, _ in self._left])
+        return np.concatenate([np.zeros(0), *(left(self._state) for left, _ in self._left)])
 
     def gradient(self, q: Array) -> Array:
         """How they change with the joints, shape (p, n)."""
-        if not self.rows:
-            return np.zeros((0, self.chain.n))
         self._look(q)
-        return np.vstack([slope(self._state) for _, slope in self._left])
+        slopes = (slope(self._state) for _, slope in self._left)
+        return np.vstack([np.zeros((0, self.chain.n)), *slopes])
 
     def _look(self, q: Array) -> None:
-        if not np.array_equal(self._state.q, q):
+        if self.rows and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
 
@@ -103,22 +100,19 @@ class Room:
     def overrun(self, q: Array) -> float:
         """By how much a configuration is outside [rad, m]."""
         joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
-        return float(max(joints, -self.at(q).min(initial=0.0))) if self.rows else float(joints)
+        return float(max(joints, -self.at(q).min(initial=0.0)))
 
-    def at_bound(self, q: Array, near: float = AT_BOUND) -> list[tuple[Row, Array]]:
+    def at_bound(self, q: Array) -> list[tuple[Row, Array]]:
         """The limits that a configuration is at, each with the joint motion that breaks it."""
         found = []
         for (i, side), row in self.sides.items():
             outward = np.zeros(len(q))
             outward[i] = -1.0 if side == "lower" else 1.0
             left = q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
-            if left < near:
+            if left < AT_BOUND:
                 found.append((row, outward))
-        if self.rows:
-            for row, left, way in zip(self.rows, self.at(q), self.gradient(q), strict=True):
-                if left < near:
-                    found.append((row, -way))
-        return found
+        rooms = zip(self.rows, self.at(q), self.gradient(q), strict=True)
+        return found + [(row, -way) for row, left, way in rooms if left < AT_BOUND]
 
 
 def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:
