@@ -134,8 +134,10 @@ def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibr
     travel = np.ptp(every, axis=0)
     near, far = _near_and_far(every)
     moved = bool(travel.max() > STILL) and len(q) >= 2 * FEWEST
+    start = State(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x))
+    start.close_loops(NEWTON)
     return Calibration(
-        chain=_recalibrated(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x)),
+        chain=start.chain.moved(start.q),
         offsets=fit.offsets(solution),
         before=_size(before),
         after=_size(after),
@@ -251,13 +253,6 @@ def _step(e: Array, J: Array, sigma: Array, x: Array) -> _Solution:
     freedom = len(rows) - len(x)
     deviations = SIZE * np.linalg.norm(along, axis=1) if freedom else np.full(len(x), np.nan)
     return _Solution(SIZE * along @ (U[:, shown].T @ wanted), deviations, Vt[~shown].T)
-
-
-def _recalibrated(chain: ClosedChain, q: Array) -> ClosedChain:
-    """The chain at the nearest configuration to q with its loops closed."""
-    state = State(chain, q)
-    state.close_loops(NEWTON)
-    return chain.moved(state.q)
 
 
 def _near_and_far(q: Array) -> tuple[Array, Array]:

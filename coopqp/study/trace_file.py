@@ -341,12 +341,14 @@ def measured_run(
     Raises:
         CoopqpError: no such file or controller, or no measured joints in it.
     """
-    run = read(path)
+    run, phases = read(path), zip(scenario.schedule, scenario.first_ticks, strict=True)
+    arms = set(scenario.schedule[0].released)
+    anew = next((first for phase, first in phases if set(phase.released) != arms), math.inf)
     for name in run.controllers if controller is None else (controller,):
         own = run.of(name)
         joints = scenario.held_by(name).chain.joint_names
         own.joints("q", joints)  # else it is of another scenario
-        q = own.only(own.columns["tick"] < _ticks(scenario)).joints("measured", joints, empty=True)
+        q = own.only(own.columns["tick"] < anew).joints("measured", joints, empty=True)
         q = q[np.isfinite(q).all(axis=1)]
         if len(q):
             return name, q[:1] if isinstance(scenario.plant, Kinematic) else q
@@ -354,12 +356,3 @@ def measured_run(
         f"{run.path}: nothing to calibrate: no sensors say where the joints are; joints of the "
         "plant kinematic do exactly as told unless the scenario has a disturbance"
     )
-
-
-def _ticks(scenario: Scenario) -> float:
-    """Ticks before the first phase in which other arms hold than at the start."""
-    phases, firsts = scenario.schedule, scenario.first_ticks
-    for phase, first in zip(phases, firsts, strict=True):
-        if set(phase.released) != set(phases[0].released):
-            return first
-    return math.inf

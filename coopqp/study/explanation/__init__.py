@@ -10,7 +10,7 @@ shares         which limits hold back, by force
 excess, cure   what would do, and a rerun that shows it
 rerun          the run again with something changed
 contradiction  tasks that cannot hold together
-motion, late   what slows a run that geometry does not block
+late           what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
 unmet          hard and scaled tasks that are not met in full

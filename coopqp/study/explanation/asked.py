@@ -1,4 +1,12 @@
-"""What a tick was asked, and its answer: kept, now, or looked at again; what held it back."""
+"""What a tick was asked, and its answer: kept, now, or looked at again; what held it back.
+
+In ticks in which the tasks were not followed, multipliers tell what held them back:
+
+    minimise |Z' (J' W (wanted - J v) - sum mu_i n_i)|,   mu_i >= 0
+
+with n_i the limits at their bound in that tick, Z the motions that keep the loops closed. Of a run
+the shares mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +26,13 @@ from coopqp.row import Row
 from coopqp.solver import Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.shares import forces
+from coopqp.study.explanation.room import PLACE_UNITS
+from coopqp.study.explanation.shares import Share, forces, shares
 from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
+
+#: Most ticks of a run that are looked at, and what one is off by to count [m/s, rad/s].
+TICKS, BEHIND = 150, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,3 +165,27 @@ class Ticks:
         found = tick.forces(AT_LIMIT, stack.weights)
         total = sum(amount for _, amount in found)
         return [(row, amount / total * float(size)) for row, amount in found if total > 0.0]
+
+
+def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
+    """Which limits held a run up on its way, the largest share first.
+
+    Args:
+        leg: of a law that commands velocities.
+        ticks: all of them when None.
+    """
+    look = Ticks(leg)
+    behind = _behind(look, ticks or range(len(leg.v)))
+    return shares(force for k in behind for force in look.forces(k))
+
+
+def speed_share(shares: Sequence[Share]) -> float:
+    """What limits of speeds and accelerations, and of no place, have of the force."""
+    rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
+    return sum(share.share for share in rates)
+
+
+def _behind(look: Ticks, ticks: range) -> list[int]:
+    """Ticks in which the tasks were not followed, not more than can be looked at."""
+    some = ticks[:: max(1, len(ticks) // TICKS)]
+    return [k for k in some if np.abs(look.look(k)).max(initial=0.0) > BEHIND]

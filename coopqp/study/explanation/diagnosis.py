@@ -17,7 +17,7 @@ import numpy as np
 
 from coopqp.assessment.thresholds import BEYOND
 from coopqp.checked import Array
-from coopqp.rank import independent_rows
+from coopqp.rank import independent_rows, null_space
 from coopqp.study.explanation.contradiction import (
     Contradiction,
     on_a_free_object,
@@ -25,7 +25,7 @@ from coopqp.study.explanation.contradiction import (
 )
 from coopqp.study.explanation.goal import Goal, PartOfTask
 from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.search import Place, Search, free_of_loops
+from coopqp.study.explanation.search import Place, Search
 from coopqp.study.explanation.shares import Share, forces, shares
 
 #: Limits that cost less of the distance are not told of; a restart nearer by this is.
@@ -152,7 +152,8 @@ def _blocked(
 
 def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
     """Shares of the limits that hold the goal back at a configuration."""
-    Z = free_of_loops(goal, q)
+    goal.look(q)
+    Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
     return shares(forces(pull, Z, room.at_bound(q)))
 
@@ -174,8 +175,8 @@ def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
     for _ in range(POSES):
         place = closing.from_(q + rng.normal(scale=AWAY, size=len(q)))
         if place.valid:
-            Z = free_of_loops(goal, place.q)
-            within.append(goal.stack.J @ Z)
+            goal.look(place.q)
+            within.append(goal.stack.J @ null_space(goal.state.J_loop))
             alone.append(goal.stack.J.copy())
     if not within:
         return [], 0, 0

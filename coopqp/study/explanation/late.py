@@ -15,9 +15,9 @@ from coopqp.disturbance import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
+from coopqp.study.explanation.asked import held_up, speed_share
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import held_up, speed_share
 from coopqp.study.explanation.rerun import arrival, rerun
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import Place

@@ -44,6 +44,7 @@ class Room:
         self.limits: list[Limit] = []
         self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
         self._state = State(chain)
+        self._kept: tuple[Array, Array, Array] | None = None
         for limit in problem.limits:
             self._add(limit)
 
@@ -82,6 +83,12 @@ class Room:
         self._look(q)
         slopes = (slope(self._state) for _, slope in self._left)
         return np.vstack([np.zeros((0, self.chain.n)), *slopes])
+
+    def both(self, q: Array) -> tuple[Array, Array]:
+        """Both, kept until another configuration is asked for."""
+        if self._kept is None or not np.array_equal(self._kept[2], q):
+            self._kept = self.at(q), self.gradient(q), q.copy()
+        return self._kept[:2]
 
     def _look(self, q: Array) -> None:
         if self.rows and not np.array_equal(self._state.q, q):

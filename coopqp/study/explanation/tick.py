@@ -31,7 +31,7 @@ from coopqp.solver import HALTS, Budget, Status
 from coopqp.study.explanation.asked import Asked, asked_then
 from coopqp.study.explanation.contradiction import contradicting
 from coopqp.study.explanation.shares import Share, shares, thing_of
-from coopqp.study.explanation.unmet import Unmet, part_of_rate
+from coopqp.study.explanation.unmet import Unmet, part_of_rate, percent
 from coopqp.study.explanation.words import listed, with_note
 from coopqp.study.tick_record import TickRecord
 
@@ -249,7 +249,7 @@ def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
 def _sentence(
     found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
-    said = [f"{task.words} gets {task.percent} of its rate" for task in found.unmet]
+    said = [f"{task.words} gets {percent(task.share)} of its rate" for task in found.unmet]
     if found.impossible:
         said.append(f"the loops alone leave no motion along {listed(found.impossible)}")
     if found.contradicting:

@@ -40,11 +40,6 @@ class Unmet:
         """What a sentence calls it."""
         return f"{self.mode} task '{self.task}'"
 
-    @property
-    def percent(self) -> str:
-        """The share, in words."""
-        return _percent(self.share)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxed:
@@ -66,7 +61,7 @@ class Relaxed:
     def words(self) -> str:
         """A clause of a sentence."""
         ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
-        end = f"lacks {_percent(self.missing)} of its rate" if self.missing else "is met"
+        end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
         return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
 
 
@@ -113,7 +108,8 @@ def _lacks(leg: Leg) -> Iterator[tuple[int, dict[str, float]]]:
         yield k, {name: x for name, x in lacks.items() if x >= least > 0.0}
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share, in words."""
     if share < 0.01:
         return "less than 1 %"
     return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"

@@ -5,7 +5,7 @@ At the last tick, with u the direction that is missed and Z the motions that kee
     contradiction   all tasks' rows together have no solution within the loops, each alone has one
     reach           |Z' J' u| has fallen below a share of what it was at the start, or the speed
                     that is needed is far beyond the joints'
-    limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.motion`
+    limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.asked`
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from coopqp.checked import Array
 from coopqp.rank import null_space
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
-from coopqp.study.explanation.asked import Ticks
+from coopqp.study.explanation.asked import Ticks, held_up, speed_share
 from coopqp.study.explanation.contradiction import contradicting as smallest
 from coopqp.study.explanation.cure import by_rerun, with_cure
 from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import held_up, speed_needed, speed_share
 from coopqp.task import Task
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
@@ -47,7 +46,7 @@ def explain(leg: Leg, base: RunExplanation) -> RunExplanation:
         names = tuple(task.name for task in tasks)
         said = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", said, tasks=names)
-    needed = speed_needed(leg, k, part.rows)
+    needed = _speed_needed(leg, k, part.rows)
     if _singular(leg, k, part) or needed > BEYOND:
         return _at_the_edge(leg, k, part, base)
     held = held_up(leg, range(max(0, k - LAST), k + 1))
@@ -74,6 +73,28 @@ def _at_the_edge(leg: Leg, k: int, part: PartOfTask, base: RunExplanation) -> Ru
     size = float(np.linalg.norm(way))
     unit = tuple((way / size).tolist()) if size else ()
     return base.because("reach", said, tasks=(part.task.name,), way=unit)
+
+
+def _speed_needed(leg: Leg, k: int, rows: slice) -> float:
+    """Least share of the joints' speeds with which some rows could be followed at tick k.
+
+    Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
+    under J_c v = 0 and J v = wanted.
+    """
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
+    look = Ticks(leg)
+    look.look(k)
+    J, most = look.stack.J[rows], leg.problem.chain.velocity
+    known, n = np.isfinite(most), len(most)
+    sides = np.vstack([np.eye(n)[known], -np.eye(n)[known]])
+    G = np.hstack([sides, -np.tile(most[known], 2)[:, None]])
+    loops = look.state.J_loop
+    A = np.hstack([np.vstack([loops, J]), np.zeros((len(loops) + len(J), 1))])
+    b = np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
+    cost = np.concatenate([np.zeros(n), [1.0]])
+    found = linprog(cost, A_ub=G, b_ub=np.zeros(len(G)), A_eq=A, b_eq=b, bounds=(None, None))
+    return float(found.fun) if found.success else np.inf
 
 
 def _singular(leg: Leg, k: int, part: PartOfTask) -> bool:
