@@ -123,14 +123,9 @@ def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: 
 
 
 class Ticks:
-    """The ticks of a leg looked at again: limits at their bound, and what the tasks missed.
+    """The ticks of a leg, whose law commands velocities, looked at again one by one.
 
-    Args:
-        leg: of a law that commands velocities.
-
-    Attributes:
-        state: of the tick looked at last.
-        stack: its tasks.
+    State and stack of tasks are those of the last that was looked at.
     """
 
     def __init__(self, leg: Leg) -> None:
@@ -154,38 +149,31 @@ class Ticks:
 
     def forces(self, k: int) -> list[tuple[Row, float]]:
         """What held tick k back, each limit with its force; their sum is what was missed."""
-        size, leg, stack, limits = np.linalg.norm(self.look(k)), self._leg, self.stack, self._limits
-        limits.update(self.state)
+        missed, leg, stack, state = self.look(k), self._leg, self.stack, self.state
+        if np.abs(missed).max(initial=0.0) <= BEHIND:
+            return []
+        limits = self._limits
+        limits.update(state)
         tick = Asked(
-            causes=leg.causes[k], dt=leg.problem.dt, A=self.state.J_loop, b=self.state.e_loop,
+            causes=leg.causes[k], dt=leg.problem.dt,
+            A=state.J_loop, b=state.e_loop * -drift_gain(leg.problem, state),
             lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
             J=stack.J, wanted=stack.wanted, task_rows=stack.rows, modes={}, v=leg.v[k],
             name_limits=lambda: limits.rows,
         )  # fmt: skip
         found = tick.forces(AT_LIMIT, stack.weights)
-        total = sum(amount for _, amount in found)
-        return [(row, amount / total * float(size)) for row, amount in found if total > 0.0]
+        total, size = sum(amount for _, amount in found), float(np.linalg.norm(missed))
+        return [(row, amount / total * size) for row, amount in found if total > 0.0]
 
 
 def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
-    """Which limits held a run up on its way, the largest share first.
-
-    Args:
-        leg: of a law that commands velocities.
-        ticks: all of them when None.
-    """
-    look = Ticks(leg)
-    behind = _behind(look, ticks or range(len(leg.v)))
-    return shares(force for k in behind for force in look.forces(k))
+    """Which limits held a run up in some ticks or all, the largest share first."""
+    look, ticks = Ticks(leg), ticks or range(len(leg.v))
+    some = ticks[:: max(1, len(ticks) // TICKS)]
+    return shares(force for k in some for force in look.forces(k))
 
 
 def speed_share(shares: Sequence[Share]) -> float:
     """What limits of speeds and accelerations, and of no place, have of the force."""
     rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
     return sum(share.share for share in rates)
-
-
-def _behind(look: Ticks, ticks: range) -> list[int]:
-    """Ticks in which the tasks were not followed, not more than can be looked at."""
-    some = ticks[:: max(1, len(ticks) // TICKS)]
-    return [k for k in some if np.abs(look.look(k)).max(initial=0.0) > BEHIND]

@@ -55,14 +55,7 @@ class Cure:
 def by_geometry(
     leg: Leg, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> Cure | None:
-    """Amounts that would do where limits keep a leg from its goal; None where none were found.
-
-    Args:
-        leg: that missed.
-        goal: of its tasks.
-        found: where limits hold back.
-        report: called with the share that is done.
-    """
+    """Amounts that would do where limits keep a leg from its goal; None where none were found."""
     needs = least_needs(goal, leg.room, found)
     report(0.5)
     first = _tried(leg, needs, goal)
@@ -75,9 +68,7 @@ def by_geometry(
 def by_rerun(leg: Leg, goal: Goal | None) -> Cure | None:
     """What is enough by construction: the overrun of a run without limits of place.
 
-    Args:
-        leg: that missed.
-        goal: of its tasks, to be given more time; None where that is no help.
+    Where the goal is given, more time is tried as well.
     """
     limits = without_places(leg.scenario)
     free = rerun(leg, limits=limits)

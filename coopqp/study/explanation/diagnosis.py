@@ -113,13 +113,7 @@ Diagnosis = NotBlocked | BlockedByLimits | Unreachable
 
 
 def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
-    """What geometry says.
-
-    Args:
-        goal: of all tasks that have a place.
-        room: the limits.
-        q: where the run has ended.
-    """
+    """What geometry says of a run that has ended at q, of all its tasks that have a place."""
     inside, free = Search(goal, room), Search(goal)
     at = inside.from_(q)
     if at.reached:

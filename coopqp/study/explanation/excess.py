@@ -54,10 +54,7 @@ class Excess:
 def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Excess]:
     """The least of several local minima; none where the goal is lost from all starts.
 
-    Args:
-        goal: what must hold.
-        room: the limits.
-        starts: configurations where the goal holds and the loops are closed.
+    At these configurations the goal holds and the loops are closed.
     """
     programs = _Programs(goal, room)
     found = [excess for q in starts if (excess := programs.shrink(q)) is not None]

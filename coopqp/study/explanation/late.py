@@ -34,14 +34,7 @@ WORTH_TELLING = 0.02
 
 
 def explain(leg: Leg, goal: Goal, place: Place, base: RunExplanation) -> RunExplanation:
-    """Why, with a rerun that shows it.
-
-    Args:
-        leg: that missed.
-        goal: of its tasks.
-        place: a configuration at the goal, inside the limits.
-        base: with what it misses.
-    """
+    """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
     goal.look(leg.q[-1])
     if goal.miss <= 1.0:
         said = "by its model it has arrived; the rest is what the model gets wrong"

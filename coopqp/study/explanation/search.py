@@ -49,12 +49,7 @@ class Place:
 
 
 class Search:
-    """Searches for one goal.
-
-    Args:
-        goal: of the tasks.
-        room: the limits; none when None.
-    """
+    """Searches for one goal, inside the limits where they are given."""
 
     def __init__(self, goal: Goal, room: Room | None = None) -> None:
         n = goal.chain.n

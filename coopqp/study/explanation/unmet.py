@@ -6,6 +6,7 @@ that is s where u = s w.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -77,22 +78,19 @@ def relaxed(legs: Sequence[Leg]) -> tuple[Relaxed, ...]:
     Those of a law that commands torques do not show it.
     """
     modes: dict[str, Mode] = {}
-    ticks: dict[str, int] = {}
-    missing: dict[str, float] = {}
+    ticks, missing = Counter[str](), dict[str, float]()
     for leg in legs:
         if leg.controller.commands_torques:
             break
         missing = {}
         modes |= {task.name: task.mode for task in leg.problem.tasks}
         for k, lacks in _lacks(leg):
-            for name in lacks:
-                ticks[name] = ticks.get(name, 0) + 1
+            ticks.update(lacks.keys())
             missing = lacks if k == len(leg.v) - 1 else {}
-    found = [
+    return tuple(
         Relaxed(task=name, mode=modes[name], ticks=count, missing=missing.get(name, 0.0))
-        for name, count in ticks.items()
-    ]
-    return tuple(sorted(found, key=lambda task: -task.ticks))
+        for name, count in ticks.most_common()
+    )
 
 
 def _lacks(leg: Leg) -> Iterator[tuple[int, dict[str, float]]]:

@@ -34,12 +34,7 @@ LAST, MOSTLY = 50, 0.5
 
 
 def explain(leg: Leg, base: RunExplanation) -> RunExplanation:
-    """Why a velocity was missed, at the last tick.
-
-    Args:
-        leg: that missed it.
-        base: with what it misses.
-    """
+    """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in leg.missed if part.task.asks_velocity)
     k = len(leg.v) - 1
     if tasks := contradicting(leg):

@@ -84,11 +84,7 @@ def geometry(
 ) -> str:
     """What keeps a chain from its goal, where that is not its limits alone.
 
-    Args:
-        found: by the diagnosis.
-        missed: what is off by how much.
-        chain: for the names of joints.
-        ordered: whether the law heeds which task comes first.
+    It is ordered where the law heeds which task comes first.
     """
     if isinstance(found, Contradiction):
         return _contradiction(found, missed, ordered=ordered)
@@ -109,12 +105,9 @@ def elsewhere(place: Place, chain: ClosedChain) -> str:
 
 def start(q: Array, chain: ClosedChain) -> str:
     """A configuration by arm, as a scenario's start has it; the digits close its loops."""
-    at = dict(zip(chain.joint_names, q.tolist(), strict=True))
-    arms = []
-    for arm in chain.arms:
-        numbers = ", ".join(f"{at[joint]:.5f}" for joint in chain.robot.arm_joints(arm))
-        arms.append(f"{arm.name} [{numbers}]")
-    return "; ".join(arms)
+    at = {name: f"{x:.5f}" for name, x in zip(chain.joint_names, q.tolist(), strict=True)}
+    arms = ((arm.name, map(at.__getitem__, chain.robot.arm_joints(arm))) for arm in chain.arms)
+    return "; ".join(f"{name} [{', '.join(numbers)}]" for name, numbers in arms)
 
 
 def _reach(found: OutOfReach) -> str:
