@@ -26,11 +26,15 @@ from coopqp.limits import (
     Obstacle,
     Obstacles,
 )
+from coopqp.phase_run import begin_phase
+from coopqp.row import Row
 from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.state import State
 from coopqp.study.explanation import explain_run, late, words
 from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation.rerun import _Wider
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
 from coopqp.tasks import Twist
@@ -165,6 +169,21 @@ def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
     assert far > 0.1
     assert found.kind == "open"
     assert f"open by {1e3 * far:.3g} mm" in found.sentence
+
+
+def test_limits_are_as_wide_in_later_phases_as_in_the_first() -> None:
+    """Each phase takes over the chain of the one before, and once widened it again."""
+    like = load("regrasp")
+    joint = like.chain.joint_names[0]
+    row = Row(name="wide", kind="limit", joint=joint, side="upper")
+    known = {name: getattr(like, name) for name in Scenario.__dataclass_fields__}
+    wider = _Wider(**known, wider={row: 0.1})
+    begun = None
+    for _ in like.schedule:
+        begun = begin_phase(wider, wider.controllers["qp"], begun, timed=False)
+        more = begun.problem.chain.upper - like.chain.upper
+        assert more[0] == pytest.approx(0.1)
+        assert not more[1:].any()
 
 
 def test_a_run_of_nans_says_its_status() -> None:

@@ -81,14 +81,7 @@ class RunExplanation:
     def because(
         self, kind: str, words: str, shares: Sequence[Share] = (), **more: Any
     ) -> RunExplanation:
-        """The same with its cause, said after what it misses.
-
-        Args:
-            kind: of cause.
-            words: of it.
-            shares: of the limits that hold back.
-            more: other attributes.
-        """
+        """The same with its cause, said after what it misses, and more attributes."""
         said = f"{self.sentence}; {words}" if self.sentence else words
         held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
         return replace(self, kind=kind, sentence=said, held_back=held, **more)

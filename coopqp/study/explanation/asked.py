@@ -102,13 +102,9 @@ def asked_then(record: TickRecord) -> Asked:
 
 
 def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: Command) -> Asked:
-    """What a tick is asked at a state with its joints inside their limits.
+    """What a tick is asked at a state with its joints inside their limits, and its answer.
 
-    Args:
-        problem: what is controlled.
-        state: up to date.
-        tasks: those of the problem, up to date.
-        command: the tick's answer.
+    State and tasks are up to date.
     """
     bounds = Bounds(problem.chain, problem.limits, state, problem.dt)
     bounds.update(state)

@@ -110,8 +110,7 @@ class _Programs:
     def _fill_sides(self) -> None:
         """What does not change: d_j - s_j <= room, and the same below."""
         low, high, n = self._low, self._high, self._goal.chain.n
-        joints = np.concatenate([low, high])
-        rows = np.arange(len(joints))
+        joints, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
         self._qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(low), len(high)])
         self._qp.G[rows, n + joints] = -1.0
         spaces = len(joints) + np.arange(len(self._room.owners))
@@ -161,7 +160,7 @@ class _Programs:
         missed = max(goal.miss, goal.open / 1e-4)
         return total + METRE * float(spaces.sum()) + OFF * float(off), missed
 
-    def _step(self, q: Array, most: float) -> Array | None:
+    def _step(self, q: Array, farthest: float) -> Array | None:
         room, qp, n = self._room, self._qp, len(q)
         C, r = self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
@@ -169,11 +168,10 @@ class _Programs:
         qp.A[:], qp.b[:] = 0.0, 0.0
         qp.A[:kept, :n] = Vt[:kept]
         qp.b[:kept] = -(U[:, :kept].T @ r) / values[:kept]
-        qp.lb[:n], qp.ub[:n] = -most, most
+        qp.lb[:n], qp.ub[:n] = -farthest, farthest
         low, high = self._low, self._high
-        qp.h[: len(low)] = q[low] - room.lower[low]
-        qp.h[len(low) : len(low) + len(high)] = room.upper[high] - q[high]
-        qp.h[len(low) + len(high) :] = room.at(q)
+        sides = q[low] - room.lower[low], room.upper[high] - q[high]
+        qp.h[:] = np.concatenate([*sides, room.at(q)])
         qp.G[len(low) + len(high) :, :n] = -room.gradient(q)
         qp.seal()
         self._solve()

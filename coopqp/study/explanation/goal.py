@@ -43,18 +43,11 @@ Missed = tuple[PartOfTask, float]
 
 
 class Goal:
-    """What tasks ask for at one time.
-
-    Args:
-        chain: from whose start the references set out.
-        tasks: each with a place, :func:`placed`.
-        t: when [s].
-        inputs: what is made of inputs then.
+    """What tasks with a place, :func:`placed`, ask for at one time t [s].
 
     Attributes:
-        parts: of all tasks.
-        state: up to date after :meth:`look`.
-        stack: likewise.
+        state, stack: up to date after :meth:`look`.
+        parts: of all tasks; their references set out from the chain's start.
         weights: of the rows, at most 1; those of a later priority count less.
     """
 

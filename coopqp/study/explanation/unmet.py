@@ -24,13 +24,7 @@ WORTH_COUNTING = 0.02
 
 @dataclass(frozen=True)
 class Unmet:
-    """A hard or scaled task that is not met in full in a tick.
-
-    Attributes:
-        task: its name.
-        mode: hard or scaled.
-        share: of its rate that it gets.
-    """
+    """A hard or scaled task that gets only a share of its rate in a tick."""
 
     task: str
     mode: Mode
@@ -44,13 +38,9 @@ class Unmet:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxed:
-    """A hard or scaled task that is not met in full in some ticks of a run.
+    """A hard or scaled task that is not met in full in so many ticks of a run.
 
-    Attributes:
-        task: its name.
-        mode: hard or scaled.
-        ticks: in how many.
-        missing: share of its rate that it lacks in the last tick.
+    What is missing is the share of its rate that it lacks in the last tick.
     """
 
     task: str
