@@ -56,10 +56,10 @@ def explain(
     run, scenario = read_trace(trace, catalog)
     known, own = run.controllers, scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]
-    run_of_one = trace_from_file(run, scenario, controller or (solving or known)[0])
+    recorded = trace_from_file(run, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
-        found = explain_run(scenario, run_of_one, report)
+        found = explain_run(scenario, recorded, report)
     click.echo(explained.run_text(found, absolute(run.path.parent).name, as_json=as_json))
 
 
