@@ -74,11 +74,13 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
         )
         for problem, phase, (first, end) in phases
     ]
-    kinds = held.followed()
-    inputs = {name: _input(run.only(slice(ticks)), name, kind) for name, kind in kinds.items()}
-    tau = run.only(slice(ticks)).joints("tau", held.chain.joint_names, empty=True)
-    # Passive joints have none.
-    signals = {"tau": np.nan_to_num(tau)} if np.isfinite(tau).any() else {}
+    told = run.only(slice(ticks))
+    inputs = {name: _input(told, name, kind) for name, kind in held.followed().items()}
+    signals = {
+        "tau": told.joints("tau", held.chain.joint_names, empty=True),  # passive joints have none
+        "held": told.numbers(["held"], empty=True),
+    }
+    signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
     trace = join(legs) if held.phases else legs[0][1]
     return replace(trace, inputs=inputs, signals=signals)
 

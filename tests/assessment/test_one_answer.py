@@ -216,6 +216,21 @@ def test_a_run_in_a_file_is_explained_as_the_same_in_memory(tmp_path: Path, whic
     assert (file.kind, file.sentence) == (memory.kind, memory.sentence)
 
 
+def test_hands_that_move_along_a_held_object_keep_it_in_a_file_too(tmp_path: Path) -> None:
+    """What tears an object off firm hands is no more than a slide of hands that press."""
+    scenario = replace(coopqp.load("nao_presses"), duration=0.3)
+    name = next(iter(scenario.controllers))
+    trace = run(scenario, controller=name)
+    slid = replace(trace, loop_position=trace.loop_position + 2e-3)
+    path = tmp_path / "trace.csv"
+    path.write_text(files.trace_csv(summarize(scenario, {name: slid})), encoding="utf-8")
+    memory, file = (assess(each) for each in (slid, trace_from_file(path, scenario, name)))
+    assert memory.held
+    assert file.held
+    assert [task.torn for task in file.tasks] == [task.torn for task in memory.tasks]
+    assert not any(task.torn for task in file.tasks)
+
+
 class Unaudited(Limit):
     """A limit that does not say what it left."""
 
