@@ -28,7 +28,7 @@ from coopqp.controller_run import run
 from coopqp.limits import Workspace
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import RunExplanation, explain_run, recording_of
+from coopqp.study.explanation import RunExplanation, explain_run
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class Outcome:
 
 def explained(case: Case) -> Outcome:
     """Run and explain."""
-    recording = recording_of(run(case.scenario, controller="qp"))
+    trace = run(case.scenario, controller="qp")
     before = time.perf_counter()
-    found = explain_run(case.scenario, recording)
+    found = explain_run(case.scenario, trace)
     return Outcome(case.robot, found, time.perf_counter() - before, case.scenario)
 
 

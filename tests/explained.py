@@ -16,7 +16,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import RunExplanation, explain_run, recording_of
+from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.task import Task
 from coopqp.tasks import PointOnPlane, PointOnPoint
 
@@ -27,7 +27,7 @@ REACH = PointOnPoint(name="reach", goal=(0.18, 0.01, 0.05))
 
 
 def explained(scenario: Scenario, controller: str = "qp") -> RunExplanation:
-    return explain_run(scenario, recording_of(run(scenario, controller=controller)))
+    return explain_run(scenario, run(scenario, controller=controller))
 
 
 def advice(name: str) -> Scenario:

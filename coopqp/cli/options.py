@@ -145,7 +145,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
 
 def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:
     """A tick of a recorded run, done again; says where it does not come out as recorded."""
-    from coopqp.study.recorded_tick import off_the_record, recorded_tick
+    from coopqp.study.trace_file import off_the_record, recorded_tick
 
     run, scenario = read_trace(trace, catalog)
     record = recorded_tick(run, scenario, controller, tick)

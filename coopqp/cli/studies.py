@@ -44,7 +44,7 @@ def explain(
     from coopqp.report import explained, files
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
-    from coopqp.study.trace_file import recording_from_trace
+    from coopqp.study.trace_file import trace_from_file
 
     if tick is not None or save:
         record = read_tick(trace, catalog, controller, tick)
@@ -56,10 +56,10 @@ def explain(
     run, scenario = read_trace(trace, catalog)
     known, own = run.controllers, scenario.controllers
     solving = [name for name in known if name in own and own[name].uses_solver]
-    recording = recording_from_trace(run, scenario, controller or (solving or known)[0])
+    recorded = trace_from_file(run, scenario, controller or (solving or known)[0])
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
-        found = explain_run(scenario, recording, report)
+        found = explain_run(scenario, recorded, report)
     click.echo(explained.run_text(found, absolute(run.path.parent).name, as_json=as_json))
 
 
@@ -152,8 +152,8 @@ def replay(
     from coopqp.recordings.known import is_run
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study.replay import replay as solve_again
     from coopqp.study.tick_record import TickRecord
+    from coopqp.study.tick_record import replay as solve_again
 
     recorded = is_run(file)
     record = read_tick(file, catalog, controller, tick) if recorded else TickRecord.read(file)

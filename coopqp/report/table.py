@@ -11,10 +11,9 @@ from rich.text import Text
 from coopqp.comparison import Comparison
 from coopqp.errors import one_line
 from coopqp.report.cells import Cell, cells
-from coopqp.study.replay import Replay
 from coopqp.study.stress import Summary
 from coopqp.study.stress.contacts import ContactSummary
-from coopqp.study.tick_record import TickRecord
+from coopqp.study.tick_record import Replay, TickRecord
 
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
 SHOWN = {

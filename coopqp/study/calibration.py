@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -133,8 +134,10 @@ def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibr
     travel = np.ptp(every, axis=0)
     near, far = _near_and_far(every)
     moved = bool(travel.max() > STILL) and len(q) >= 2 * FEWEST
+    start = State(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x))
+    start.close_loops(NEWTON)
     return Calibration(
-        chain=_recalibrated(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x)),
+        chain=start.chain.moved(start.q),
         offsets=fit.offsets(solution),
         before=_size(before),
         after=_size(after),
@@ -147,8 +150,7 @@ def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibr
     )
 
 
-@dataclass(frozen=True)
-class _Solution:
+class _Solution(NamedTuple):
     """Parameters x, their standard deviations, and a basis of what was not shown, (P, hidden)."""
 
     x: Array
@@ -157,12 +159,7 @@ class _Solution:
 
 
 class _Fit:
-    """The least-squares problem.
-
-    Args:
-        chain: as modelled.
-        encoders: whether their offsets are looked for.
-    """
+    """The least-squares problem."""
 
     def __init__(self, chain: ClosedChain, *, encoders: bool) -> None:
         self.chain, self._loops = chain, chain.holding - 1
@@ -183,12 +180,15 @@ class _Fit:
 
     def chain_with(self, x: Array) -> ClosedChain:
         """The chain with the object elsewhere in the hands."""
-        hold = self.chain.hold
-        moved = {
-            arm.name: hold.X_EO[arm.name] * _pose(x[6 * i : 6 * i + 6])
-            for i, arm in enumerate(self.chain.arms[1 : self.chain.holding])
-        }
+        hold, arms = self.chain.hold, self.chain.arms[1 : self.chain.holding]
+        moves = zip(arms, self._moves(x), strict=True)
+        moved = {arm.name: hold.X_EO[arm.name] * X for arm, X in moves}
         return ClosedChain(replace(hold, X_EO={**hold.X_EO, **moved}))
+
+    def _moves(self, x: Array) -> list[pin.SE3]:
+        """Shift and turn in each hand but the first, both in the object's axes."""
+        poses = x[: 6 * self._loops].reshape(-1, 6)
+        return [pin.SE3(pin.exp3(xi[3:]), xi[:3]) for xi in poses]
 
     def errors(self, q: Array, x: Array) -> Array:
         """What each loop is open by in each tick, shape (T, L, 2, 3) [m; rad]."""
@@ -217,7 +217,7 @@ class _Fit:
         """Errors and their derivatives, shapes (T, L, 2, 3) and (T, L, 2, 3, P)."""
         model, data, loops = self.chain.model, self._data, self._loops
         offsets = self.encoder_offsets(x)
-        moved = [_pose(x[6 * i : 6 * i + 6]) for i in range(loops)]
+        moved = self._moves(x)
         e = np.zeros((len(q), loops, 2, 3))
         J = np.zeros((len(q) if slopes else 0, loops, 2, 3, len(x)))
         frames, levers = self.chain.frames[: loops + 1], np.zeros((loops, 3, 3))
@@ -253,18 +253,6 @@ def _step(e: Array, J: Array, sigma: Array, x: Array) -> _Solution:
     freedom = len(rows) - len(x)
     deviations = SIZE * np.linalg.norm(along, axis=1) if freedom else np.full(len(x), np.nan)
     return _Solution(SIZE * along @ (U[:, shown].T @ wanted), deviations, Vt[~shown].T)
-
-
-def _pose(xi: Array) -> pin.SE3:
-    """Shift and turn, both in the object's axes."""
-    return pin.SE3(pin.exp3(xi[3:]), xi[:3])
-
-
-def _recalibrated(chain: ClosedChain, q: Array) -> ClosedChain:
-    """The chain at the nearest configuration to q with its loops closed."""
-    state = State(chain, q)
-    state.close_loops(NEWTON)
-    return chain.moved(state.q)
 
 
 def _near_and_far(q: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""One tick of a QP controller, whole, so that it can be saved, explained and solved again."""
+"""One tick of a QP controller, whole: saved, read, and solved again with any solver."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
@@ -21,7 +22,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
 from coopqp.reading import line_in_json, read_text
 from coopqp.row import Row, Side
-from coopqp.solver import Budget, Status, written
+from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
 from coopqp.state import State
 from coopqp.task import Mode, TaskStack
 from coopqp.wording import Location, dotted
@@ -34,7 +35,7 @@ UNBOUNDED = 1e30  # what an infinite bound is written as
 @with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 @dataclass(frozen=True)
 class TickRecord:
-    """One tick of a QP controller, whole: it can be saved, explained and solved again.
+    """All that explains one tick of a QP controller, and solves it again.
 
     Attributes:
         scenario, controller, tick: where it is from.
@@ -200,42 +201,26 @@ def record_tick(
     qp = level.qp
     shares = qp.rows.variables[problem.chain.n :]
     pad = ((0, 0), (0, len(shares)))
+    named = NamedBounds(problem, state)
     below, above = (
-        [*rows, *(_share_bound(share, side) for share in shares)]
-        for rows, side in zip(bounding(problem, state), SIDES, strict=True)
+        [*rows, *(replace(share, name=f"scale.{side}", side=side) for share in shares)]
+        for rows, side in zip((named.below, named.above), SIDES, strict=True)
     )
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
     return TickRecord(
-        scenario=scenario,
-        controller=controller,
-        tick=tick,
-        t=state.t,
-        q=state.q.tolist(),
-        v=state.v.tolist(),
-        memory=memory,
-        dt=problem.dt,
-        damping=level.curvature,
-        budget=problem.budget,
-        P=qp.P.tolist(),
-        q_cost=qp.q.tolist(),
-        C=qp.C.tolist(),
-        lower=_finite(qp.lower),
-        upper=_finite(qp.upper),
-        inequalities=qp.p,
-        variables=list(qp.rows.variables),
-        inequality_rows=list(qp.rows.inequalities),
-        equality_rows=list(qp.rows.equalities),
-        lb_rows=below,
-        ub_rows=above,
-        J=np.pad(tasks.J, pad).tolist(),
-        wanted=tasks.wanted.tolist(),
-        task_rows=list(tasks.rows),
+        scenario=scenario, controller=controller, tick=tick,
+        t=state.t, q=state.q.tolist(), v=state.v.tolist(), memory=memory,
+        dt=problem.dt, damping=level.curvature, budget=problem.budget,
+        P=qp.P.tolist(), q_cost=qp.q.tolist(), C=qp.C.tolist(),
+        lower=_finite(qp.lower), upper=_finite(qp.upper), inequalities=qp.p,
+        variables=list(qp.rows.variables), inequality_rows=list(qp.rows.inequalities),
+        equality_rows=list(qp.rows.equalities), lb_rows=below, ub_rows=above,
+        J=np.pad(tasks.J, pad).tolist(), wanted=tasks.wanted.tolist(), task_rows=list(tasks.rows),
         modes={task.name: task.mode for task in problem.tasks},
         answer=command.v.tolist() + [command.scale] * len(shares),
-        first_answer=level.solution.v.tolist(),
-        status=written(command.causes),
-    )
+        first_answer=level.solution.v.tolist(), status=written(command.causes),
+    )  # fmt: skip
 
 
 def _first_level(law: QPLaw, state: State) -> Level:
@@ -247,29 +232,55 @@ def _first_level(law: QPLaw, state: State) -> Level:
     return law.first
 
 
-def bounding(problem: ControlProblem, state: State) -> tuple[list[Row], list[Row]]:
-    """The limits that each joint's lower and upper bounds on v come from."""
-    chain = problem.chain
-    tightest = np.full((2, chain.n), np.inf)
-    below, above = found = tuple(
-        [
-            Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
-            for joint in chain.joint_names
+class NamedBounds:
+    """The limits of a problem one by one, so that each bound on v has the name of one.
+
+    Args:
+        problem: with the limits.
+        state: the first that they are looked at.
+
+    Attributes:
+        lb, ub: the tightest of all limits. G, h: rows of one after the other.
+        below, above: the limits that lb and ub come from.
+    """
+
+    def __init__(self, problem: ControlProblem, state: State) -> None:
+        chain = problem.chain
+        self._none = [
+            [
+                Row(name=f"no limit[{joint}].{side}", kind="limit", joint=joint, side=side)
+                for joint in chain.joint_names
+            ]
+            for side in SIDES
         ]
-        for side in SIDES
-    )
-    for limit in problem.limits:
-        alone = Bounds(chain, [limit], state, problem.dt)
-        alone.update(state)
-        bounds, rows = np.array([-alone.lb, alone.ub]), [bound_rows(limit, chain, s) for s in SIDES]
-        for k, i in np.argwhere(bounds < tightest).tolist():
-            found[k][i] = rows[k][i]
-        np.minimum(tightest, bounds, out=tightest)
-    return below, above
+        self._each = [
+            (
+                Bounds(chain, [limit], state, problem.dt),
+                [bound_rows(limit, chain, side) for side in SIDES],
+            )
+            for limit in problem.limits
+        ]
+        self.update(state)
 
+    def update(self, state: State) -> None:
+        """Bring all to a state."""
+        n = len(state.v)
+        self.below, self.above = found = [*self._none[0]], [*self._none[1]]
+        tightest = np.full((2, n), np.inf)
+        for alone, rows in self._each:
+            alone.update(state)
+            bounds = np.array([-alone.lb, alone.ub])
+            for k, i in np.argwhere(bounds < tightest).tolist():
+                found[k][i] = rows[k][i]
+            np.minimum(tightest, bounds, out=tightest)
+        self.lb, self.ub = -tightest[0], tightest[1]
+        self.G = np.vstack([np.zeros((0, n)), *(alone.G for alone, _ in self._each)])
+        self.h = np.concatenate([np.zeros(0), *(alone.h for alone, _ in self._each)])
 
-def _share_bound(share: Row, side: Side) -> Row:
-    return replace(share, name=f"scale.{side}", side=side)
+    @property
+    def rows(self) -> list[Row]:
+        """The limits that lb, ub and h come from, in this order."""
+        return [*self.below, *self.above, *(row for alone, _ in self._each for row in alone.rows)]
 
 
 def _finite(values: Array) -> list[float]:
@@ -281,3 +292,36 @@ def _infinite(values: Sequence[float]) -> Array:
     array = np.array(values, float)
     array[np.abs(array) >= UNBOUNDED] *= np.inf
     return array
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A saved tick solved again.
+
+    Attributes:
+        status: as verified.
+        v: the answer.
+        primal_residual, dual_residual: of the answer.
+        difference: largest distance to the answer that was saved [rad/s].
+    """
+
+    status: Status
+    v: Array
+    primal_residual: float
+    dual_residual: float
+    difference: float
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
+
+
+def replay(record: TickRecord, solver: Solver) -> Replay:
+    """Solve a saved tick with any solver."""
+    qp = record.qp()
+    solution = Solution(qp)
+    solver.open(qp, solution)()
+    status = Verifier(qp, solution, record.budget, record.damping).check()
+    v, difference = solution.v.copy(), np.abs(solution.v - np.array(record.first_answer)).max()
+    primal, dual = float(solution.primal_residual), float(solution.dual_residual)
+    return Replay(status, v, primal, dual, float(difference))

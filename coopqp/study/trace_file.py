@@ -1,4 +1,4 @@
-"""What a recorded run tells: the whole run, the state of a tick, and what the sensors measured.
+"""What a recorded run tells: the whole run, a tick done again, and what the sensors measured.
 
 A file that is damaged, or of another scenario, is refused with the line that shows it.
 """
@@ -6,37 +6,42 @@ A file that is damaged, or of another scenario, is refused with the line that sh
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
-from coopqp.assessment.ends import settled
 from coopqp.checked import Array
-from coopqp.controller import Law
+from coopqp.controller import ControlProblem, Heeds, Law
+from coopqp.controller_run import controller_of
+from coopqp.controllers.qp import QPController
 from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.input import wanted
 from coopqp.plants import Kinematic
+from coopqp.reading import absolute
 from coopqp.recordings.column import Layout, of_field
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import format_of, read
 from coopqp.recordings.run import OTHER, Run
-from coopqp.scenario.scenario import Scenario
+from coopqp.row import Row
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import Course, Followed, Kind
 from coopqp.solver import HALTS, Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation.goal import parts_of
-from coopqp.study.explanation.leg import Recording
-from coopqp.trace import InputTrace, no_input
+from coopqp.study.tick_record import TickRecord, record_tick
+from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input
 
 #: What times may be off by, as a share of a tick, and joints that do as told [rad, m].
 OF_A_TICK, ROUNDING = 0.01, 1e-9
 
 
-def recording_from_trace(path: Path | Run, scenario: Scenario, controller: str) -> Recording:
-    """A controller's whole run.
+def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Trace:
+    """A controller's whole run, as far as a file tells it; what it does not is left empty.
 
     Args:
         path: of ``trace.csv``, or of a run in another format; or the run, as read.
@@ -46,37 +51,84 @@ def recording_from_trace(path: Path | Run, scenario: Scenario, controller: str) 
     Raises:
         CoopqpError: no such file or controller, or a damaged file.
     """
-    return _recording(read(path), scenario, controller)
-
-
-def _recording(run: Run, scenario: Scenario, controller: str) -> Recording:
-    run, held = run.of(controller), scenario.held_by(controller)
-    joints, ticks = held.chain.joint_names, held.ticks
+    run, held = read(path).of(controller), scenario.held_by(controller)
+    ticks = held.ticks
     if len(run) != ticks + 1:
         raise CoopqpError(
             f"{run.place(min(ticks + 1, len(run) - 1))}: '{controller}' has {len(run) - 1} "
             f"ticks, its scenario {ticks}; the file is damaged, of another scenario, or of a live "
             "loop, of which only a tick can be explained: name it with --tick"
         )
-    told = run.only(slice(ticks))
-    status = tuple(told.columns["status"].tolist())
+    status = run.columns["status"][:ticks].tolist()
     if "" in status:
         raise run.fault(status.index(""), "status: found nothing, needs what became of the tick")
+    _check_moves(run, held)
+    heeds = controller_of(held, controller).heeds
+    q = run.joints("q", held.chain.joint_names)
+    ends = pairwise((*held.first_ticks, ticks))
+    phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
+    legs = [
+        (
+            PhaseInfo(phase.name, first, phase.released),
+            _phase(run.only(slice(first, end + 1)), held, phase, problem, heeds),
+        )
+        for problem, phase, (first, end) in phases
+    ]
+    told = run.only(slice(ticks))
+    inputs = {name: _input(told, name, kind) for name, kind in held.followed().items()}
+    signals = {
+        "tau": told.joints("tau", held.chain.joint_names, empty=True),  # passive joints have none
+        "held": told.numbers(["held"], empty=True),
+    }
+    signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
+    trace = join(legs) if held.phases else legs[0][1]
+    return replace(trace, inputs=inputs, signals=signals)
+
+
+def _phase(
+    run: Run, scenario: Scenario, phase: Phase, problem: ControlProblem, heeds: Heeds
+) -> Trace:
+    """The rows of one phase, with its end."""
+    chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
+    joints, ticks, nothing = chain.joint_names, len(told), np.zeros((len(run), 0))
     q, v = run.joints("q", joints), told.joints("v", joints)
-    _check_moves(run, held, q, v)
-    tau = told.joints("tau", joints, empty=True)
-    return Recording(
-        controller=controller,
-        q=q,
-        v=v,
-        status=status,
-        errors=_errors(run, held),
-        # Passive joints have none.
-        tau=np.nan_to_num(tau) if np.isfinite(tau).any() else np.zeros((0, 0)),
-        loop=run.numbers(["loop_position", "loop_orientation"], empty=True),
-        inputs={name: _input(told, name, kind) for name, kind in held.followed().items()},
-        place=run.header,
+    loop = run.numbers(["loop_position", "loop_orientation"], empty=True)
+    tasks = tuple(
+        TaskInfo(part.name, part.part.unit, part.part.tolerance, part.task.end)
+        for part in parts_of(phase.tasks, chain)
     )
+    causes = [causes_of(word)[0] for word in told.columns["status"]]
+    failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
+    margins, starts = dict[Row, Array](), dict[Row, Array]()
+    for limit in scenario.limits:
+        margins |= limit.margins(chain, q, v, dt)
+        starts |= limit.margins(chain, q[[0, 0]], np.zeros_like(q[:1]), dt)
+    return Trace(
+        controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
+        joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
+        velocity=chain.velocity, effort=chain.model.effortLimit.copy(),
+        tasks=tasks, leverage=np.ones(len(tasks)),
+        t=np.arange(ticks + 1.0) * dt, q=q, v=v, commanded=q[:-1], measured=q[:-1],
+        gap=nothing[1:], memory=nothing[1:], position=nothing, rotation=nothing,
+        loop_position=loop[:, 0], loop_orientation=loop[:, 1],
+        task_error=_errors(run, scenario, phase, tasks), goal_error=nothing,
+        task_rows=(), e=nothing, rate=np.ones((len(run), 1)),
+        usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
+        status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
+        margins=margins, starts={row: float(left[0]) for row, left in starts.items()},
+        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, heeds=heeds,
+        failures=tuple(Failure(*each) for each in failed),
+    )  # fmt: skip
+
+
+def _errors(run: Run, scenario: Scenario, phase: Phase, tasks: Sequence[TaskInfo]) -> Array:
+    """Of each part of each task, shape (ticks + 1, parts)."""
+    names = tuple(f"{phase.name}.{of.name}" if scenario.phases else of.name for of in tasks)
+    columns = of_field("error", Layout(joints=(), tasks=names))
+    for name, column in zip(names, columns, strict=True):
+        if column not in run.columns:
+            raise CoopqpError(f"{run.header}: has no error of '{name}'; {OTHER}")
+    return run.numbers(columns, empty=True)
 
 
 def check_trace(run: Run, scenario: Scenario, controller: str) -> None:
@@ -88,15 +140,15 @@ def check_trace(run: Run, scenario: Scenario, controller: str) -> None:
         CoopqpError: no such controller, or a damaged run.
     """
     if isinstance(format_of(run.path), CsvFile):
-        _recording(run, scenario, controller)
+        trace_from_file(run, scenario, controller)
 
 
-def _check_moves(run: Run, scenario: Scenario, q: Array, v: Array) -> None:
+def _check_moves(run: Run, scenario: Scenario) -> None:
     """Refuse what no run of the scenario can have had.
 
     Where joints do exactly as told, q + v dt has to be the next q; servos and masses allow more.
     """
-    dt, t = scenario.dt, run.numbers(["t"])[:, 0]
+    dt, t, joints = scenario.dt, run.numbers(["t"])[:, 0], scenario.chain.joint_names
     off = np.abs(t - dt * np.arange(len(t))) > OF_A_TICK * dt
     if off.any():
         k = int(off.argmax())
@@ -104,31 +156,15 @@ def _check_moves(run: Run, scenario: Scenario, q: Array, v: Array) -> None:
         raise CoopqpError(f"{run.place(k)}: {words}; {OTHER}")
     if not isinstance(scenario.plant, Kinematic) or scenario.disturbance != Disturbance():
         return
+    q, v = run.joints("q", joints), run.only(slice(-1)).joints("v", joints)
     told = np.vstack([scenario.chain.q_start, q[:-1] + dt * v])
     moved = np.abs(q - told) > ROUNDING * np.maximum(1.0, np.abs(q))
     moved[[first + 1 for first in scenario.first_ticks[1:]]] = False  # hands may have let go
     moved[1:][(q[1:] == q[:-1]).all(axis=1)] = False  # the plant broke down
     if moved.any():
         k, i = np.argwhere(moved)[0].tolist()
-        name = scenario.chain.joint_names[i]
-        words = f"q[{name}]: found {q[k, i]:g}, but it was moved to {told[k, i]:g}"
+        words = f"q[{joints[i]}]: found {q[k, i]:g}, but it was moved to {told[k, i]:g}"
         raise CoopqpError(f"{run.place(k)}: {words}; {OTHER}")
-
-
-def _errors(run: Run, scenario: Scenario) -> dict[str, float]:
-    """Of each part of each task at the end of its phase, by its name in a trace."""
-    found = {}
-    ends = pairwise((*scenario.first_ticks, scenario.ticks))
-    for phase, (first, end) in zip(scenario.schedule, ends, strict=True):
-        begin, rows = f"{phase.name}." if scenario.phases else "", run.only(slice(first, end + 1))
-        for part in parts_of(phase.tasks, scenario.chain):
-            name = begin + part.name
-            columns = of_field("error", Layout(joints=(), tasks=(name,)))
-            if columns[0] not in run.columns:
-                raise CoopqpError(f"{run.header}: has no error of '{name}'; {OTHER}")
-            error = rows.numbers(columns, empty=True)[:, 0]
-            found[name] = float(settled(error, part.part.unit, scenario.dt).max())
-    return found
 
 
 def _input(run: Run, name: str, kind: Kind) -> InputTrace:
@@ -139,6 +175,63 @@ def _input(run: Run, name: str, kind: Kind) -> InputTrace:
     )
     sent = run.numbers([f"input[{name}].sent"], empty=True)[:, 0]
     return replace(no_input(kind, len(run)), value=value, rate=rate, sent=sent)
+
+
+def recorded_tick(
+    path: Path | Run, scenario: Scenario, controller: str | None = None, tick: int | None = None
+) -> TickRecord:
+    """Do a tick of a trace again and keep it.
+
+    Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
+
+    Args:
+        path: of ``trace.csv``, or of a run in another format; or the run, as read.
+        scenario: that it was written for.
+        controller: whose; the first QP controller of the trace when None.
+        tick: which; the first that gave something up when None, else the last.
+
+    Raises:
+        CoopqpError: no such file, controller or tick; no controller that solves a QP.
+    """
+    run, known = read(path), scenario.controllers
+    solving = [name for name in run.controllers if isinstance(known.get(name), QPController)]
+    if not solving:
+        raise InvalidValueError(f"{run.path}: no controller here solves a QP in velocities")
+    chosen = controller or solving[0]
+    if chosen not in solving:
+        raise UnknownNameError("QP controller", chosen, solving, f"{run.path}: ")
+    k = blocked_tick(run, chosen) if tick is None else tick
+    held, plugin = scenario.held_by(chosen), known[chosen]
+    assert isinstance(plugin, QPController)
+    law = plugin.plain(held.problem())
+    phase = max(0, bisect_right(held.first_ticks, k) - 1)
+    if phase:
+        # The arms that hold from here on took hold where the trace says that they were.
+        problems = held.problems(lambda first: state_from_trace(run, chosen, first, law).q)
+        law = plugin.plain(next(islice(problems, phase, None)))
+    state = state_from_trace(run, chosen, k, law, held.first_ticks[phase] * held.dt)
+    name = absolute(run.path.parent).name
+    record = record_tick(law, state, scenario=name, controller=chosen, tick=k)
+    rested = halted(run, chosen, k)
+    return replace(record, status=rested) if rested else record
+
+
+def off_the_record(path: Path | Run, record: TickRecord) -> float:
+    """How far a tick that was done again is from the velocities that were recorded [rad/s, m/s].
+
+    More than rounding says that its scenario is not the one that was run, or that the code is not.
+
+    Raises:
+        CoopqpError: as :func:`recorded_tick`.
+    """
+    run = read(path).of(record.controller)
+    row = row_of(run, record.tick)
+    if row is None or halted(run, record.controller, record.tick):
+        return 0.0  # the law did not make it
+    joints = [x.joint for x in record.variables if x.joint]
+    was = run.only([row]).joints("v", joints, empty=True)[0]
+    now = np.array([x for x, of in zip(record.answer, record.variables, strict=True) if of.joint])
+    return float(np.nanmax(np.abs(was - now), initial=0.0))
 
 
 def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0) -> State:
@@ -160,12 +253,11 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     run = run.of(controller).ticks
     joints, state = law.problem.chain.joint_names, law.start()
     own, before = row_of(run, tick), row_of(run, tick - 1)
-    if own is None:
-        last = max(run.columns["tick"].tolist(), default=0)
-        words = f"has no tick {tick}; it has 0 to {last}"
-        raise InvalidValueError(f"{run.path}: controller '{controller}' {words}")
-    if before is None and tick:
+    if own is None or (before is None and tick):
         words = f"has tick {tick}, but not the one before it, which it follows from"
+        if own is None:
+            last = max(run.columns["tick"].tolist(), default=0)
+            words = f"has no tick {tick}; it has 0 to {last}"
         raise InvalidValueError(f"{run.path}: controller '{controller}' {words}")
     row = run.only([own])
     state.t = max(0.0, float(row.numbers(["t"])[0, 0]) - t_start)  # of the phase, but for rounding
@@ -209,20 +301,15 @@ def row_of(run: Run, tick: int) -> int | None:
 
 
 def halted(run: Run, controller: str, tick: int) -> str:
-    """What became of a tick in which a live loop came to rest, and its law did nothing.
+    """The causes of a tick in which a live loop came to rest; empty where its law was asked.
 
     Its time stands still then, so that is how it shows.
-
-    Returns:
-        Its causes, as written; empty where the law was asked.
     """
     run = run.of(controller)
     row, t = row_of(run.ticks, tick), run.columns["t"]
-    if row is None:
-        return ""
-    status = str(run.columns["status"][row])
-    stands = row + 1 < len(run) and t[row + 1] <= t[row]
-    return status if stands or HALTS.intersection(causes_of(status)) else ""
+    status = "" if row is None else str(run.columns["status"][row])
+    stands = row is not None and row + 1 < len(run) and t[row + 1] <= t[row]
+    return status if stands or (status and HALTS.intersection(causes_of(status))) else ""
 
 
 def blocked_tick(run: Run, controller: str) -> int:
@@ -256,12 +343,14 @@ def measured_run(
     Raises:
         CoopqpError: no such file or controller, or no measured joints in it.
     """
-    run = read(path)
+    run, phases = read(path), zip(scenario.schedule, scenario.first_ticks, strict=True)
+    arms = set(scenario.schedule[0].released)
+    anew = next((first for phase, first in phases if set(phase.released) != arms), math.inf)
     for name in run.controllers if controller is None else (controller,):
         own = run.of(name)
         joints = scenario.held_by(name).chain.joint_names
         own.joints("q", joints)  # else it is of another scenario
-        q = own.only(own.columns["tick"] < _ticks(scenario)).joints("measured", joints, empty=True)
+        q = own.only(own.columns["tick"] < anew).joints("measured", joints, empty=True)
         q = q[np.isfinite(q).all(axis=1)]
         if len(q):
             return name, q[:1] if isinstance(scenario.plant, Kinematic) else q
@@ -269,12 +358,3 @@ def measured_run(
         f"{run.path}: nothing to calibrate: no sensors say where the joints are; joints of the "
         "plant kinematic do exactly as told unless the scenario has a disturbance"
     )
-
-
-def _ticks(scenario: Scenario) -> float:
-    """Ticks before the first phase in which other arms hold than at the start."""
-    phases, firsts = scenario.schedule, scenario.first_ticks
-    for phase, first in zip(phases, firsts, strict=True):
-        if set(phase.released) != set(phases[0].released):
-            return first
-    return math.inf

@@ -18,7 +18,7 @@ from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
 from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import explain_run, recording_of
+from coopqp.study.explanation import explain_run
 from coopqp.study.statistics.trial import _judge
 from coopqp.study.stress.draw import DAQP, LAW, draw
 from coopqp.study.stress.trial import one_rollout
@@ -124,7 +124,7 @@ def _judged(
 def _explained(
     scenario: Scenario, trace: Trace, found: Assessment
 ) -> dict[str, tuple[object, object]]:
-    answer = explain_run(scenario, recording_of(trace))
+    answer = explain_run(scenario, trace)
     there = answer.kind in ("reached", "broken", "open") and "no goal" not in answer.sentence
     return {
         "explain, succeeds": (answer.kind == "reached", found.succeeds),

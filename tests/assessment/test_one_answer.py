@@ -26,8 +26,8 @@ from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Input
 from coopqp.solver import Status
-from coopqp.study.explanation import explain_run, recording_of
-from coopqp.study.trace_file import recording_from_trace
+from coopqp.study.explanation import explain_run
+from coopqp.study.trace_file import trace_from_file
 from coopqp.tasks import PointOnPoint
 from coopqp.trace import Failure, Trace
 
@@ -54,7 +54,7 @@ def steered(**settings: Any) -> Scenario:
 
 def said_of(scenario: Scenario, trace: Trace) -> tuple[str, str, str]:
     """Verdict, and the explanation's kind and sentence."""
-    found = explain_run(scenario, recording_of(trace))
+    found = explain_run(scenario, trace)
     said = summarize(scenario, {trace.controller: trace}).verdicts
     return said[trace.controller], found.kind, found.sentence
 
@@ -211,10 +211,24 @@ def test_a_run_in_a_file_is_explained_as_the_same_in_memory(tmp_path: Path, whic
     trace = run(scenario, controller=name)
     path = tmp_path / "trace.csv"
     path.write_text(files.trace_csv(summarize(scenario, {name: trace})), encoding="utf-8")
-    read = recording_from_trace(path, scenario, name)
-    assert read.assessment is None
-    memory, file = (explain_run(scenario, each) for each in (recording_of(trace), read))
+    read = trace_from_file(path, scenario, name)
+    memory, file = (explain_run(scenario, each) for each in (trace, read))
     assert (file.kind, file.sentence) == (memory.kind, memory.sentence)
+
+
+def test_hands_that_move_along_a_held_object_keep_it_in_a_file_too(tmp_path: Path) -> None:
+    """What tears an object off firm hands is no more than a slide of hands that press."""
+    scenario = replace(coopqp.load("nao_presses"), duration=0.3)
+    name = next(iter(scenario.controllers))
+    trace = run(scenario, controller=name)
+    slid = replace(trace, loop_position=trace.loop_position + 2e-3)
+    path = tmp_path / "trace.csv"
+    path.write_text(files.trace_csv(summarize(scenario, {name: slid})), encoding="utf-8")
+    memory, file = (assess(each) for each in (slid, trace_from_file(path, scenario, name)))
+    assert memory.held
+    assert file.held
+    assert [task.torn for task in file.tasks] == [task.torn for task in memory.tasks]
+    assert not any(task.torn for task in file.tasks)
 
 
 class Unaudited(Limit):

@@ -25,10 +25,8 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
 from coopqp.study.explanation.leg import legs
-from coopqp.study.recorded_tick import recorded_tick
-from coopqp.study.replay import replay
-from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import measured_run, recording_from_trace
+from coopqp.study.tick_record import TickRecord, replay
+from coopqp.study.trace_file import measured_run, recorded_tick, trace_from_file
 
 from . import meshes, mutations, trees
 from .lines import Mutated, wrong_line
@@ -215,7 +213,7 @@ def _trace(rng: Random, folder: Path) -> Case:
         if asked == "joints":
             measured_run(path, scenario, name)
         elif asked == "run":
-            list(legs(scenario.held_by(name), recording_from_trace(path, scenario, name)))
+            list(legs(scenario.held_by(name), trace_from_file(path, scenario, name)))
         else:
             explanation.explain(recorded_tick(path, scenario, None, tick))
 

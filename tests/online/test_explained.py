@@ -13,7 +13,7 @@ from online_loops import FOLLOWS, go, simulated
 import coopqp
 from coopqp.recordings.known import format_of, read
 from coopqp.scenario.catalog import Catalog
-from coopqp.study.recorded_tick import off_the_record, recorded_tick
+from coopqp.study.trace_file import off_the_record, recorded_tick
 
 pytest.importorskip("pyarrow")
 

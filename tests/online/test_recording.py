@@ -22,8 +22,7 @@ from coopqp.online.recording import ROOM, LiveRecording
 from coopqp.recordings.column import cells
 from coopqp.recordings.known import format_of, read
 from coopqp.scenario.catalog import Catalog
-from coopqp.study.recorded_tick import off_the_record, recorded_tick
-from coopqp.study.trace_file import state_from_trace
+from coopqp.study.trace_file import off_the_record, recorded_tick, state_from_trace
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from coopqp.recordings.known import NAMES, format_of, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
-from coopqp.study.recorded_tick import recorded_tick
 from coopqp.study.tick_record import TickRecord
+from coopqp.study.trace_file import recorded_tick
 
 PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow"}
 every_format = pytest.mark.parametrize("name", NAMES)

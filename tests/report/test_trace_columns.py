@@ -14,7 +14,7 @@ import coopqp
 from coopqp.comparison import Comparison
 from coopqp.recordings.column import unit_of
 from coopqp.report import files
-from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.trace_file import recorded_tick
 
 
 @pytest.fixture(scope="module")

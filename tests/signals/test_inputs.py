@@ -23,8 +23,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Circle, Input, Line, Waypoints
 from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.study.recorded_tick import recorded_tick
-from coopqp.study.trace_file import state_from_trace
+from coopqp.study.trace_file import recorded_tick, state_from_trace
 from coopqp.task import Task
 from coopqp.tasks import Distance, Orientation, PointOnPoint, Twist
 

@@ -18,7 +18,7 @@ from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
-from coopqp.study.trace_file import recording_from_trace
+from coopqp.study.trace_file import trace_from_file
 from coopqp.tasks import InternalWrench
 
 
@@ -63,7 +63,7 @@ def test_springs_are_said_to_bear_the_push_and_no_gain_is_spoken_of(tmp_path: Pa
     path = tmp_path / "trace.csv"
     trace = coopqp.run(scenario, controller="torque_qp")
     files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
-    found = explain_run(scenario, recording_from_trace(path, scenario, "torque_qp"))
+    found = explain_run(scenario, trace_from_file(path, scenario, "torque_qp"))
     assert found.kind == "springs"
     assert "gain" not in found.sentence
     assert "lasts until 9 s" in found.sentence
@@ -87,7 +87,8 @@ def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
     trace = replace(trace, task_error=error)
     path = tmp_path / "trace.csv"
     files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
-    read = recording_from_trace(path, scenario, "torque_qp").errors
+    ends = assess(trace_from_file(path, scenario, "torque_qp")).tasks
+    read = {task.name: task.error for task in ends}
     own = dict(zip((task.name for task in trace.tasks), assess(trace).errors.tolist(), strict=True))
     assert read == pytest.approx(own, rel=1e-5)
     assert read["press"] == pytest.approx(3.9, rel=0.02)

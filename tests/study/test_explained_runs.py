@@ -26,11 +26,15 @@ from coopqp.limits import (
     Obstacle,
     Obstacles,
 )
+from coopqp.phase_run import begin_phase
+from coopqp.row import Row
 from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.state import State
-from coopqp.study.explanation import explain_run, late, recording_of, words
+from coopqp.study.explanation import explain_run, late, words
 from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation.rerun import _Wider
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
 from coopqp.tasks import Twist
@@ -134,8 +138,8 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     x, y, z = (like.chain.start_position + np.array([0.0, 0.0, 0.11])).tolist()
     slab = Obstacle(box=(0.4, 0.4, 0.05), position=(x, y, z))
     limits = (*like.limits, Obstacles(shapes={"slab": slab}, bodies=("object",)))
-    leg = next(legs(replace(like, limits=limits), recording_of(run(like, controller="qp"))))
-    room = Room(leg.problem.chain, leg.problem.limits, leg.problem.dt)
+    leg = next(legs(replace(like, limits=limits), run(like, controller="qp")))
+    room = Room(leg.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
     told = late._told(Share(corner, 1.0), room, like.chain.q_start)
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
@@ -149,7 +153,7 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
 def test_joint_values_that_are_told_close_the_loops() -> None:
     """To two digits the hands were 13 mm apart."""
     scenario = load("point_on_point")
-    leg = next(legs(scenario, recording_of(run(scenario, controller="qp"))))
+    leg = next(legs(scenario, run(scenario, controller="qp")))
     said = words.start(leg.q[-1], leg.problem.chain)
     arms = dict(part.split(" ", 1) for part in said.split("; "))
     values = {arm: [float(x) for x in text.strip("[]").split(",")] for arm, text in arms.items()}
@@ -167,14 +171,27 @@ def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
     assert f"open by {1e3 * far:.3g} mm" in found.sentence
 
 
+def test_limits_are_as_wide_in_later_phases_as_in_the_first() -> None:
+    """Each phase takes over the chain of the one before, and once widened it again."""
+    like = load("regrasp")
+    joint = like.chain.joint_names[0]
+    row = Row(name="wide", kind="limit", joint=joint, side="upper")
+    known = {name: getattr(like, name) for name in Scenario.__dataclass_fields__}
+    wider = _Wider(**known, wider={row: 0.1})
+    begun = None
+    for _ in like.schedule:
+        begun = begin_phase(wider, wider.controllers["qp"], begun, timed=False)
+        more = begun.problem.chain.upper - like.chain.upper
+        assert more[0] == pytest.approx(0.1)
+        assert not more[1:].any()
+
+
 def test_a_run_of_nans_says_its_status() -> None:
     scenario = nao(REACH, duration=0.2)
-    recording = recording_of(run(scenario, controller="qp"))
-    recording.q[-1, 0] = np.nan
-    status = (*recording.status[:-1], "NOT_FINITE")
-    found = explain_run(
-        scenario, replace(recording, status=status, errors={"reach": np.nan}, assessment=None)
-    )
+    trace = run(scenario, controller="qp")
+    trace.q[-1, 0] = trace.task_error[-1] = np.nan
+    status = (*trace.status[:-1], "NOT_FINITE")
+    found = explain_run(scenario, replace(trace, status=status))
     assert found.kind == "failed"
     assert "the state or the answer has NaN or infinite values" in found.sentence
 

@@ -13,15 +13,14 @@ from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
-from coopqp.study.trace_file import recording_from_trace
+from coopqp.study.trace_file import trace_from_file
 
 
 def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunExplanation:
     trace = coopqp.run(scenario, controller=controller)
     path = folder / f"{controller}.csv"
     files.write_one(path, files.trace_csv(summarize(scenario, {controller: trace})))
-    recording = recording_from_trace(path, scenario, controller)
-    return explain_run(scenario, recording)
+    return explain_run(scenario, trace_from_file(path, scenario, controller))
 
 
 def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:

@@ -24,8 +24,7 @@ from coopqp.row import names_of
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.study.explanation import explain
-from coopqp.study.replay import replay
-from coopqp.study.tick_record import TickRecord
+from coopqp.study.tick_record import TickRecord, replay
 from coopqp.tasks import Orientation, PointOnPoint
 
 HARD_AND_SOFT = (

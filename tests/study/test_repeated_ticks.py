@@ -17,7 +17,7 @@ from coopqp.limits import FollowingError, JointPosition, JointVelocity
 from coopqp.plant import Plant
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.report import files
-from coopqp.study.recorded_tick import recorded_tick
+from coopqp.study.trace_file import recorded_tick
 
 WRONG = Disturbance(
     grasp_offset=2e-3, encoder_offset=5e-3, noise_position=1e-4, delay=2, slip=Slip(at=0.5, by=5e-3)

@@ -24,8 +24,8 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import (
     blocked_tick,
-    recording_from_trace,
     state_from_trace,
+    trace_from_file,
 )
 
 
@@ -119,7 +119,7 @@ def test_a_damaged_trace_names_the_line(
     path = tmp_path / "trace.csv"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(CoopqpError, match=rf"trace\.csv:{line}: {words}"):
-        recording_from_trace(path, scenario, "qp")
+        trace_from_file(path, scenario, "qp")
 
 
 @pytest.mark.parametrize("wrong", ["file", "controller"])
@@ -167,4 +167,4 @@ def test_a_run_in_which_an_arm_lets_go_and_moves_is_read(tmp_path: Path) -> None
     path = tmp_path / "trace.csv"
     path.write_text(files.trace_csv(compare(scenario)), encoding="utf-8")
     held = scenario.held_by("qp")
-    assert len(recording_from_trace(path, scenario, "qp").v) == held.ticks
+    assert len(trace_from_file(path, scenario, "qp").v) == held.ticks

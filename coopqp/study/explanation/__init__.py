@@ -1,9 +1,8 @@
 """Why a run did not reach its goal and what would do, and why a tick fell short.
 
 whole          a run: from its end to a sentence
-leg            a phase of a run as it was
+leg, answer    a phase of a run as it was; what is said of it
 lost           an object that hands which press have lost
-springs        tasks that give way to a push, by F/K
 goal, room     where tasks want the arms to be; where limits let them
 search         inverse kinematics inside or without the limits
 diagnosis      limits, reach, contradiction, too few freedoms
@@ -11,25 +10,29 @@ shares         which limits hold back, by force
 excess, cure   what would do, and a rerun that shows it
 rerun          the run again with something changed
 contradiction  tasks that cannot hold together
-motion, late   what slows a run that geometry does not block
+late           what slows a run that geometry does not block
 velocity       velocities that could not be followed
 words          the sentences
-asked          one tick: what was asked, and the answer
 unmet          hard and scaled tasks that are not met in full
-tick           the same tick: what leaves it no motion
+asked, tick    one tick: what was asked, and the answer; what leaves it no motion
 standing       arms at rest now: what keeps them from their goals
 """
 
+from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import Asked, asked_now
-from coopqp.study.explanation.leg import Recording, recording_of
 from coopqp.study.explanation.standing import Standing, explain_standing
-from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain, explain_asked
-from coopqp.study.explanation.whole import RunExplanation, explain_run
+from coopqp.study.explanation.tick import (
+    Explanation,
+    Relaxation,
+    at_bound,
+    explain,
+    explain_asked,
+)
+from coopqp.study.explanation.whole import explain_run
 
 __all__ = [
     "Asked",
     "Explanation",
-    "Recording",
     "Relaxation",
     "RunExplanation",
     "Standing",
@@ -39,5 +42,4 @@ __all__ = [
     "explain_asked",
     "explain_run",
     "explain_standing",
-    "recording_of",
 ]

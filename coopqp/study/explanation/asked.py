@@ -1,4 +1,12 @@
-"""What a tick was asked, and its answer: the arrays that an explanation reads."""
+"""What a tick was asked, and its answer: kept, now, or looked at again; what held it back.
+
+In ticks in which the tasks were not followed, multipliers tell what held them back:
+
+    minimise |Z' (J' W (wanted - J v) - sum mu_i n_i)|,   mu_i >= 0
+
+with n_i the limits at their bound in that tick, Z the motions that keep the loops closed. Of a run
+the shares mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +16,23 @@ from functools import cached_property
 
 import numpy as np
 
+from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.checked import Array
 from coopqp.controller import Command, ControlProblem
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.safety import drift_gain
+from coopqp.rank import null_space
 from coopqp.row import Row
 from coopqp.solver import Status, causes_of
 from coopqp.state import State
-from coopqp.study.tick_record import TickRecord, bounding
+from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.room import PLACE_UNITS
+from coopqp.study.explanation.shares import Share, forces, shares
+from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
+
+#: Most ticks of a run that are looked at, and what one is off by to count [m/s, rad/s].
+TICKS, BEHIND = 150, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +75,18 @@ class Asked:
         """The limits that lb, ub and h come from, in this order."""
         return self.name_limits()
 
+    def at_limits(self, near: float) -> list[tuple[Row, Array]]:
+        """Those that the answer is so near to, each with the joint motion that breaks it."""
+        eye = np.eye(len(self.v))
+        ways = np.vstack([-eye, eye, self.G])
+        at = np.flatnonzero(self.slack < near).tolist()
+        return [(self.limit_rows[i], ways[i]) for i in at]
+
+    def forces(self, near: float, weights: Array | float = 1.0) -> list[tuple[Row, float]]:
+        """What holds the tasks back of what the answer is so near to, by :func:`forces`."""
+        Z, missed = null_space(self.A), self.wanted - self.J @ self.v
+        return forces(Z.T @ self.J.T @ (weights * missed), Z, self.at_limits(near))
+
 
 def asked_then(record: TickRecord) -> Asked:
     """What a kept tick was asked; hard and scaled tasks are tasks here."""
@@ -74,13 +102,9 @@ def asked_then(record: TickRecord) -> Asked:
 
 
 def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: Command) -> Asked:
-    """What a tick is asked at a state with its joints inside their limits.
+    """What a tick is asked at a state with its joints inside their limits, and its answer.
 
-    Args:
-        problem: what is controlled.
-        state: up to date.
-        tasks: those of the problem, up to date.
-        command: the tick's answer.
+    State and tasks are up to date.
     """
     bounds = Bounds(problem.chain, problem.limits, state, problem.dt)
     bounds.update(state)
@@ -90,6 +114,62 @@ def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: 
         lb=bounds.lb, ub=bounds.ub, G=bounds.G, h=bounds.h,
         J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows,
         modes={task.name: task.mode for task in problem.tasks}, v=command.v,
-        name_limits=lambda: [row for side in bounding(problem, state) for row in side]
-        + [*bounds.rows],
+        name_limits=lambda: NamedBounds(problem, state).rows,
     )  # fmt: skip
+
+
+class Ticks:
+    """The ticks of a leg, whose law commands velocities, looked at again one by one.
+
+    State and stack of tasks are those of the last that was looked at.
+    """
+
+    def __init__(self, leg: Leg) -> None:
+        self._leg, problem = leg, leg.problem
+        self.state = State(problem.chain)
+        self.stack = TaskStack(problem.tasks, State(problem.chain))
+
+    def look(self, k: int) -> Array:
+        """Bring all to tick k; what its tasks missed, wanted - J v."""
+        state, leg = self.state, self._leg
+        state.q[:], state.t = leg.q[k], k * leg.problem.dt
+        state.v[:] = leg.v[k - 1] if k else 0.0
+        state.inputs = leg.followed(k)
+        state.update()
+        self.stack.update(state)
+        return np.asarray(self.stack.wanted - self.stack.J @ leg.v[k], float)
+
+    @cached_property
+    def _limits(self) -> NamedBounds:
+        return NamedBounds(self._leg.problem, self.state)
+
+    def forces(self, k: int) -> list[tuple[Row, float]]:
+        """What held tick k back, each limit with its force; their sum is what was missed."""
+        missed, leg, stack, state = self.look(k), self._leg, self.stack, self.state
+        if np.abs(missed).max(initial=0.0) <= BEHIND:
+            return []
+        limits = self._limits
+        limits.update(state)
+        tick = Asked(
+            causes=leg.causes[k], dt=leg.problem.dt,
+            A=state.J_loop, b=state.e_loop * -drift_gain(leg.problem, state),
+            lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
+            J=stack.J, wanted=stack.wanted, task_rows=stack.rows, modes={}, v=leg.v[k],
+            name_limits=lambda: limits.rows,
+        )  # fmt: skip
+        found = tick.forces(AT_LIMIT, stack.weights)
+        total, size = sum(amount for _, amount in found), float(np.linalg.norm(missed))
+        return [(row, amount / total * size) for row, amount in found if total > 0.0]
+
+
+def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
+    """Which limits held a run up in some ticks or all, the largest share first."""
+    look, ticks = Ticks(leg), ticks or range(len(leg.v))
+    some = ticks[:: max(1, len(ticks) // TICKS)]
+    return shares(force for k in some for force in look.forces(k))
+
+
+def speed_share(shares: Sequence[Share]) -> float:
+    """What limits of speeds and accelerations, and of no place, have of the force."""
+    rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
+    return sum(share.share for share in rates)

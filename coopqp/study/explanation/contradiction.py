@@ -17,7 +17,7 @@ import pinocchio as pin
 from coopqp.checked import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.search import RESTARTS, Search
+from coopqp.study.explanation.search import Search
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -30,23 +30,16 @@ OF_OBJECT = 1e-6
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Tasks that cannot hold together, none of which could be left out.
-
-    Attributes:
-        tasks: at least two; one alone cannot be met.
-        any_robot: whether a free object could not do it either.
-    """
+    """Two tasks or more that cannot hold together, on any robot if a free object cannot either."""
 
     tasks: tuple[Task, ...]
     any_robot: bool
 
 
 def irreducible(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
-    """A subset that fails and of which every smaller one holds (deletion filter).
+    """A subset that fails, and of which every smaller one holds (deletion filter).
 
-    Args:
-        tasks: that fail together, or their names.
-        fails: whether a set of them cannot hold.
+    All of these tasks, or names of tasks, fail together.
     """
     kept = tuple(tasks)
     for task in tasks:
@@ -56,23 +49,23 @@ def irreducible(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> t
     return kept
 
 
+def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
+    """Such a subset of two or more; none where all hold, or one alone fails."""
+    found = irreducible(tasks, fails) if len(tasks) > 1 and fails(tuple(tasks)) else ()
+    return found if len(found) > 1 else ()
+
+
 def on_a_free_object(goal: Goal) -> tuple[Task, ...]:
     """Tasks of the object that contradict each other on any robot; empty where none do."""
     if goal.chain.n < 6:
         return ()
     own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
-    if not own or not _free_fails(goal.only(own)):
-        return ()
-    return irreducible(own, lambda some: _free_fails(goal.only(some)))
+    return contradicting(own, lambda some: _free_fails(goal.only(some)))
 
 
-def on_this_robot(goal: Goal, q: Array, restarts: int = RESTARTS) -> tuple[Task, ...]:
-    """A smallest set of tasks that cannot hold on the robot without limits."""
-
-    def fails(some: tuple[Task, ...]) -> bool:
-        return not Search(goal.only(some)).best(q, restarts).reached
-
-    return irreducible(goal.tasks, fails)
+def on_this_robot(goal: Goal, q: Array) -> tuple[Task, ...]:
+    """A smallest set of tasks that cannot hold on the robot without limits, maybe one alone."""
+    return irreducible(goal.tasks, lambda some: not Search(goal.only(some)).best(q).reached)
 
 
 def _of_object(goal: Goal) -> bool:
@@ -86,40 +79,26 @@ def _of_object(goal: Goal) -> bool:
 
 def _free_fails(goal: Goal) -> bool:
     """Whether no pose of a free object that was found fulfils the tasks."""
-    body, rng = _FreeObject(goal), np.random.default_rng(0)
-    for i in range(FREE_STARTS):
-        spread = np.repeat([0.3 * goal.chain.reach, 1.0], 3)
-        if body.miss(rng.normal(size=6) * spread * min(i, 1)) <= 1.0:
-            return False
-    return True
+    state, root, rng = goal.state, np.sqrt(goal.weights), np.random.default_rng(0)
+    goal.look(goal.chain.q_start)
+    p, R = state.p_WO.copy(), state.R_WO.copy()
 
-
-class _FreeObject:
-    """The tasks of an object that nothing holds."""
-
-    def __init__(self, goal: Goal) -> None:
-        self._goal = goal
-        goal.look(goal.chain.q_start)
-        self._p, self._R = goal.state.p_WO.copy(), goal.state.R_WO.copy()
-        self._root = np.sqrt(goal.weights)
-        self._steps = BoundedSteps(6)
-
-    def miss(self, x: Array) -> float:
-        """Largest error over its tolerance at the end of the way down from x."""
-        tolerance = min(p.part.tolerance for p in self._goal.parts)
-        small = 0.05 * tolerance * float(self._root.min())
-        stop = Stop(FREE_STEPS, FREE_STEP, lambda r: bool(np.abs(r).max() < small))
-        far = np.full(6, np.inf)
-        self._steps.descend(x, self._residual, (-far, far), stop)
-        self._residual(x)
-        return self._goal.miss
-
-    def _residual(self, x: Array) -> tuple[Array, Array]:
-        goal, state = self._goal, self._goal.state
-        state.p_WO[:] = self._p + x[:3]
-        state.R_WO[:] = pin.exp3(x[3:]) @ self._R
+    def residual(x: Array) -> tuple[Array, Array]:
+        state.p_WO[:] = p + x[:3]
+        state.R_WO[:] = pin.exp3(x[3:]) @ R
         state.J_task[:] = 0.0
         state.J_task[:3, :3] = np.eye(3)
         state.J_task[3:, 3:6] = pin.Jexp3(-x[3:])  # the left Jacobian
         goal.stack.update(state)
-        return self._root * goal.stack.e, self._root[:, None] * goal.stack.J[:, :6]
+        return root * goal.stack.e, root[:, None] * goal.stack.J[:, :6]
+
+    small = 0.05 * min(part.part.tolerance for part in goal.parts) * float(root.min())
+    stop = Stop(FREE_STEPS, FREE_STEP, lambda r: bool(np.abs(r).max() < small))
+    steps, far = BoundedSteps(6), np.full(6, np.inf)
+    for i in range(FREE_STARTS):
+        x = rng.normal(size=6) * np.repeat([0.3 * goal.chain.reach, 1.0], 3) * min(i, 1)
+        steps.descend(x, residual, (-far, far), stop)
+        residual(x)
+        if goal.miss <= 1.0:
+            return False
+    return True

@@ -7,20 +7,21 @@ then the run is made without limits of place, and the largest overrun on the way
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.row import Row
-from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import words
+from coopqp.study.explanation.answer import Needed, RunExplanation
 from coopqp.study.explanation.diagnosis import BlockedByLimits
 from coopqp.study.explanation.excess import Excess, excess_at, least_excess
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.rerun import Change, arrival, longer, rerun
+from coopqp.study.explanation.rerun import arrival, rerun, without_places
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import NEAR, Search
+from coopqp.study.explanation.shares import Share, thing_of
 
 #: What is told is more than the least by this share and this much [rad, m], rounded up.
 SHARE, MORE = 1.05, 5e-4
@@ -31,154 +32,138 @@ STARTS = 5
 
 
 @dataclass(frozen=True)
-class Need:
-    """What one limit would have to give.
-
-    Attributes:
-        row: of the limit, or one of them where it moves as a whole.
-        amount: [rad or m].
-        space: index of the limit in ``Room.limits``; None for a joint's.
-    """
-
-    row: Row
-    amount: float
-    space: int | None = None
-
-
-@dataclass(frozen=True)
 class Cure:
     """Amounts, and what came of trying them.
 
     Attributes:
         needs: what all limits would have to give, the largest first.
-        reached: whether the rerun with exactly these amounts reached the goal; None if untried,
-            because a limit has no setting that gives so much.
-        left: what the rerun ended off by, as the leg tells; None where it reached.
+        after: the rerun with exactly these amounts; None if untried, because a limit has no
+            setting that gives so much.
         time: that it takes then, where that is more than the run has [s].
     """
 
-    needs: tuple[Need, ...]
-    reached: bool | None
-    left: Leg | None = None
+    needs: tuple[Excess, ...]
+    after: Leg | None
     time: float | None = None
 
+    @property
+    def reached(self) -> bool | None:
+        """Whether the rerun reached the goal; None without one."""
+        return None if self.after is None else not self.after.missed
 
-Report = Callable[[float], None]
 
-
-def cure(
-    scenario: Scenario,
-    controller: str,
-    leg: Leg,
-    goal: Goal,
-    room: Room,
-    blocked: BlockedByLimits,
-    report: Report,
+def by_geometry(
+    leg: Leg, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> Cure | None:
-    """Amounts that would do; None where none were found.
-
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        leg: that missed.
-        goal: of its tasks.
-        room: its limits.
-        blocked: where limits hold back, and configurations at the goal.
-        report: called with the share that is done.
-    """
-    least = least_excess(goal, room, starts_at(goal, blocked))
+    """Amounts that would do where limits keep a leg from its goal; None where none were found."""
+    needs = least_needs(goal, leg.room, found)
     report(0.5)
-    first = _tried(scenario, controller, leg, room, least, goal) if least else None
+    first = _tried(leg, needs, goal)
     if first and first.reached:
         return first
     report(0.7)
-    return way_of(scenario, controller, leg, room, goal) or first
+    return by_rerun(leg, goal) or first
 
 
-def way_of(
-    scenario: Scenario, controller: str, leg: Leg, room: Room, goal: Goal | None
-) -> Cure | None:
+def by_rerun(leg: Leg, goal: Goal | None) -> Cure | None:
     """What is enough by construction: the overrun of a run without limits of place.
 
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        leg: that missed.
-        room: its limits.
-        goal: of its tasks, to be given more time; None where that is no help.
+    Where the goal is given, more time is tried as well.
     """
-    change = Change(without_places=True)
-    free = rerun(scenario, controller, leg.phase, change)
+    limits = without_places(leg.scenario)
+    free = rerun(leg, limits=limits)
     if free.missed and goal:
-        free = rerun(scenario, controller, leg.phase, replace(change, longer=longer(leg)))
+        free = rerun(leg, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(scenario, controller, leg, room, excess_at(room, free.q), goal)
+    return _tried(leg, _told(excess_at(leg.room, free.q)), goal)
 
 
-def starts_at(goal: Goal, blocked: BlockedByLimits) -> list[np.ndarray]:
-    """Configurations at the goal: that which was found, and others near by."""
+def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Excess, ...]:
+    """The least of what was found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
-    found = list(blocked.starts)
-    for _ in range(STARTS - len(found)):
-        other = search.from_(blocked.starts[0] + rng.normal(scale=NEAR, size=goal.chain.n))
+    starts = [found.start]
+    for _ in range(STARTS - 1):
+        other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
         if other.reached:
-            found.append(other.q)
-    return found
+            starts.append(other.q)
+    return _told(least_excess(goal, room, starts))
 
 
-def _tried(
-    scenario: Scenario, controller: str, leg: Leg, room: Room, excess: Excess, goal: Goal | None
-) -> Cure | None:
+def _tried(leg: Leg, needs: tuple[Excess, ...], goal: Goal | None) -> Cure | None:
     """A rerun with what would have to be given, as it is told."""
-    needs = needs_of(room, excess)
     if not needs:
         return None
-    change = _change(room, needs)
-    if change is None:
-        return Cure(needs, None)
-    after = rerun(scenario, controller, leg.phase, change)
-    if not after.missed:
-        return Cure(needs, True)
-    if goal:
-        late = rerun(scenario, controller, leg.phase, replace(change, longer=longer(leg)))
-        if not late.missed:
-            return Cure(needs, True, time=arrival(goal, late))
-    return Cure(needs, False, after)
-
-
-def needs_of(room: Room, excess: Excess) -> tuple[Need, ...]:
-    """What limits would have to give, as it is told; the largest first."""
-    joints = [Need(row, rounded_up(x)) for row, x in excess.joints.items()]
-    spaces = [
-        Need(room.rows[_deepest(room, excess, owner)], rounded_up(x), owner)
-        for owner, x in excess.spaces.items()
-    ]
-    return tuple(sorted([*joints, *spaces], key=lambda need: -need.amount))
-
-
-def _deepest(room: Room, excess: Excess, owner: int) -> int:
-    """The row of a limit in space that is broken most."""
-    own = [i for i, other in enumerate(room.owners) if other == owner]
-    return own[int(np.argmin(room.at(excess.q)[own]))]
-
-
-def _change(room: Room, needs: tuple[Need, ...]) -> Change | None:
-    """The limits with so much more room; None where one cannot give it."""
-    limits = []
+    limits = leg.scenario.limits
     for need in needs:
         if need.space is not None:
-            limit = room.limits[need.space]
-            other = limit.eased(need.amount)
-            if other is None:
-                return None
-            limits.append((limit, other))
-    joints = {need.row: need.amount for need in needs if need.space is None}
-    return Change(joints=joints, limits=tuple(limits))
+            limit = leg.room.limits[need.space]
+            eased = limit.eased(need.amount)
+            if eased is None:
+                return Cure(needs, None)
+            limits = tuple(eased if other is limit else other for other in limits)
+    wider = {need.row: need.amount for need in needs if need.space is None}
+    after = rerun(leg, wider=wider, limits=limits)
+    if after.missed and goal:
+        late = rerun(leg, longer=True, wider=wider, limits=limits)
+        if not late.missed:
+            return Cure(needs, late, arrival(goal, late))
+    return Cure(needs, after)
 
 
-def rounded_up(amount: float) -> float:
+def _told(found: Sequence[Excess]) -> tuple[Excess, ...]:
+    """What limits would have to give, as it is told; the largest first."""
+    told = [replace(excess, amount=_rounded_up(excess.amount)) for excess in found]
+    return tuple(sorted(told, key=lambda need: -need.amount))
+
+
+def _rounded_up(amount: float) -> float:
     """An amount as it is told: a little more than the least, in two digits [rad or m]."""
     more = SHARE * amount + MORE
     step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
     return round(math.ceil(more / step - 1e-9) * step, 9)
+
+
+def with_cure(
+    base: RunExplanation, shares: Sequence[Share], cure: Cure | None, *more: str
+) -> RunExplanation:
+    """That limits hold a run back, and what would do."""
+    said = "; ".join([words.holding(shares), _said(cure, shares), *more])
+    if cure is None:
+        return base.because("limits", said, shares)
+    needed = tuple(
+        Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
+        for n in cure.needs
+    )
+    return base.because("limits", said, shares, needed=needed, tried=cure.reached, time=cure.time)
+
+
+def _said(cure: Cure | None, shares: Sequence[Share]) -> str:
+    """What would do, and whether it was seen to."""
+    if cure is None:
+        return "even without limits of place the law does not get there"
+    now = {thing_of(share.row) for share in shares}
+    first = [need for need in cure.needs if thing_of(need.row) in now]
+    later = [need for need in cure.needs if thing_of(need.row) not in now]
+    text = f"to get there {needed(first)}" if first else "to get there"
+    if later:
+        text += (
+            f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
+        )
+    if cure.after is None:
+        return f"{text} (not tried: no setting gives so much)"
+    if cure.after.missed:
+        return f"{text}; tried, but then {words.stops(cure.after)}"
+    time = "" if cure.time is None else f" and the run {cure.time:.3g} s"
+    return f"{text}{time} (tried: reached)"
+
+
+def needed(needs: Sequence[Excess], *, alone: bool = True) -> str:
+    """Amounts that limits would have to give, each beside its limit; the verb with the first."""
+    said: list[str] = []
+    for need in needs:
+        name = need.row.words if need.space is None else need.row.owner.replace("_", " ")
+        amount = words.size(need.amount, need.row.unit)
+        verb = "would need " if alone and not said else ""
+        said.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
+    return words.listed(said)

@@ -17,7 +17,7 @@ import numpy as np
 
 from coopqp.assessment.thresholds import BEYOND
 from coopqp.checked import Array
-from coopqp.rank import independent_rows
+from coopqp.rank import independent_rows, null_space
 from coopqp.study.explanation.contradiction import (
     Contradiction,
     on_a_free_object,
@@ -25,7 +25,7 @@ from coopqp.study.explanation.contradiction import (
 )
 from coopqp.study.explanation.goal import Goal, PartOfTask
 from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.search import Place, Search, free_of_loops
+from coopqp.study.explanation.search import Place, Search
 from coopqp.study.explanation.shares import Share, forces, shares
 
 #: Limits that cost less of the distance are not told of; a restart nearer by this is.
@@ -36,11 +36,7 @@ POSES, AWAY, RANK = 5, 0.3, 1e-4
 
 @dataclass(frozen=True)
 class NotBlocked:
-    """The goal can be reached inside the limits from where the run has ended.
-
-    Attributes:
-        place: where.
-    """
+    """The goal can be reached inside the limits from where the run has ended."""
 
     place: Place
 
@@ -52,13 +48,13 @@ class BlockedByLimits:
     Attributes:
         shares: of the limits that hold back where the search inside them ends.
         place: where that is.
-        starts: configurations at the goal, outside the limits.
+        start: a configuration at the goal, outside the limits.
         elsewhere: one at the goal inside the limits, that cannot be reached from here.
     """
 
     shares: tuple[Share, ...]
     place: Place
-    starts: tuple[Array, ...]
+    start: Array
     elsewhere: Place | None = None
 
 
@@ -66,9 +62,7 @@ class BlockedByLimits:
 class Elsewhere:
     """The goal can be reached inside the limits, but from another configuration only.
 
-    Attributes:
-        shares: of the limits that hold back here.
-        place: at the goal.
+    The limits hold back here by their shares; the place is at the goal.
     """
 
     shares: tuple[Share, ...]
@@ -77,12 +71,7 @@ class Elsewhere:
 
 @dataclass(frozen=True)
 class TooFewFreedoms:
-    """The loops leave fewer motions than one task asks for.
-
-    Attributes:
-        goal: of that task.
-        asked, left: how many.
-    """
+    """The loops leave fewer motions than the goal's one task asks for."""
 
     goal: Goal
     asked: int
@@ -119,17 +108,12 @@ class OutOfReach:
         return float(np.linalg.norm(self.gap))
 
 
-Diagnosis = NotBlocked | BlockedByLimits | Elsewhere | Contradiction | TooFewFreedoms | OutOfReach
+Unreachable = Elsewhere | Contradiction | TooFewFreedoms | OutOfReach
+Diagnosis = NotBlocked | BlockedByLimits | Unreachable
 
 
 def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
-    """What geometry says.
-
-    Args:
-        goal: of all tasks that have a place.
-        room: the limits.
-        q: where the run has ended.
-    """
+    """What geometry says of a run that has ended at q, of all its tasks that have a place."""
     inside, free = Search(goal, room), Search(goal)
     at = inside.from_(q)
     if at.reached:
@@ -157,16 +141,15 @@ def _blocked(
     other_or_none = other if other.reached else None
     if other_or_none and not (near.reached and room.overrun(near.q) > BEYOND):
         return Elsewhere(held, other)
-    return BlockedByLimits(held, at, (found.q,), other_or_none)
+    return BlockedByLimits(held, at, found.q, other_or_none)
 
 
 def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
     """Shares of the limits that hold the goal back at a configuration."""
-    Z = free_of_loops(goal, q)
+    goal.look(q)
+    Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
-    found = [(row, Z.T @ way) for row, way in room.at_bound(q)]
-    found = [(row, way) for row, way in found if np.linalg.norm(way) > 1e-9]
-    return shares([row for row, _ in found], forces(pull, [way for _, way in found]))
+    return shares(forces(pull, Z, room.at_bound(q)))
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
@@ -186,8 +169,8 @@ def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
     for _ in range(POSES):
         place = closing.from_(q + rng.normal(scale=AWAY, size=len(q)))
         if place.valid:
-            Z = free_of_loops(goal, place.q)
-            within.append(goal.stack.J @ Z)
+            goal.look(place.q)
+            within.append(goal.stack.J @ null_space(goal.state.J_loop))
             alone.append(goal.stack.J.copy())
     if not within:
         return [], 0, 0
@@ -205,8 +188,8 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
     if not here.valid:
         here = best
     nearer = best.valid and free.cost(best) < (1.0 - WORTH_TELLING) ** 2 * free.cost(here)
-    part = max(goal.parts, key=lambda p: _share(p, here.e))
-    distance, with_limits = _size(part, here.e), _size(part, at.e)
+    part = max(goal.parts, key=lambda p: p.size(here.e) / p.part.tolerance)
+    distance, with_limits = part.size(here.e), part.size(at.e)
     cost = with_limits - distance if at.valid else 0.0
     told = cost > WORTH_TELLING * with_limits
     return OutOfReach(
@@ -233,11 +216,3 @@ def _in_world(goal: Goal, part: PartOfTask, q: Array) -> bool:
     left = (goal.stack.J[part.rows] - J_v).T
     left = left - J_w.T @ np.linalg.lstsq(J_w.T, left, rcond=None)[0]
     return bool(np.linalg.norm(left) < 1e-9 * max(float(np.linalg.norm(J_v)), 1e-9))
-
-
-def _size(part: PartOfTask, e: Array) -> float:
-    return float(np.linalg.norm(e[part.rows]))
-
-
-def _share(part: PartOfTask, e: Array) -> float:
-    return _size(part, e) / part.part.tolerance

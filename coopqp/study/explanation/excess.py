@@ -38,53 +38,47 @@ NOTHING = 1e-4
 
 @dataclass(frozen=True)
 class Excess:
-    """By how much a configuration is outside.
+    """By how much one limit is exceeded.
 
     Attributes:
-        q: the configuration, shape (n,).
-        joints: by the row of the joint's side [rad, m].
-        spaces: by the index of the limit in ``Room.limits`` [m].
-        total: the sum as above.
+        row: of the limit, or the one that is broken most where it moves as a whole.
+        amount: [rad or m].
+        space: index of the limit in ``Room.limits``; None for a joint's.
     """
 
-    q: Array
-    joints: dict[Row, float]
-    spaces: dict[int, float]
-    total: float
+    row: Row
+    amount: float
+    space: int | None = None
 
 
-def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> Excess | None:
-    """The least of several local minima, each from a configuration at the goal.
+def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Excess]:
+    """The least of several local minima; none where the goal is lost from all starts.
 
-    Args:
-        goal: what must hold.
-        room: the limits.
-        starts: configurations where the goal holds and the loops are closed.
+    At these configurations the goal holds and the loops are closed.
     """
     programs = _Programs(goal, room)
     found = [excess for q in starts if (excess := programs.shrink(q)) is not None]
-    return min(found, key=lambda excess: excess.total, default=None)
+    return min(found, key=_total, default=[])
 
 
-def excess_at(room: Room, qs: Array) -> Excess:
-    """The largest excess of each limit along configurations, shape (T, n); q is the last."""
-    joints: dict[Row, float] = {}
+def excess_at(room: Room, qs: Array) -> list[Excess]:
+    """The largest excess of each limit along configurations, shape (T, n)."""
+    found = []
     for (i, side), row in room.sides.items():
         out = room.lower[i] - qs[:, i] if side == "lower" else qs[:, i] - room.upper[i]
-        if out.max() > NOTHING:
-            joints[row] = float(out.max())
-    spaces: dict[int, float] = {}
-    if room.rows:
-        rooms = np.array([room.at(q) for q in qs]).min(axis=0)
-        for owner, left in zip(room.owners, rooms.tolist(), strict=True):
-            if left < -NOTHING:
-                spaces[owner] = max(spaces.get(owner, 0.0), -left)
-    return Excess(qs[-1].copy(), joints, spaces, _total(room, joints, spaces))
+        found.append(Excess(row, float(out.max())))
+    rooms = np.array([room.at(q) for q in qs])
+    for space in dict.fromkeys(room.owners):
+        own = np.flatnonzero(np.array(room.owners) == space)
+        row = room.rows[own[rooms[-1, own].argmin()]]
+        found.append(Excess(row, float(-rooms[:, own].min()), space))
+    return [excess for excess in found if excess.amount > NOTHING]
 
 
-def _total(room: Room, joints: dict[Row, float], spaces: dict[int, float]) -> float:
-    turned = sum(amount * (METRE if row.unit == "m" else 1.0) for row, amount in joints.items())
-    return turned + METRE * sum(spaces.values())
+def _total(found: Sequence[Excess]) -> float:
+    return sum(
+        x.amount * (METRE if x.space is not None or x.row.unit == "m" else 1.0) for x in found
+    )
 
 
 class _Programs:
@@ -115,18 +109,14 @@ class _Programs:
 
     def _fill_sides(self) -> None:
         """What does not change: d_j - s_j <= room, and the same below."""
-        G, n, row = self._qp.G, self._goal.chain.n, 0
-        for i in self._low:
-            G[row, i] = G[row, n + i] = -1.0
-            row += 1
-        for i in self._high:
-            G[row, i], G[row, n + i] = 1.0, -1.0
-            row += 1
-        for owner in self._room.owners:
-            G[row, 2 * n + owner] = -1.0
-            row += 1
+        low, high, n = self._low, self._high, self._goal.chain.n
+        joints, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
+        self._qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(low), len(high)])
+        self._qp.G[rows, n + joints] = -1.0
+        spaces = len(joints) + np.arange(len(self._room.owners))
+        self._qp.G[spaces, 2 * n + np.array(self._room.owners, int)] = -1.0
 
-    def shrink(self, start: Array) -> Excess | None:
+    def shrink(self, start: Array) -> list[Excess] | None:
         """A local minimum near a start; None where the goal is lost."""
         q, step = self._back(start), STEP
         merit, off = self._merit(q)
@@ -165,13 +155,12 @@ class _Programs:
         joints = np.maximum(room.lower - q, q - room.upper).clip(0.0)
         total = float(joints @ self._qp.q[len(q) : 2 * len(q)])
         spaces = np.zeros(len(room.limits))
-        if room.rows:
-            np.maximum.at(spaces, room.owners, -room.at(q))
+        np.maximum.at(spaces, np.array(room.owners, int), -room.at(q))
         off = np.abs(np.concatenate([goal.state.e_loop, goal.stack.e])).sum()
         missed = max(goal.miss, goal.open / 1e-4)
         return total + METRE * float(spaces.sum()) + OFF * float(off), missed
 
-    def _step(self, q: Array, most: float) -> Array | None:
+    def _step(self, q: Array, farthest: float) -> Array | None:
         room, qp, n = self._room, self._qp, len(q)
         C, r = self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
@@ -179,13 +168,11 @@ class _Programs:
         qp.A[:], qp.b[:] = 0.0, 0.0
         qp.A[:kept, :n] = Vt[:kept]
         qp.b[:kept] = -(U[:, :kept].T @ r) / values[:kept]
-        qp.lb[:n], qp.ub[:n] = -most, most
+        qp.lb[:n], qp.ub[:n] = -farthest, farthest
         low, high = self._low, self._high
-        qp.h[: len(low)] = q[low] - room.lower[low]
-        qp.h[len(low) : len(low) + len(high)] = room.upper[high] - q[high]
-        if room.rows:
-            qp.h[len(low) + len(high) :] = room.at(q)
-            qp.G[len(low) + len(high) :, :n] = -room.gradient(q)
+        sides = q[low] - room.lower[low], room.upper[high] - q[high]
+        qp.h[:] = np.concatenate([*sides, room.at(q)])
+        qp.G[len(low) + len(high) :, :n] = -room.gradient(q)
         qp.seal()
         self._solve()
         return self._solution.v[:n].copy() if self._solution.status.usable else None

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.assessment.thresholds import within
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.signal import Followed
@@ -25,34 +26,28 @@ PER_LEVEL = 0.1
 
 @dataclass(frozen=True)
 class PartOfTask:
-    """Rows of a task that share a unit.
-
-    Attributes:
-        task: whose.
-        part: which.
-        rows: in the goal's stack.
-        name: as in the trace.
-    """
+    """Rows of a task that share a unit; they are ``rows`` of the goal's stack."""
 
     task: Task
     part: Part
     rows: slice
     name: str
 
+    def size(self, e: Array) -> float:
+        """Its error, of those of all rows [its unit]."""
+        return float(np.linalg.norm(e[self.rows]))
+
+
+Missed = tuple[PartOfTask, float]
+"""A part outside its tolerance, with its error."""
+
 
 class Goal:
-    """What tasks ask for at one time.
-
-    Args:
-        chain: from whose start the references set out.
-        tasks: each with a place, :func:`placed`.
-        t: when [s].
-        inputs: what is made of inputs then.
+    """What tasks with a place, :func:`placed`, ask for at one time t [s].
 
     Attributes:
-        parts: of all tasks.
-        state: up to date after :meth:`look`.
-        stack: likewise.
+        state, stack: up to date after :meth:`look`.
+        parts: of all tasks; their references set out from the chain's start.
         weights: of the rows, at most 1; those of a later priority count less.
     """
 
@@ -70,11 +65,7 @@ class Goal:
         self._counts = np.ones(len(weights))
 
     def masked(self, kept: Sequence[int]) -> Goal:
-        """The same, but only some rows count.
-
-        Args:
-            kept: indices of the rows.
-        """
+        """The same, but only some rows count, by their indices."""
         other = self.only(self.tasks)
         other._counts = np.isin(np.arange(len(self.weights)), kept).astype(float)
         other.weights = other.weights * other._counts
@@ -93,7 +84,12 @@ class Goal:
     def errors(self) -> Array:
         """Error of each part at the last look [the part's unit]."""
         e = self._counts * self.stack.e
-        return np.array([float(np.linalg.norm(e[p.rows])) for p in self.parts])
+        return np.array([part.size(e) for part in self.parts])
+
+    def missed(self, q: Array) -> tuple[Missed, ...]:
+        """Parts that miss at a configuration, the most important first."""
+        self.look(q)
+        return missed_of(self.parts, self.errors().tolist())
 
     @property
     def miss(self) -> float:
@@ -105,6 +101,14 @@ class Goal:
     def open(self) -> float:
         """How far the loops are open at the last look [m, rad]."""
         return float(np.abs(self.state.e_loop).max(initial=0.0))
+
+
+def missed_of(parts: Sequence[PartOfTask], errors: Sequence[float]) -> tuple[Missed, ...]:
+    """Parts outside their tolerance: those of hard tasks, of scaled, of soft; of each the worst."""
+    pairs = zip(parts, errors, strict=True)
+    missed = [(part, error) for part, error in pairs if not within(error, part.part.tolerance)]
+    rank = ("hard", "scaled", "soft").index
+    return tuple(sorted(missed, key=lambda p: (rank(p[0].task.mode), -p[1] / p[0].part.tolerance)))
 
 
 def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[PartOfTask]:
@@ -125,19 +129,12 @@ def placed(tasks: Sequence[Task], chain: ClosedChain) -> tuple[Task, ...]:
 
 def _has_place(task: Task, chain: ClosedChain) -> bool:
     """Whether J is the derivative of e near the start."""
-    stack, state = TaskStack([task], State(chain)), State(chain)
-    step = STEP * np.cos(np.arange(chain.n))
-    sides = []
-    for side in (step, -step):
-        state.q[:] = chain.q_start + side
-        state.update()
-        stack.update(state)
-        sides.append(stack.e.copy())
-    state.q[:] = chain.q_start
-    state.update()
-    stack.update(state)
-    told, seen = stack.J @ step * 2.0, sides[0] - sides[1]
-    return bool(np.linalg.norm(told - seen) <= AGREES * np.linalg.norm(told) + 1e-12)
+    goal, step, sides = Goal(chain, [task], 0.0), STEP * np.cos(np.arange(chain.n)), []
+    for side in (step, -step, 0.0):
+        goal.look(chain.q_start + side)
+        sides.append(goal.stack.e.copy())
+    slope, difference = goal.stack.J @ step * 2.0, sides[0] - sides[1]
+    return bool(np.linalg.norm(slope - difference) <= AGREES * np.linalg.norm(slope) + 1e-12)
 
 
 def _level_weight(task: Task) -> float:

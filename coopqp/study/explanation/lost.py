@@ -10,7 +10,7 @@ What would hold it is tried: more friction, or more of what the controller press
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,11 @@ from coopqp.assessment import assess
 from coopqp.assessment.thresholds import SLIPPED
 from coopqp.closed_loop.hands import hands
 from coopqp.controller import Controller
-from coopqp.controller_run import controller_of, run
+from coopqp.controller_run import run
 from coopqp.errors import CoopqpError
 from coopqp.metrics.friction_margin import FrictionMargin
-from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import words
+from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.leg import Leg
 from coopqp.trace import Trace
 
@@ -37,48 +37,29 @@ SETTINGS = ("squeeze", "safety")
 SPARE = 1.05
 
 
-@dataclass(frozen=True)
-class Lost:
-    """How it was lost.
-
-    Attributes:
-        time: since the run began [s].
-        sentence: in words.
-        tried: whether something that was tried held it; None where nothing was.
-    """
-
-    time: float
-    sentence: str
-    tried: bool | None
-
-
-def lost(scenario: Scenario, controller: str, leg: Leg) -> Lost | None:
-    """How the object was lost until the end of a leg; None where it was held.
-
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        leg: that missed.
-    """
+def lost(leg: Leg, base: RunExplanation) -> RunExplanation | None:
+    """How the object was lost until the end of a leg; None where it was held."""
     presses = any(grasp.contact for grasp in leg.problem.chain.grasps.values())
-    if not presses or not scenario.plant.takes_torques:
+    if not presses or not leg.scenario.plant.takes_torques:
         return None
-    trace = run(scenario, controller=controller)
+    trace = run(leg.scenario, controller=leg.name)
     tick = assess(trace).lost_tick
     if tick is None or tick >= leg.first + len(leg.v):
         return None
-    time, why = float(trace.t[tick + 1]), _culprits(scenario, trace, leg, tick)
+    time, why = float(trace.t[tick + 1]), _culprits(leg, trace, tick)
     said = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
-    would = _would_hold(scenario, controller)
-    return Lost(time, f"{said}; {would}" if would else said, True if would else None)
+    holds = " or ".join(f"with {text}" for text in (_friction(leg), _pressing(leg)) if text)
+    if holds:
+        said += f"; {holds} it is held (tried)"
+    return base.because("lost", said, tried=True if holds else None, time=time)
 
 
-def _culprits(scenario: Scenario, trace: Trace, leg: Leg, tick: int) -> str:
+def _culprits(leg: Leg, trace: Trace, tick: int) -> str:
     """Which hands, and by what, when what contacts bear was first used up."""
     slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
     k = int(slipped[0]) if len(slipped) else tick
-    found = _used_up(scenario, trace, leg, k)
-    while k > 0 and (before := _used_up(scenario, trace, leg, k - 1)):
+    found = _used_up(leg, trace, k)
+    while k > 0 and (before := _used_up(leg, trace, k - 1)):
         k, found = k - 1, before
     by_why: dict[str, list[str]] = {}
     for arm, why in found:
@@ -86,9 +67,9 @@ def _culprits(scenario: Scenario, trace: Trace, leg: Leg, tick: int) -> str:
     return words.listed([f"{why} at {words.listed(arms)}" for why, arms in by_why.items()])
 
 
-def _used_up(scenario: Scenario, trace: Trace, leg: Leg, k: int) -> list[tuple[str, str]]:
+def _used_up(leg: Leg, trace: Trace, k: int) -> list[tuple[str, str]]:
     """The hands in which a contact is at the end of what it bears in a tick, and what ends it."""
-    robot, found = [arm.name for arm in scenario.robot_model.arms], []
+    robot, found = [arm.name for arm in leg.scenario.robot_model.arms], []
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
     for hand in hands(leg.problem.chain):
         if hand.contact is None:
@@ -97,76 +78,55 @@ def _used_up(scenario: Scenario, trace: Trace, leg: Leg, k: int) -> list[tuple[s
         if edge[i] >= TIPS:
             found.append((hand.arm, "the pressure reaches the pad's edge"))
         elif not friction[i] < TIPS:  # NaN: nothing presses there
-            found.append((hand.arm, _short(hand.contact.friction, scenario.disturbance.friction)))
+            modelled, factor = hand.contact.friction, leg.scenario.disturbance.friction
+            there = f"friction of {modelled:g}"
+            if factor != 1.0:
+                told = f"where the controller is told {modelled:g}"
+                there = f"friction of {modelled * factor:.2g}, {told},"
+            found.append((hand.arm, f"{there} does not do"))
     return found
 
 
-def _short(friction: float, factor: float) -> str:
-    """That friction does not do, and what the controller is told of it."""
-    if factor == 1.0:
-        return f"friction of {friction:g} does not do"
-    told = f"where the controller is told {friction:g}"
-    return f"friction of {friction * factor:.2g}, {told}, does not do"
-
-
-def _would_hold(scenario: Scenario, controller: str) -> str:
-    """What would hold it, of what was tried; empty where nothing did."""
-    said = [_friction(scenario, controller), _pressing(scenario, controller)]
-    would = " or ".join(f"with {text}" for text in said if text)
-    return f"{would} it is held (tried)" if would else ""
-
-
-def _friction(scenario: Scenario, controller: str) -> str:
+def _friction(leg: Leg) -> str:
     """The friction that would do, where the controller was told of more than there is."""
-    there = scenario.disturbance.friction
+    there = leg.scenario.disturbance.friction
     if there >= 1.0:
         return ""
-    known = _again(scenario, controller, friction=1.0)
+    known = _with_friction(leg, 1.0)
     margin = FrictionMargin().measure(known) if known else None
     needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
-    if not there < needed < 1.0 or _again(scenario, controller, friction=needed) is None:
+    if not there < needed < 1.0 or _with_friction(leg, needed) is None:
         return ""
     return f"{needed:g} of the modelled friction instead of {there:g}"
 
 
-def _pressing(scenario: Scenario, controller: str) -> str:
+def _with_friction(leg: Leg, friction: float) -> Trace | None:
+    return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
+
+
+def _pressing(leg: Leg) -> str:
     """The setting of the controller that would do."""
-    chosen = controller_of(scenario, controller)
-    for other, words_for in _firmer(chosen):
-        if _again(scenario, controller, instead=other) is not None:
-            return f"{controller}: {{{words_for}}}"
+    for other, setting in _firmer(leg.controller):
+        if _again(leg, controllers={**leg.scenario.controllers, leg.name: other}) is not None:
+            return f"{leg.name}: {{{setting}}}"
     return ""
 
 
 def _firmer(chosen: Controller) -> Iterator[tuple[Controller, str]]:
     """The controller with more of what it presses with."""
-    for key in SETTINGS:
-        now = getattr(chosen, key, None)
-        if not now:
-            continue
-        for times in TIMES:
-            try:
-                yield replace(chosen, **{key: times * now}), f"{key}: {times * now:g}"
-            except (CoopqpError, ValueError):
-                return
-        return
+    key = next((key for key in SETTINGS if getattr(chosen, key, None)), None)
+    for times in TIMES if key else ():
+        more = times * getattr(chosen, str(key))
+        try:
+            yield replace(chosen, **{str(key): more}), f"{key}: {more:g}"
+        except (CoopqpError, ValueError):
+            return
 
 
-def _again(
-    scenario: Scenario,
-    controller: str,
-    *,
-    friction: float | None = None,
-    instead: Controller | None = None,
-) -> Trace | None:
+def _again(leg: Leg, **changed: Any) -> Trace | None:
     """The run with something changed; None where the object is lost in it all the same."""
-    changed: dict[str, Any] = {}
-    if friction is not None:
-        changed["disturbance"] = replace(scenario.disturbance, friction=friction)
-    if instead is not None:
-        changed["controllers"] = {**scenario.controllers, controller: instead}
     try:
-        trace = run(replace(scenario, **changed), controller=controller)
+        trace = run(replace(leg.scenario, **changed), controller=leg.name)
     except CoopqpError:
         return None
     return trace if assess(trace).lost_tick is None else None

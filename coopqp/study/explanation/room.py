@@ -6,13 +6,14 @@ they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
+from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, RoomLeft
 from coopqp.row import Row
 from coopqp.state import State
@@ -23,12 +24,7 @@ AT_BOUND = 1e-4
 
 
 class Room:
-    """What limits leave.
-
-    Args:
-        chain: what is limited.
-        limits: all that count.
-        dt: control period [s].
+    """What the limits of a problem leave.
 
     Attributes:
         lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
@@ -38,8 +34,9 @@ class Room:
         limits: those with rooms in space.
     """
 
-    def __init__(self, chain: ClosedChain, limits: Sequence[Limit], dt: float) -> None:
-        self.chain, self._dt = chain, dt
+    def __init__(self, problem: ControlProblem) -> None:
+        chain = self.chain = problem.chain
+        self._dt = problem.dt
         self.lower, self.upper = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
         self.sides: dict[tuple[int, str], Row] = {}
         self.rows: tuple[Row, ...] = ()
@@ -47,7 +44,8 @@ class Room:
         self.limits: list[Limit] = []
         self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
         self._state = State(chain)
-        for limit in limits:
+        self._kept: tuple[Array, Array, Array] | None = None
+        for limit in problem.limits:
             self._add(limit)
 
     def _add(self, limit: Limit) -> None:
@@ -77,30 +75,28 @@ class Room:
 
     def at(self, q: Array) -> Array:
         """The rooms in space at a configuration, shape (p,) [m]."""
-        if not self.rows:
-            return np.zeros(0)
         self._look(q)
-        return np.concatenate([left(self._state) for left, _ in self._left])
+        return np.concatenate([np.zeros(0), *(left(self._state) for left, _ in self._left)])
 
     def gradient(self, q: Array) -> Array:
         """How they change with the joints, shape (p, n)."""
-        if not self.rows:
-            return np.zeros((0, self.chain.n))
         self._look(q)
-        return np.vstack([slope(self._state) for _, slope in self._left])
+        slopes = (slope(self._state) for _, slope in self._left)
+        return np.vstack([np.zeros((0, self.chain.n)), *slopes])
+
+    def both(self, q: Array) -> tuple[Array, Array]:
+        """Both, kept until another configuration is asked for."""
+        if self._kept is None or not np.array_equal(self._kept[2], q):
+            self._kept = self.at(q), self.gradient(q), q.copy()
+        return self._kept[:2]
 
     def _look(self, q: Array) -> None:
-        if not np.array_equal(self._state.q, q):
+        if self.rows and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
 
     def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
-        """The pair of bodies with least room, and its distance [m]; None where there are none.
-
-        Args:
-            owner: name of a limit.
-            q: configuration, shape (n,).
-        """
+        """The pair of bodies of a limit with least room, and its distance [m]; None without."""
         left = zip(self.rows, self.at(q).tolist(), strict=True)
         found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
         if not found:
@@ -111,22 +107,19 @@ class Room:
     def overrun(self, q: Array) -> float:
         """By how much a configuration is outside [rad, m]."""
         joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
-        return float(max(joints, -self.at(q).min(initial=0.0))) if self.rows else float(joints)
+        return float(max(joints, -self.at(q).min(initial=0.0)))
 
-    def at_bound(self, q: Array, near: float = AT_BOUND) -> list[tuple[Row, Array]]:
+    def at_bound(self, q: Array) -> list[tuple[Row, Array]]:
         """The limits that a configuration is at, each with the joint motion that breaks it."""
         found = []
         for (i, side), row in self.sides.items():
             outward = np.zeros(len(q))
             outward[i] = -1.0 if side == "lower" else 1.0
             left = q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
-            if left < near:
+            if left < AT_BOUND:
                 found.append((row, outward))
-        if self.rows:
-            for row, left, way in zip(self.rows, self.at(q), self.gradient(q), strict=True):
-                if left < near:
-                    found.append((row, -way))
-        return found
+        rooms = zip(self.rows, self.at(q), self.gradient(q), strict=True)
+        return found + [(row, -way) for row, left, way in rooms if left < AT_BOUND]
 
 
 def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:

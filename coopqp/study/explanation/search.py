@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checked import Array
-from coopqp.rank import null_space
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.room import Room
@@ -33,13 +32,9 @@ UNLIMITED, NEAR = 1.5, 0.5
 
 @dataclass(frozen=True)
 class Place:
-    """Where a search ended.
+    """Where a search ended: q, the rows' errors e, shapes (n,) and (k,), and the goal's miss.
 
-    Attributes:
-        q: configuration, shape (n,).
-        e: errors of the rows, shape (k,).
-        miss: largest error of a part over its tolerance.
-        valid: whether loops are closed and limits kept.
+    It is valid where loops are closed and limits kept.
     """
 
     q: Array
@@ -54,21 +49,15 @@ class Place:
 
 
 class Search:
-    """Searches for one goal.
-
-    Args:
-        goal: of the tasks.
-        room: the limits; none when None.
-    """
+    """Searches for one goal, inside the limits where they are given."""
 
     def __init__(self, goal: Goal, room: Room | None = None) -> None:
         n = goal.chain.n
-        self.goal, self.room = goal, room
-        self._rooms = len(room.rows) if room else 0
-        self._bounds = (
-            (room.lower, room.upper) if room else (np.full(n, -np.inf), np.full(n, np.inf))
-        )
-        self._steps = BoundedSteps(n, self._rooms)
+        self.goal, self.room = goal, room if room and room.rows else None
+        self._overrun = room.overrun if room else lambda q: 0.0
+        far = np.full(n, np.inf)
+        self._bounds = (room.lower, room.upper) if room else (-far, far)
+        self._steps = BoundedSteps(n, len(room.rows) if room else 0)
         self._root = np.sqrt(goal.weights)
         tolerances = np.repeat(
             [p.part.tolerance for p in goal.parts], [p.part.rows for p in goal.parts]
@@ -107,50 +96,33 @@ class Search:
         return rng.uniform(low, high)
 
     def _down(self, x: Array, weight: float) -> None:
-        heavy, k = np.sqrt(weight), len(self._root)
+        goal, room, heavy, k = self.goal, self.room, np.sqrt(weight), len(self._root)
         small, closed = self._small, 0.1 * CLOSED * heavy
 
         def residual(q: Array) -> tuple[Array, Array]:
-            goal = self.goal
             goal.look(q)
             r = [self._root * goal.stack.e, heavy * goal.state.e_loop]
             J = [self._root[:, None] * goal.stack.J, heavy * goal.state.J_loop]
-            if self._rooms:
-                broken, way = self._below(q)
-                r.append(heavy * broken)
-                J.append(heavy * way)
+            if room:
+                rooms, way = room.both(q)
+                r.append(heavy * np.minimum(rooms, 0.0))
+                J.append(heavy * np.where(rooms[:, None] < 0.0, way, 0.0))
             return np.concatenate(r), np.vstack(J)
+
+        def keep(q: Array) -> tuple[Array, Array]:
+            """Rows that keep what room there is."""
+            assert room
+            rooms, way = room.both(q)
+            return -way, np.where(rooms >= 0.0, rooms, 1e6)
 
         def enough(r: Array) -> bool:
             return bool((np.abs(r[:k]) <= small).all() and np.abs(r[k:]).max(initial=0) <= closed)
 
         stop = Stop(STEPS, STEP, enough)
-        self._steps.descend(x, residual, self._bounds, stop, self._keep if self._rooms else None)
-
-    def _below(self, q: Array) -> tuple[Array, Array]:
-        """Rooms below zero, and how they change; zero where there is room."""
-        assert self.room
-        rooms, way = self.room.at(q), self.room.gradient(q)
-        self._last = rooms, way, q.copy()
-        below = rooms < 0.0
-        return np.where(below, rooms, 0.0), np.where(below[:, None], way, 0.0)
-
-    def _keep(self, q: Array) -> tuple[Array, Array]:
-        """Rows that keep what room there is."""
-        assert self.room
-        rooms, way, at = self._last
-        if not np.array_equal(at, q):
-            rooms, way = self.room.at(q), self.room.gradient(q)
-        return -way, np.where(rooms >= 0.0, rooms, 1e6)
+        self._steps.descend(x, residual, self._bounds, stop, keep if room else None)
 
     def _place(self, x: Array) -> Place:
         goal = self.goal
         goal.look(x)
-        valid = goal.open < CLOSED and (not self.room or self.room.overrun(x) < CLOSED)
+        valid = goal.open < CLOSED and self._overrun(x) < CLOSED
         return Place(x.copy(), goal.stack.e.copy(), goal.miss, valid)
-
-
-def free_of_loops(goal: Goal, q: Array) -> Array:
-    """Orthonormal basis Z of the motions that keep the loops closed at q, shape (n, f)."""
-    goal.look(q)
-    return null_space(goal.state.J_loop)

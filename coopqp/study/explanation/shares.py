@@ -10,7 +10,7 @@ limit i is mu_i |Z' n_i|.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,53 +24,47 @@ IDLE = 0.01
 
 @dataclass(frozen=True)
 class Share:
-    """How much of the force a limit has.
-
-    Attributes:
-        row: of the limit.
-        share: of all limits' forces, 0 to 1.
-    """
+    """The row of a limit, with its share of all limits' forces, 0 to 1."""
 
     row: Row
     share: float
 
 
-def forces(pull: Array, ways: Sequence[Array]) -> Array:
-    """mu_i |n_i| that hold a pull back, shape (len(ways),).
+def forces(pull: Array, Z: Array, ways: Sequence[tuple[Row, Array]]) -> list[tuple[Row, float]]:
+    """mu_i |Z' n_i| of the limits that hold a pull back.
 
     Args:
         pull: where the tasks want to go, -Z' J' W e, shape (f,).
-        ways: n_i within the loops, Z' n_i, each of shape (f,).
+        Z: the motions that keep the loops closed, shape (n, f).
+        ways: limits, each with the joint motion n_i that breaks it, shape (n,).
     """
-    if not ways:
-        return np.zeros(0)
     from scipy.optimize import nnls  # which takes a sixth of a second to come
 
-    columns = np.column_stack(ways)
-    mu, _ = nnls(columns, pull)
-    return np.asarray(mu * np.linalg.norm(columns, axis=0), float)
+    within = [(row, Z.T @ way) for row, way in ways]
+    within = [(row, way) for row, way in within if np.linalg.norm(way) > 1e-9]
+    if not within:
+        return []
+    columns = np.column_stack([way for _, way in within])
+    amounts = nnls(columns, pull)[0] * np.linalg.norm(columns, axis=0)
+    return [(row, float(amount)) for (row, _), amount in zip(within, amounts, strict=True)]
 
 
-def shares(rows: Sequence[Row], amounts: Array) -> tuple[Share, ...]:
-    """The largest first; corners of one plane, and sides of one thing, count together.
+def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
+    """Of the limits' forces the largest first; a row may come more than once.
 
-    Args:
-        rows: of the limits; more than once where several ticks are summed.
-        amounts: of their forces.
+    Corners of one plane, and sides of one thing, count together.
     """
     by_thing: dict[str, float] = {}
     leader: dict[str, tuple[float, Row]] = {}
-    for row, amount in zip(rows, amounts, strict=True):
+    for row, amount in found:
         thing = thing_of(row)
-        by_thing[thing] = by_thing.get(thing, 0.0) + float(amount)
+        by_thing[thing] = by_thing.get(thing, 0.0) + amount
         if amount > leader.get(thing, (-1.0, row))[0]:
-            leader[thing] = float(amount), row
-    total = sum(by_thing.values())
-    if total <= 0.0:
-        return ()
-    found = [Share(leader[thing][1], amount / total) for thing, amount in by_thing.items()]
-    named = [share for share in found if share.share >= IDLE]
-    return tuple(sorted(named, key=lambda share: -share.share))
+            leader[thing] = amount, row
+    total = max(sum(by_thing.values()), 1e-300)
+    named = [Share(leader[thing][1], amount / total) for thing, amount in by_thing.items()]
+    large = [share for share in named if share.share >= IDLE]
+    return tuple(sorted(large, key=lambda share: -share.share))
 
 
 def thing_of(row: Row) -> str:

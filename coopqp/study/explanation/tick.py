@@ -26,13 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
-from coopqp.rank import null_space
 from coopqp.row import Row, names_of
 from coopqp.solver import HALTS, Budget, Status
 from coopqp.study.explanation.asked import Asked, asked_then
-from coopqp.study.explanation.contradiction import irreducible
-from coopqp.study.explanation.shares import Share, forces, shares, thing_of
-from coopqp.study.explanation.unmet import Unmet, part_of_rate
+from coopqp.study.explanation.contradiction import contradicting
+from coopqp.study.explanation.shares import Share, shares, thing_of
+from coopqp.study.explanation.unmet import Unmet, part_of_rate, percent
 from coopqp.study.explanation.words import listed, with_note
 from coopqp.study.tick_record import TickRecord
 
@@ -118,19 +117,16 @@ def explain_asked(tick: Asked) -> Explanation:
     missed = tuple(row.name for row, o in zip(tick.task_rows, over, strict=True) if o)
     if not missed:
         return Explanation((), (), (), "nothing was in the way: every task row was met")
-    unmet = _unmet(tick, over)
-    first = _until_missed(tick, over)
-    tick, allowed, over = _with_rows(tick, first), allowed[first], over[first]
-    J, wanted, names = tick.J, tick.wanted, names_of(tick.task_rows)
-    rows = _Rows(tick)
+    unmet, first = _unmet(tick, over), _until_missed(tick, over)
+    task_rows = [tick.task_rows[i] for i in first]
+    tick = replace(tick, J=tick.J[first], wanted=tick.wanted[first], task_rows=task_rows)
+    rows, names, over = _Rows(tick), names_of(task_rows), over[first]
     impossible = tuple(names[i] for i in rows.impossible)
-    against = rows.contradicting(wanted, allowed)
-    answer = None if against else _relax(tick, J[rows.kept], wanted[rows.kept])
-    relaxations = _named(tick, answer) if answer is not None else ()
-    held = () if against else _holding(tick)
-    found = Explanation(
-        missed, impossible, relaxations, "", against, tuple(s.row.name for s in held), unmet
-    )
+    against = rows.contradicting(allowed[first])
+    answer = None if against else _relax(tick, rows.kept)
+    held = () if against else shares(tick.forces(AT_BOUND))
+    holding = tuple(share.row.name for share in held)
+    found = Explanation(missed, impossible, answer or (), "", against, holding, unmet)
     along = [names[i] for i in np.flatnonzero(over) if names[i] not in impossible]
     return replace(found, sentence=_sentence(found, along, held, relaxed=answer is not None))
 
@@ -138,8 +134,7 @@ def explain_asked(tick: Asked) -> Explanation:
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """The limits that the answer is at, each side of a joint and each thing in space once."""
     tick = asked_then(record)
-    rows = [row for row, x in zip(tick.limit_rows, tick.slack, strict=True) if x < AT_BOUND]
-    return tuple({thing_of(row): row for row in rows}.values())
+    return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
 
 def _allowed(tick: Asked) -> Array:
@@ -169,11 +164,6 @@ def _until_missed(tick: Asked, over: Mask) -> list[int]:
     return [i for i, mode in enumerate(modes) if mode in heeded]
 
 
-def _with_rows(tick: Asked, kept: Sequence[int]) -> Asked:
-    rows = [tick.task_rows[i] for i in kept]
-    return replace(tick, J=tick.J[kept], wanted=tick.wanted[kept], task_rows=rows)
-
-
 class _Rows:
     """Which task rows the loops leave, and which only repeat or contradict others.
 
@@ -183,8 +173,7 @@ class _Rows:
     """
 
     def __init__(self, tick: Asked) -> None:
-        self._owners = [row.owner for row in tick.task_rows]
-        self._loops, self._J = (tick.A, tick.b), tick.J
+        self._tick, self._owners = tick, [row.owner for row in tick.task_rows]
         self.kept: list[int] = []
         self.impossible: list[int] = []
         own = kept = loops = np.linalg.qr(tick.A.T)[0].T
@@ -200,23 +189,20 @@ class _Rows:
                 self.kept.append(i)
                 kept = more
 
-    def contradicting(self, wanted: Array, allowed: Array) -> tuple[str, ...]:
+    def contradicting(self, allowed: Array) -> tuple[str, ...]:
         """Tasks that cannot hold together, limits or not; none where they can."""
-        possible = [i for i in range(len(wanted)) if i not in self.impossible]
+        possible = [i for i in range(len(allowed)) if i not in self.impossible]
         owners = tuple(dict.fromkeys(self._owners[i] for i in possible))
-        if len(owners) < 2:
-            return ()
-        A, b = self._loops
+        A, b, J, wanted = self._tick.A, self._tick.b, self._tick.J, self._tick.wanted
 
         def fails(some: tuple[str, ...]) -> bool:
             chosen = [i for i in possible if self._owners[i] in some]
-            M = np.vstack([A, self._J[chosen]])
+            M = np.vstack([A, J[chosen]])
             r = np.concatenate([b, wanted[chosen]])
             off = M @ np.linalg.lstsq(M, r, rcond=IMPOSSIBLE)[0] - r
             return bool((np.abs(off[len(b) :]) > allowed[chosen]).any())
 
-        found = irreducible(owners, fails) if fails(owners) else ()
-        return found if len(found) > 1 else ()
+        return contradicting(owners, fails)
 
 
 def _spanned(basis: Array, row: Array) -> Array | None:
@@ -229,67 +215,41 @@ def _spanned(basis: Array, row: Array) -> Array | None:
     return np.vstack([basis, left / size])
 
 
-def _relax(tick: Asked, J: Array, wanted: Array) -> Array | None:
-    """R of [lb; ub; h], or None when no relaxation helps."""
+def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
+    """The smallest with which some task rows hold as well; None where none helps."""
     from scipy.optimize import linprog  # which takes a sixth of a second to come
 
-    n, p = len(tick.v), len(tick.h)
-    equal = np.vstack([tick.A, J])
-    zeros = np.zeros((len(equal), 2 * n + p))
-    eye, none = np.eye(n), np.zeros((n, n))
-    rows = [
-        np.hstack([-eye, -eye, none, np.zeros((n, p))]),
-        np.hstack([eye, none, -eye, np.zeros((n, p))]),
-        np.hstack([tick.G, np.zeros((p, 2 * n)), -np.eye(p)]),
-    ]
-    bounded = np.concatenate([-tick.lb, tick.ub, tick.h])
-    kept = np.isfinite(bounded)
+    n, more = len(tick.v), 2 * len(tick.v) + len(tick.h)
+    equal = np.vstack([tick.A, tick.J[kept]])
+    sides = np.vstack([-np.eye(n), np.eye(n), tick.G])
+    bounds = np.concatenate([-tick.lb, tick.ub, tick.h])
+    bounded = np.isfinite(bounds)
     result = linprog(
-        np.concatenate([np.zeros(n), np.ones(2 * n + p)]),
-        A_ub=np.vstack(rows)[kept],
-        b_ub=bounded[kept],
-        A_eq=np.hstack([equal, zeros]),
-        b_eq=np.concatenate([tick.b, wanted]),
-        bounds=[(None, None)] * n + [(0.0, None)] * (2 * n + p),
+        np.repeat([0.0, 1.0], [n, more]),
+        A_ub=np.hstack([sides, -np.eye(more)])[bounded],
+        b_ub=bounds[bounded],
+        A_eq=np.hstack([equal, np.zeros((len(equal), more))]),
+        b_eq=np.concatenate([tick.b, tick.wanted[kept]]),
+        bounds=[(None, None)] * n + [(0.0, None)] * more,
     )
-    return np.asarray(result.x[n:], float) if result.success else None
-
-
-def _named(tick: Asked, r: Array) -> tuple[Relaxation, ...]:
-    if not (r > NOTHING).any():
-        return ()
-    at = tick.slack < AT_BOUND
+    if not result.success:
+        return None
+    amounts = np.asarray(result.x[n:], float)
+    rows = tick.limit_rows if (amounts > NOTHING).any() else ()
     found = [
         Relaxation(
-            row.name,
-            float(amount) * (tick.dt if row.of_place else 1.0),
-            row.unit,
-            row.words,
-            bool(now),
+            row.name, x * (tick.dt if row.of_place else 1.0), row.unit, row.words, left < AT_BOUND
         )
-        for row, amount, now in zip(tick.limit_rows, r, at, strict=True)
-        if amount > NOTHING
+        for row, x, left in zip(rows, amounts.tolist(), tick.slack.tolist(), strict=False)
+        if x > NOTHING
     ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
-
-
-def _holding(tick: Asked) -> tuple[Share, ...]:
-    """Limits at their bound that hold the missed motion back."""
-    at = np.flatnonzero(tick.slack < AT_BOUND).tolist()
-    if not len(at):
-        return ()
-    Z, eye = null_space(tick.A), np.eye(len(tick.v))
-    pull = Z.T @ tick.J.T @ (tick.wanted - tick.J @ tick.v)
-    ways, rows = np.vstack([-eye, eye, tick.G]), tick.limit_rows
-    within = [(rows[i], Z.T @ ways[i]) for i in at]
-    within = [(row, way) for row, way in within if np.linalg.norm(way) > 1e-9]
-    return shares([row for row, _ in within], forces(pull, [way for _, way in within]))
 
 
 def _sentence(
     found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
-    said = [f"{task.words} gets {task.percent} of its rate" for task in found.unmet]
+    said = [f"{task.words} gets {percent(task.share)} of its rate" for task in found.unmet]
     if found.impossible:
         said.append(f"the loops alone leave no motion along {listed(found.impossible)}")
     if found.contradicting:

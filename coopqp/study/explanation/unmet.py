@@ -6,6 +6,7 @@ that is s where u = s w.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,8 +14,8 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.solver import Status
+from coopqp.study.explanation.asked import Ticks
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import Ticks
 from coopqp.task import Mode
 
 #: A task that lacks more than this share of its rate counts, beside the one that lacks most.
@@ -23,13 +24,7 @@ WORTH_COUNTING = 0.02
 
 @dataclass(frozen=True)
 class Unmet:
-    """A hard or scaled task that is not met in full in a tick.
-
-    Attributes:
-        task: its name.
-        mode: hard or scaled.
-        share: of its rate that it gets.
-    """
+    """A hard or scaled task that gets only a share of its rate in a tick."""
 
     task: str
     mode: Mode
@@ -40,21 +35,12 @@ class Unmet:
         """What a sentence calls it."""
         return f"{self.mode} task '{self.task}'"
 
-    @property
-    def percent(self) -> str:
-        """The share, in words."""
-        return _percent(self.share)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxed:
-    """A hard or scaled task that is not met in full in some ticks of a run.
+    """A hard or scaled task that is not met in full in so many ticks of a run.
 
-    Attributes:
-        task: its name.
-        mode: hard or scaled.
-        ticks: in how many.
-        missing: share of its rate that it lacks in the last tick.
+    What is missing is the share of its rate that it lacks in the last tick.
     """
 
     task: str
@@ -66,7 +52,7 @@ class Relaxed:
     def words(self) -> str:
         """A clause of a sentence."""
         ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
-        end = f"lacks {_percent(self.missing)} of its rate" if self.missing else "is met"
+        end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
         return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
 
 
@@ -79,24 +65,22 @@ def part_of_rate(got: Array, wanted: Array) -> float:
 def relaxed(legs: Sequence[Leg]) -> tuple[Relaxed, ...]:
     """Who is not met in full in the ticks that say so, the most often first.
 
-    Args:
-        legs: phases of a run of a law that commands velocities, in their order.
+    Those of a law that commands torques do not show it.
     """
     modes: dict[str, Mode] = {}
-    ticks: dict[str, int] = {}
-    missing: dict[str, float] = {}
+    ticks, missing = Counter[str](), dict[str, float]()
     for leg in legs:
+        if leg.controller.commands_torques:
+            break
         missing = {}
         modes |= {task.name: task.mode for task in leg.problem.tasks}
         for k, lacks in _lacks(leg):
-            for name in lacks:
-                ticks[name] = ticks.get(name, 0) + 1
+            ticks.update(lacks.keys())
             missing = lacks if k == len(leg.v) - 1 else {}
-    found = [
+    return tuple(
         Relaxed(task=name, mode=modes[name], ticks=count, missing=missing.get(name, 0.0))
-        for name, count in ticks.items()
-    ]
-    return tuple(sorted(found, key=lambda task: -task.ticks))
+        for name, count in ticks.most_common()
+    )
 
 
 def _lacks(leg: Leg) -> Iterator[tuple[int, dict[str, float]]]:
@@ -112,7 +96,8 @@ def _lacks(leg: Leg) -> Iterator[tuple[int, dict[str, float]]]:
         yield k, {name: x for name, x in lacks.items() if x >= least > 0.0}
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share, in words."""
     if share < 0.01:
         return "less than 1 %"
     return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"

@@ -5,26 +5,22 @@ At the last tick, with u the direction that is missed and Z the motions that kee
     contradiction   all tasks' rows together have no solution within the loops, each alone has one
     reach           |Z' J' u| has fallen below a share of what it was at the start, or the speed
                     that is needed is far beyond the joints'
-    limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.motion`
+    limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.asked`
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from coopqp.checked import Array
 from coopqp.rank import null_space
-from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import words
-from coopqp.study.explanation.contradiction import irreducible
-from coopqp.study.explanation.cure import Cure, way_of
+from coopqp.study.explanation.answer import RunExplanation
+from coopqp.study.explanation.asked import Ticks, held_up, speed_share
+from coopqp.study.explanation.contradiction import contradicting as smallest
+from coopqp.study.explanation.cure import by_rerun, with_cure
 from coopqp.study.explanation.goal import PartOfTask
 from coopqp.study.explanation.leg import Leg
-from coopqp.study.explanation.motion import Ticks, held_up, is_speed, speed_needed
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.shares import Share
 from coopqp.task import Task
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
@@ -37,63 +33,29 @@ CUT = 1e-4
 LAST, MOSTLY = 50, 0.5
 
 
-@dataclass(frozen=True)
-class VelocityAnswer:
-    """Why a velocity was missed.
-
-    Attributes:
-        kind: contradiction, reach, limits or speed.
-        sentence: in words.
-        shares: of the limits that held it back.
-        cure: of limits of place.
-        tasks: that contradict each other, or cannot go on.
-        way: unit vector of what was missed, where it is a translation.
-    """
-
-    kind: str
-    sentence: str
-    shares: tuple[Share, ...] = ()
-    cure: Cure | None = None
-    tasks: tuple[str, ...] = ()
-    way: tuple[float, ...] = ()
-
-
-def explain(scenario: Scenario, controller: str, leg: Leg, room: Room) -> VelocityAnswer:
-    """Why, at the last tick.
-
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        leg: that missed velocities alone.
-        room: its limits.
-    """
+def explain(leg: Leg, base: RunExplanation) -> RunExplanation:
+    """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in leg.missed if part.task.asks_velocity)
     k = len(leg.v) - 1
-    tasks = contradicting(leg)
-    if tasks:
+    if tasks := contradicting(leg):
         names = tuple(task.name for task in tasks)
         said = f"{words.listed(names)} cannot hold together: they ask for different motions"
-        return VelocityAnswer("contradiction", said, tasks=names)
-    needed = speed_needed(leg, k, part.rows)
+        return base.because("contradiction", said, tasks=names)
+    needed = _speed_needed(leg, k, part.rows)
     if _singular(leg, k, part) or needed > BEYOND:
-        return _at_the_edge(leg, k, part)
+        return _at_the_edge(leg, k, part, base)
     held = held_up(leg, range(max(0, k - LAST), k + 1))
-    if sum(share.share for share in held if is_speed(share.row)) > MOSTLY or not held:
-        return _too_fast(leg, held, needed, part)
-    found = way_of(scenario, controller, leg, room, None)
-    said = f"{words.holding(held)}; {words.cure(found, held)}"
-    return VelocityAnswer("limits", said, held, found)
-
-
-def _too_fast(leg: Leg, held: tuple[Share, ...], needed: float, part: PartOfTask) -> VelocityAnswer:
+    if held and speed_share(held) <= MOSTLY:
+        return with_cure(base, held, by_rerun(leg, None))
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
-    return VelocityAnswer("speed", why + more, held, tasks=(part.task.name,))
+    return base.because("speed", why + more, held, tasks=(part.task.name,))
 
 
-def _at_the_edge(leg: Leg, k: int, part: PartOfTask) -> VelocityAnswer:
-    u = Ticks(leg).look(k)[part.rows]
-    names = [name.rpartition(".")[2] for name in _row_names(leg, part)]
+def _at_the_edge(leg: Leg, k: int, part: PartOfTask, base: RunExplanation) -> RunExplanation:
+    look = Ticks(leg)
+    u = look.look(k)[part.rows]
+    names = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
     i = int(np.abs(u).argmax())
     along = f"{'+' if u[i] > 0 else '-'}{names[i]}"
     of = " of its own axes" if getattr(part.task, "axes", "world") == "object" else ""
@@ -101,18 +63,33 @@ def _at_the_edge(leg: Leg, k: int, part: PartOfTask) -> VelocityAnswer:
         f"the object is at the edge of its reach along {along}{of}: whatever the limits and "
         "speeds, the loops leave no motion there"
     )
-    way = np.zeros(3)
-    for name, component in zip(names, u, strict=True):
-        if name in ("x", "y", "z"):
-            way["xyz".index(name)] = component
+    missed = dict(zip(names, u.tolist(), strict=True))
+    way = np.array([missed.get(axis, 0.0) for axis in "xyz"])
     size = float(np.linalg.norm(way))
-    return VelocityAnswer(
-        "reach", said, tasks=(part.task.name,), way=tuple((way / size).tolist()) if size else ()
-    )
+    unit = tuple((way / size).tolist()) if size else ()
+    return base.because("reach", said, tasks=(part.task.name,), way=unit)
 
 
-def _row_names(leg: Leg, part: PartOfTask) -> list[str]:
-    return [row.name for row in Ticks(leg).stack.rows[part.rows]]
+def _speed_needed(leg: Leg, k: int, rows: slice) -> float:
+    """Least share of the joints' speeds with which some rows could be followed at tick k.
+
+    Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
+    under J_c v = 0 and J v = wanted.
+    """
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
+    look = Ticks(leg)
+    look.look(k)
+    J, most = look.stack.J[rows], leg.problem.chain.velocity
+    known, n = np.isfinite(most), len(most)
+    sides = np.vstack([np.eye(n)[known], -np.eye(n)[known]])
+    G = np.hstack([sides, -np.tile(most[known], 2)[:, None]])
+    loops = look.state.J_loop
+    A = np.hstack([np.vstack([loops, J]), np.zeros((len(loops) + len(J), 1))])
+    b = np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
+    cost = np.concatenate([np.zeros(n), [1.0]])
+    found = linprog(cost, A_ub=G, b_ub=np.zeros(len(G)), A_eq=A, b_eq=b, bounds=(None, None))
+    return float(found.fun) if found.success else np.inf
 
 
 def _singular(leg: Leg, k: int, part: PartOfTask) -> bool:
@@ -144,6 +121,4 @@ def contradicting(leg: Leg) -> tuple[Task, ...]:
         y = np.linalg.lstsq(JZ, wanted, rcond=CUT)[0]
         return bool(np.linalg.norm(JZ @ y - wanted) > SOLVED * np.linalg.norm(wanted))
 
-    tasks = tuple(task for task in stack.tasks if not task.joint_space)
-    found = irreducible(tasks, fails) if tasks and fails(tasks) else ()
-    return found if len(found) > 1 else ()
+    return smallest([task for task in stack.tasks if not task.joint_space], fails)

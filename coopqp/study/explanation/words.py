@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from coopqp.assessment import Assessment
+from coopqp.assessment.verdict import loop_words
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.row import Row
 from coopqp.study.explanation.contradiction import Contradiction
-from coopqp.study.explanation.cure import Cure, Need
-from coopqp.study.explanation.diagnosis import OutOfReach, TooFewFreedoms
-from coopqp.study.explanation.goal import PartOfTask
+from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, Unreachable
+from coopqp.study.explanation.goal import Missed, PartOfTask
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.search import Place
-from coopqp.study.explanation.shares import Share, thing_of
+from coopqp.study.explanation.shares import Share
 from coopqp.task import Task
 
 #: A direction this near to an axis is the axis.
@@ -75,42 +75,26 @@ def holding(shares: Sequence[Share]) -> str:
     return f"{listed([*words, *more])} hold it back"
 
 
-def cure(found: Cure | None, shares: Sequence[Share]) -> str:
-    """What would do, and whether it was seen to."""
-    if found is None:
-        return "even without limits of place the law does not get there"
-    now = {thing_of(share.row) for share in shares}
-    first = [need for need in found.needs if thing_of(need.row) in now]
-    later = [need for need in found.needs if thing_of(need.row) not in now]
-    text = f"to get there {needed(first)}" if first else "to get there"
-    if later:
-        text += (
-            f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
-        )
-    if found.reached and found.time is not None:
-        return f"{text} and the run {found.time:.3g} s (tried: reached)"
-    if found.reached:
-        return f"{text} (tried: reached)"
-    if found.reached is None:
-        return f"{text} (not tried: no setting gives so much)"
-    assert found.left
-    return f"{text}; tried, but then {stops(found.left)}"
+def geometry(
+    found: Unreachable,
+    missed: Sequence[Missed],
+    chain: ClosedChain,
+    *,
+    ordered: bool,
+) -> str:
+    """What keeps a chain from its goal, where that is not its limits alone.
 
-
-def needed(needs: Sequence[Need], *, alone: bool = True) -> str:
-    """Amounts that limits would have to give, each beside its limit; the verb with the first."""
-    said: list[str] = []
-    for need in needs:
-        name = need.row.words if need.space is None else _thing(need.row)
-        amount = size(need.amount, need.row.unit)
-        verb = "would need " if alone and not said else ""
-        said.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
-    return listed(said)
-
-
-def _thing(row: Row) -> str:
-    """A limit in space as a whole."""
-    return row.owner.replace("_", " ")
+    It is ordered where the law heeds which task comes first.
+    """
+    if isinstance(found, Contradiction):
+        return _contradiction(found, missed, ordered=ordered)
+    if isinstance(found, OutOfReach):
+        return _reach(found)
+    short = stops_short(*missed[0])
+    if isinstance(found, Elsewhere):
+        return f"{short}; {holding(found.shares)}; {elsewhere(found.place, chain)}"
+    name = found.goal.tasks[0].name
+    return f"{short}; {name} asks for {found.asked} motions, the loops leave {found.left}"
 
 
 def elsewhere(place: Place, chain: ClosedChain) -> str:
@@ -121,23 +105,18 @@ def elsewhere(place: Place, chain: ClosedChain) -> str:
 
 def start(q: Array, chain: ClosedChain) -> str:
     """A configuration by arm, as a scenario's start has it; the digits close its loops."""
-    at = dict(zip(chain.joint_names, q.tolist(), strict=True))
-    arms = []
-    for arm in chain.arms:
-        numbers = ", ".join(f"{at[joint]:.5f}" for joint in chain.robot.arm_joints(arm))
-        arms.append(f"{arm.name} [{numbers}]")
-    return "; ".join(arms)
+    at = {name: f"{x:.5f}" for name, x in zip(chain.joint_names, q.tolist(), strict=True)}
+    arms = ((arm.name, map(at.__getitem__, chain.robot.arm_joints(arm))) for arm in chain.arms)
+    return "; ".join(f"{name} [{', '.join(numbers)}]" for name, numbers in arms)
 
 
-def reach(found: OutOfReach) -> str:
+def _reach(found: OutOfReach) -> str:
     """How far out of reach, which way, and what the limits cost beside."""
     part = found.part
     name, unit = part.task.name, part.part.unit
     several = len(found.shares) > 1
-    held = listed(
-        [with_note(s.row, f"{100.0 * s.share:.0f} %") if several else s.row.words
-         for s in found.shares[:MOST]]
-    )  # fmt: skip
+    named = found.shares[:MOST]
+    held = _with_percents(named) if several else listed([share.row.words for share in named])
     if found.cost > found.distance:
         verb = "hold" if several else "holds"
         text = f"{held} {verb} {name} back by {size(found.cost, unit)}; beyond that it"
@@ -145,17 +124,16 @@ def reach(found: OutOfReach) -> str:
         text = name
     text += f" is out of reach by {size(found.distance, unit)}"
     if found.in_world:
-        text += f" along {direction(found.gap)}"
+        text += f" along {_direction(found.gap)}"
     elif part.part.name:
         text += f" of {part.part.name}"
     text += ", whatever the limits"
     if found.in_world:
-        text += f"; the nearest point is {point(_reached_point(found))}"
+        text += f"; the nearest point is {_point(_reached_point(found))}"
     if 0.0 < found.cost <= found.distance:
         text += f"; limits cost another {size(found.cost, unit)}: {held}"
     if found.elsewhere is not None:
-        e = np.linalg.norm(found.elsewhere.e[part.rows])
-        text += f"; from another configuration {size(float(e), unit)}"
+        text += f"; from another configuration {size(part.size(found.elsewhere.e), unit)}"
     return text
 
 
@@ -165,24 +143,20 @@ def _reached_point(found: OutOfReach) -> Array:
     return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
 
 
-def direction(way: Array) -> str:
+def _direction(way: Array) -> str:
     """``+x``, or a unit vector."""
     u = way / max(float(np.linalg.norm(way)), 1e-300)
     i = int(np.abs(u).argmax())
-    if abs(u[i]) > ALONG:
-        return f"{'+' if u[i] > 0 else '-'}{'xyz'[i]}"
-    return point(u, 2)
+    return f"{'+' if u[i] > 0 else '-'}{'xyz'[i]}" if abs(u[i]) > ALONG else _point(u, 2)
 
 
-def point(p: Array, digits: int = 3) -> str:
+def _point(p: Array, digits: int = 3) -> str:
     """``(0.210, 0.000, 0.100)``."""
     rounded = np.round(p, digits) + 0.0
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def contradiction(
-    found: Contradiction, missed: Sequence[tuple[PartOfTask, float]], *, ordered: bool
-) -> str:
+def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
     """Which tasks, what they miss, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
@@ -205,10 +179,12 @@ def _rank(task: Task) -> int:
     return -1 if task.mode != "soft" else task.priority
 
 
-def freedoms(found: TooFewFreedoms) -> str:
-    """How many motions are asked for and left."""
-    name = found.goal.tasks[0].name
-    return f"{name} asks for {found.asked} motions, the loops leave {found.left}"
+def opened(found: Assessment, kappa: float) -> str:
+    """How far the loops came open, and what corrects it; empty where they were closed."""
+    if found.loop_closed:
+        return ""
+    why = f"with kappa: {kappa:g} 1/s" if kappa else "kappa: 0 corrects no drift"
+    return f"the loop came open by {loop_words(found)} ({why})"
 
 
 def broken(found: Assessment) -> str:
@@ -223,5 +199,8 @@ def broken(found: Assessment) -> str:
 
 def slow(shares: Sequence[Share]) -> str:
     """Speeds that hold up."""
-    named = [with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares[:MOST]]
-    return f"{listed(named)} {'holds' if len(named) == 1 else 'hold'} it up"
+    return f"{_with_percents(shares[:MOST])} {'holds' if len(shares) == 1 else 'hold'} it up"
+
+
+def _with_percents(shares: Sequence[Share]) -> str:
+    return listed([with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares])
