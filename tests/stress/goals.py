@@ -15,7 +15,9 @@ import pinocchio as pin
 
 from coopqp.checked import Array, cross
 from coopqp.checked import Pose as PoseValue
+from coopqp.closed_chain import ClosedChain
 from coopqp.profile import KINDS, Profile
+from coopqp.study.statistics.draw import vector
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,
@@ -147,12 +149,6 @@ def pick(rng: np.random.Generator, among: Sequence[T]) -> T:
     return among[int(rng.integers(len(among)))]
 
 
-def vector(numbers: Array) -> Vector:
-    """Three plain numbers."""
-    x, y, z = np.asarray(numbers, float).tolist()
-    return x, y, z
-
-
 def random_aim(rng: np.random.Generator, X: pin.SE3) -> Aim:
     """A point and two directions of the object that shall be as the pose has them."""
     axis, other = rng.normal(size=(2, 3))
@@ -168,6 +164,11 @@ def anywhere(rng: np.random.Generator, start: pin.SE3, arms: float) -> pin.SE3:
     way *= rng.uniform(0.01, FARTHEST) * arms / np.linalg.norm(way)
     turn = pin.exp3(rng.uniform(0.0, TURN) * axis / np.linalg.norm(axis))
     return pin.SE3(turn @ start.rotation, start.translation + way)
+
+
+def some_aim(rng: np.random.Generator, X: pin.SE3, chain: ClosedChain, *, reach: bool) -> Aim:
+    """At a pose in reach, or anywhere about it."""
+    return random_aim(rng, X if reach else anywhere(rng, X, chain.reach))
 
 
 def common(rng: np.random.Generator, dt: float, name: str) -> Common:

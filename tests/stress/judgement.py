@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.controller import Law
-from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.study.stress import signs
-from coopqp.study.stress.draw import Draw
-from coopqp.study.stress.ending import Ending, PartErrors, ending
-from coopqp.study.stress.signs import Record
+
+from . import signs
+from .draw import Draw
+from .ending import Ending, PartErrors, ending
+from .signs import Record
 
 
 @dataclass(frozen=True)
@@ -80,17 +80,7 @@ def judged(
     errors: PartErrors,
     noise: float = 0.0,
 ) -> Rollout:
-    """Judge a rollout whose time is up.
-
-    Args:
-        seed: of it.
-        drawn: the problem.
-        law: that was run.
-        state: at the end.
-        record: of all ticks.
-        errors: of its tasks.
-        noise: standard deviation of the encoders' [rad].
-    """
+    """Judge a rollout whose time is up; the encoders' noise has this standard deviation [rad]."""
     end = ending(law, state, record, errors)
     resting, units = record.q[record.rest :], record.units
     swings = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
@@ -114,7 +104,7 @@ def judged(
         loop_position=record.loop_position,
         loop_orientation=record.loop_orientation,
         fallbacks=record.given_up,
-        inaccurate=record.count(Status.INACCURATE),
+        inaccurate=record.inaccurate,
         plain=record.plain,
     )
 

@@ -7,25 +7,26 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from coopqp.errors import MissingDependencyError
 from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
 from coopqp.solver import Solver
 from coopqp.study.engine import Engine, Lost
-from coopqp.study.stress.draw import DAQP, LAW, Draw, draw
-from coopqp.study.stress.driving import drive_on, record_of
-from coopqp.study.stress.ending import PartErrors
-from coopqp.study.stress.firmness import missed_hard_tasks, worse_than_soft
-from coopqp.study.stress.judgement import Rollout, judged
-from coopqp.study.stress.masses import draw_with_masses
-from coopqp.study.stress.pair import run_pair
+
+from .draw import DAQP, LAW, Draw, draw
+from .driving import drive_on, record_of
+from .ending import PartErrors
+from .firmness import missed_hard_tasks, worse_than_soft
+from .judgement import Rollout, judged
+from .masses import draw_with_masses, run_pair
 
 JOINTS = Kinematic()
 HERE = Engine()
 PATIENT = 10  # one in so many rollouts waits for swings that begin late
 COLLECTED = 50_000  # objects that are made before unused ones in cycles are looked for
+One = TypeVar("One")
 
 
 def stress(
@@ -51,43 +52,23 @@ def stress(
         MissingDependencyError: solver or plant needs a package that is not installed.
     """
     work = partial(rollouts, solver=solver, plant=plant)
-    return gathered(work, range(seed, seed + count), _lost, engine, progress)
-
-
-class _Seeded(Protocol):
-    @property
-    def seed(self) -> int: ...
-
-
-One = TypeVar("One", bound=_Seeded)
+    return gathered(work, range(seed, seed + count), Rollout, engine, progress)
 
 
 def gathered(
     work: Callable[[Sequence[int]], list[One]],
     seeds: Sequence[int],
-    lost: Callable[[int, str], One],
+    kind: Callable[..., One],
     engine: Engine,
     progress: Callable[[int], None] | None = None,
 ) -> list[One]:
-    """What an engine makes of seeds, in their order.
-
-    Args:
-        work: does a batch.
-        seeds: of all.
-        lost: makes a result of a seed whose process ended, and of why.
-        engine: where.
-        progress: called with the number done.
-    """
-    done: list[One] = []
+    """What an engine makes of seeds, in their order; who ends its process has broken a promise."""
+    done: dict[int, One] = {}
     for own, found in engine.results(work, seeds):
-        done.append(lost(own, found.reason) if isinstance(found, Lost) else found)
+        done[own] = kind(own, broken=(found.reason,)) if isinstance(found, Lost) else found
         if progress:
             progress(len(done))
-    return sorted(done, key=lambda one: one.seed)
-
-
-def _lost(seed: int, reason: str) -> Rollout:
-    return Rollout(seed, broken=(reason,))
+    return [done[own] for own in sorted(done)]
 
 
 def rollouts(seeds: Sequence[int], *, solver: Solver, plant: Plant) -> list[Rollout]:
