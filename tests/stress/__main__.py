@@ -19,12 +19,12 @@ from coopqp.report import strict_json
 from coopqp.report.terminal import console, progress_bars
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import plant_by_name, solver_by_name
-from stress.contacts import stress_contacts
+from stress.contacts import ContactRollout, contact_rollout
 from stress.summary import contact_table, summarize, table
-from stress.trial import stress
+from stress.trial import one_rollout, stress
 
 
-@click.command(cls=Command)
+@click.command(cls=Command, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
 @click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
@@ -51,11 +51,12 @@ def main(
     with progress_bars(["rollouts"], rollouts) as progress:
         where: Any = {"seed": seed, "engine": engine}
         where["progress"] = partial(progress, "rollouts") if progress else None
-        done: Any = (
-            stress_contacts(rollouts, asked[0], **where)
-            if contacts
-            else stress(rollouts, *asked, **where)
-        )
+        done: Any
+        if contacts:
+            one = partial(contact_rollout, solver=asked[0])
+            done = stress(rollouts, one, kind=ContactRollout, **where)
+        else:
+            done = stress(rollouts, partial(one_rollout, solver=asked[0], plant=asked[1]), **where)
     lines, broken = summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": lines, "broken": [asdict(r) for r in broken]}

@@ -8,9 +8,7 @@ over its edge, or what has no name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +21,7 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.errors import CoopqpError
 from coopqp.grasp import Grasp
 from coopqp.grasps import PointContact, SurfaceContact
 from coopqp.limits import JointPosition, JointVelocity
@@ -32,7 +30,6 @@ from coopqp.profile import Profile
 from coopqp.rollout import drive
 from coopqp.solver import Solver, Status
 from coopqp.state import State
-from coopqp.study.engine import Engine
 from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench
@@ -41,7 +38,7 @@ from . import arrangements, goals
 from .draw import DAQP
 from .goals import pick
 from .masses import GRAVITY, random_force
-from .trial import HERE, gathered
+from .trial import tried
 
 #: Two hands that can press from both sides, and the heaviest object [kg].
 HEAVIEST = {"nao_t14": 0.3, "two_pandas": 3.0, "baxter": 2.0}
@@ -62,16 +59,10 @@ BODIES = RigidBody()
 
 @dataclass(frozen=True)
 class PressingDraw:
-    """A random problem.
+    """A random problem of "pads", or of a "fingertip" in the first hand.
 
     Attributes:
-        robot: of the arrangement.
-        grasp: "pads", or "fingertip" where the first hand is one.
-        errors: what the controller is not told, in a word.
-        tasks: their types and modes.
-        problem: all of it.
-        controller: with a random safety.
-        disturbance: what the controller is not told.
+        errors, disturbance: what the controller is not told, in a word and in numbers.
     """
 
     robot: str
@@ -173,13 +164,10 @@ class ContactRollout:
     """How one rollout went.
 
     Attributes:
-        seed: from which it can be repeated.
-        robot, grasp, errors, tasks: as drawn.
         outcome: one of ``OUTCOMES``; empty when it raised.
         reason: why it was lost or refused.
         cause: what a loss is named after: what gave up, or the errors; empty where nothing does.
         broken: promises that were broken, in words.
-        ticks: how many.
         given_up: ticks in which a cone was given up, or there was no answer.
         cone, torque: how far a cone that was kept, or a motor's limit, was left [N], [N m].
     """
@@ -229,31 +217,9 @@ class Seen:
         return tuple(words for words, true in said.items() if true)
 
 
-def stress_contacts(
-    count: int,
-    solver: Solver = DAQP,
-    *,
-    seed: int = 0,
-    engine: Engine = HERE,
-    progress: Callable[[int], None] | None = None,
-) -> list[ContactRollout]:
-    """Run many rollouts; arguments as for :func:`stress.trial.stress`."""
-    work = partial(_rollouts, solver=solver)
-    return gathered(work, range(seed, seed + count), ContactRollout, engine, progress)
-
-
-def _rollouts(seeds: Sequence[int], *, solver: Solver) -> list[ContactRollout]:
-    return [contact_rollout(seed, solver) for seed in seeds]
-
-
 def contact_rollout(seed: int, solver: Solver = DAQP) -> ContactRollout:
-    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised."""
-    try:
-        return _judged(seed, solver)
-    except MissingDependencyError:
-        raise
-    except Exception as error:  # noqa: BLE001 - this is what the stress test looks for
-        return ContactRollout(seed, broken=(f"raised {type(error).__name__}: {error}",))
+    """Draw a rollout from a seed and run it."""
+    return tried(_judged, ContactRollout, seed, solver)
 
 
 def _judged(seed: int, solver: Solver) -> ContactRollout:

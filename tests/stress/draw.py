@@ -29,15 +29,9 @@ KAPPAS = {"0": 0.0, "0.1/dt": 0.1, "1/dt": 1.0}  # times 1/dt
 
 @dataclass(frozen=True)
 class Draw:
-    """A random problem.
+    """A random problem, and what is drawn of it in words.
 
-    Attributes:
-        robot, grasp: of the arrangement.
-        start: "inside" or "outside" the position limits.
-        limits: "tight" or "loose".
-        kappa: the drift correction's gain, in words.
-        tasks: their types and modes.
-        problem: all of it.
+    The start is "inside" or "outside" the position limits, those are "tight" or "loose".
     """
 
     robot: str

@@ -37,11 +37,9 @@ OUTCOMES = ("reached", "blocked", "at rest", "moving", "recovering")
 
 @dataclass(frozen=True)
 class Ending:
-    """How a rollout ended.
+    """How a rollout ended: one of ``OUTCOMES``, and what blocked it, or why it rests.
 
     Attributes:
-        outcome: one of ``OUTCOMES``.
-        reason: what blocked it, or why it rests.
         frozen: it stands still, and nothing that has a name is in its way.
         never_back: a joint is outside though it could come back.
     """

@@ -20,16 +20,12 @@ class Rollout:
     """How one rollout went.
 
     Attributes:
-        seed: from which it can be repeated.
-        robot, grasp, start, limits, kappa, tasks: as drawn.
         goal, errors: as drawn on plants with masses; else empty.
-        outcome: how it ended; empty when it raised.
-        reason: why there.
+        outcome, reason: how it ended, and why there; empty when it raised.
         broken: promises that were broken, in words.
         frozen, swinging, worse, never_back: signs that were seen; each is a broken promise too.
         saturated, squeezed: the same on plants with masses.
         compared: hard tasks that it rests short of, and that were tried as soft ones.
-        ticks: how many.
         position_excess: largest overrun of a position limit that held before [rad].
         velocity_excess: of a velocity limit [rad/s].
         loop_position, loop_orientation: largest loop error [m], [rad].

@@ -67,12 +67,7 @@ LEAST = 0.02  # a difference that says nothing [N]
 
 @dataclass(frozen=True)
 class DrawWithMasses(Draw):
-    """A random problem for a plant with masses.
-
-    Attributes:
-        goal: "in reach" or "anywhere".
-        disturbance: what the controller is not told.
-    """
+    """A random problem for a plant with masses, and what its controller is not told."""
 
     goal: str
     disturbance: Disturbance
@@ -169,12 +164,9 @@ def random_force(rng: np.random.Generator, chain: ClosedChain, least: float) -> 
 
 @dataclass(frozen=True)
 class Squeeze:
-    """Largest internal force of a hand, and the motors' torques.
+    """Largest internal force of a hand by the feed-forward's error, and what noise adds [N].
 
-    Attributes:
-        weight: force by the feed-forward's error [N].
-        noise: root mean square of what noise adds to it [N].
-        tau: K delta + F, were the motors strong enough, shape (n,) [N m].
+    And the motors' torques K delta + F, were they strong enough, shape (n,) [N m].
     """
 
     weight: float
@@ -215,15 +207,13 @@ def squeeze(plant: DynamicModel, dt: float) -> Squeeze:
 
 @dataclass(frozen=True)
 class Run:
-    """One of the two.
+    """One of the two, judged as on joints that do as told.
 
     Attributes:
-        rollout: judged as on joints that do as told.
         force: in the mean of the end [N].
         rests: whether the commands do, all through the end.
-        squeeze: what the statics say of where it is.
-        saturated: motors that are at their limit for good, shape (n,).
-        overloaded: motors that the statics ask for more than they have, shape (n,).
+        saturated, overloaded: motors that are at their limit for good, and of which the statics
+            ask for more than they have, shape (n,).
     """
 
     rollout: Rollout

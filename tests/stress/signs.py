@@ -82,7 +82,7 @@ class Record:
         return sum(ticks for (c, *_), ticks in self._spells() if c.fallback or not c.usable)
 
     def _spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
-        """What was said, and for how many ticks on end."""
+        """What was said, and for how many ticks on end; hashing all of it would take longer."""
         for causes, ticks in itertools.groupby(self.causes):
             yield causes, len(list(ticks))
 

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -140,7 +141,7 @@ def test_table_can_be_read_at_80_columns() -> None:
 def test_a_plant_that_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError, match=r"coopqp\[mujoco\]"):
-        stress(2, plant=Mujoco(), engine=Engine(jobs=1))
+        stress(2, partial(one_rollout, plant=Mujoco()), engine=Engine(jobs=1))
 
 
 def test_what_raises_is_a_broken_promise(monkeypatch: pytest.MonkeyPatch) -> None:

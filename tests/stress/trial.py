@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -15,7 +14,7 @@ from coopqp.plants.kinematic import Kinematic
 from coopqp.solver import Solver
 from coopqp.study.engine import Engine, Lost
 
-from .draw import DAQP, LAW, Draw, draw
+from .draw import DAQP, LAW, draw
 from .driving import drive_on, record_of
 from .ending import PartErrors
 from .firmness import missed_hard_tasks, worse_than_soft
@@ -31,80 +30,67 @@ One = TypeVar("One")
 
 def stress(
     count: int,
-    solver: Solver = DAQP,
-    plant: Plant = JOINTS,
+    one: Callable[[int], One] | None = None,
     *,
     seed: int = 0,
     engine: Engine = HERE,
+    kind: Callable[..., One] = Rollout,
     progress: Callable[[int], None] | None = None,
-) -> list[Rollout]:
-    """Run many rollouts.
+) -> list[One]:
+    """Many rollouts in the order of their seeds; who ends its process has broken a promise.
 
     Args:
         count: how many.
-        solver: of the programs; it changes nothing of what is drawn.
-        plant: one with masses has its own draws, each run without and with errors of the model.
+        one: does one; :func:`one_rollout` when omitted.
         seed: of the first; the others count up.
         engine: where; on all cores when omitted.
+        kind: what ``one`` makes.
         progress: called with the number done.
 
     Raises:
         MissingDependencyError: solver or plant needs a package that is not installed.
     """
-    work = partial(rollouts, solver=solver, plant=plant)
-    return gathered(work, range(seed, seed + count), Rollout, engine, progress)
-
-
-def gathered(
-    work: Callable[[Sequence[int]], list[One]],
-    seeds: Sequence[int],
-    kind: Callable[..., One],
-    engine: Engine,
-    progress: Callable[[int], None] | None = None,
-) -> list[One]:
-    """What an engine makes of seeds, in their order; who ends its process has broken a promise."""
     done: dict[int, One] = {}
-    for own, found in engine.results(work, seeds):
+    work = partial(_batch, one=one or one_rollout)
+    for own, found in engine.results(work, range(seed, seed + count)):
         done[own] = kind(own, broken=(found.reason,)) if isinstance(found, Lost) else found
         if progress:
             progress(len(done))
     return [done[own] for own in sorted(done)]
 
 
-def rollouts(seeds: Sequence[int], *, solver: Solver, plant: Plant) -> list[Rollout]:
-    """A batch of rollouts, one after the other; what the engine has a worker do."""
-    with _rare_collections():
-        return [one_rollout(seed, solver, plant) for seed in seeds]
+def _batch(seeds: Sequence[int], *, one: Callable[[int], One]) -> list[One]:
+    """What the engine has a worker do.
 
-
-@contextmanager
-def _rare_collections() -> Iterator[None]:
-    """Let Python look for cycles that nobody holds once in some rollouts, not 50 times in each."""
+    Python looks for cycles that nobody holds once in some rollouts, not 50 times in each.
+    """
     before = gc.get_threshold()
     gc.set_threshold(COLLECTED, *before[1:])
     try:
-        yield
+        return [one(seed) for seed in seeds]
     finally:
         gc.set_threshold(*before)
 
 
-def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:
-    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised.
-
-    Raises:
-        MissingDependencyError: as for :func:`stress`.
-    """
+def tried(run: Callable[..., One], kind: Callable[..., One], seed: int, *given: object) -> One:
+    """A run; an exception is a broken promise, unless a package is not installed."""
     try:
-        if plant.takes_torques:
-            return run_pair(draw_with_masses(seed, solver), plant, seed)
-        return _run(draw(seed, solver), seed)
+        return run(seed, *given)
     except MissingDependencyError:
         raise
     except Exception as error:  # noqa: BLE001 - this is what the stress test looks for
-        return Rollout(seed, broken=(f"raised {type(error).__name__}: {error}",))
+        return kind(seed, broken=(f"raised {type(error).__name__}: {error}",))
 
 
-def _run(drawn: Draw, seed: int) -> Rollout:
+def one_rollout(seed: int, solver: Solver = DAQP, plant: Plant = JOINTS) -> Rollout:
+    """Draw a rollout from a seed and run it; on a plant with masses it has draws of its own."""
+    return tried(_run, Rollout, seed, solver, plant)
+
+
+def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
+    if plant.takes_torques:
+        return run_pair(draw_with_masses(seed, solver), plant, seed)
+    drawn = draw(seed, solver)
     law = LAW.unprepared(drawn.problem)
     state = law.start()
     record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
