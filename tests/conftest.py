@@ -21,7 +21,7 @@ LONGEST = (
     "report/test_playback.py",
     "plants/test_rigid_body.py",
     "controllers/test_passive_grasp.py",
-    "study/test_stress_wide.py",
+    "stress/test_wide.py",
     "study/test_sweep_kept.py",
     "plants/test_pressing_hands.py",
     "controllers/test_torque_margins.py",
@@ -34,7 +34,7 @@ LONGEST = (
     "study/test_misled_runs.py",
     "border/test_reports_are_whole.py",
     "kernel/test_core.py",
-    "study/test_stress_with_masses.py",
+    "stress/test_masses.py",
     "study/test_repeated_ticks.py",
     "online/test_recording.py",
     "report/test_hands.py",
@@ -44,7 +44,7 @@ LONGEST = (
 #: Files that go to one process, because they share what takes long to make.
 TOGETHER = {
     "a report": ("recordings/test_every_format.py", "recordings/test_standard_messages.py"),
-    "workers": ("study/test_stress_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
+    "workers": ("stress/test_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
     "shipped scenarios": (
         "report/test_playback.py",
         "test_cli.py",

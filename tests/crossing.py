@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from stress import goals
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -29,7 +30,7 @@ from coopqp.signals import Circle
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
 from coopqp.state import State
-from coopqp.study.stress import goals
+from coopqp.study.statistics.draw import vector
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, Orientation, PointOnPoint
 
@@ -83,10 +84,10 @@ def problem(
     begin = border.start_position - RADIUS * out
     near = _at_the_end(border, begin)
     round_ = Circle(
-        center=goals.vector(border.start_position),
+        center=vector(border.start_position),
         radius=RADIUS,
-        normal=goals.vector(np.cross(out, across)),
-        begin=goals.vector(-out),
+        normal=vector(np.cross(out, across)),
+        begin=vector(-out),
         period=PERIOD,
     )
     firm = PointOnPoint(name="firm", goal=round_, mode=mode, gain=5.0, profile=Profile(kind="step"))
@@ -129,7 +130,7 @@ def _problem(chain: ClosedChain, firm: PointOnPoint) -> ControlProblem:
 def _at_the_end(chain: ClosedChain, goal: Array) -> ClosedChain:
     """The chain at the place as near to a goal as the QP with soft tasks comes."""
     reach = PointOnPoint(
-        name="reach", goal=goals.vector(goal), gain=5.0, profile=Profile(duration=0.5 * APPROACH)
+        name="reach", goal=vector(goal), gain=5.0, profile=Profile(duration=0.5 * APPROACH)
     )
     law = QPController().build(_problem(chain, reach))
     made = law.run(law.start(), round(APPROACH / DT))

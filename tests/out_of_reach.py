@@ -12,6 +12,9 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from stress import arrangements, goals
+from stress.firmness import as_soft
+from stress.goals import Aim, pick
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -24,9 +27,7 @@ from coopqp.scenario.loader import load
 from coopqp.solver import written
 from coopqp.solvers import Daqp
 from coopqp.state import State
-from coopqp.study.stress import arrangements, goals
-from coopqp.study.stress.draw import walk
-from coopqp.study.stress.goals import Aim, pick
+from coopqp.study.statistics.draw import walk
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering
 
@@ -171,17 +172,6 @@ def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
 def falls_short(found: Ended, reference: Ended) -> bool:
     """Whether a firm task ends farther off than as soft of priority 0."""
     return found.error - reference.error > max(FARTHER, FARTHER_SHARE * reference.error)
-
-
-def as_soft(problem: ControlProblem, firm: Task) -> ControlProblem:
-    """The same problem with a firm task as soft of priority 0, and the soft ones below it."""
-    tasks = [
-        replace(task, mode="soft", priority=0)
-        if task is firm
-        else replace(task, priority=min(task.priority + 1, 9))
-        for task in problem.tasks
-    ]
-    return replace(problem, tasks=tuple(tasks))
 
 
 def draw(seed: int) -> Draw:

@@ -12,7 +12,6 @@ from command_line import typed
 from scenario_files import LOADABLE
 
 from coopqp.scenario.loader import shipped
-from coopqp.study.stress.ending import OUTCOMES
 
 
 @pytest.fixture(scope="module")
@@ -138,10 +137,7 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
         (["explain", "OUT", "--controller", "nobody"], "unknown controller 'nobody'"),
         (["replay", "OUT/metrics.json"], "is not a tick saved by"),
         (["replay", "/no/such"], "cannot be read"),
-        (["stress", "--rollouts", "0"], "is not in the range"),
-        (["stress", "--solver", "osqq"], "unknown solver 'osqq'; did you mean 'osqp'?"),
-        (["stress", "--plant", "mujocoo"], "unknown plant 'mujocoo'; did you mean 'mujoco'?"),
-        (["stress", "--contacts", "--plant", "mujoco"], "needs rigid_body; omit --plant"),
+        (["stress", "--rollouts", "0", "--help"], "are a test now: python -m tests.stress"),
     ],
 )
 def test_explain_replay_and_stress_refuse_in_words(
@@ -150,18 +146,6 @@ def test_explain_replay_and_stress_refuse_in_words(
     result = typed(*[word.replace("OUT", str(written)) for word in words])
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
-
-
-def test_a_small_stress_breaks_no_promise() -> None:
-    result = typed("stress", "--rollouts", "3", "--jobs", "1", "--json")
-    assert result.exit_code == 0
-    data = json.loads(result.stdout)
-    assert data["broken"] == []
-    everything = data["lines"][-1]
-    assert everything["count"] == 3
-    assert everything["position_excess"] <= 1e-9
-    assert everything["velocity_excess"] <= 1e-9
-    assert set(everything["outcomes"]) <= set(OUTCOMES)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")

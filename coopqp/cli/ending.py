@@ -33,14 +33,14 @@ class _Terminated(KeyboardInterrupt):
     """SIGTERM; it goes the way of Ctrl-C, past all that catches what users' code raises."""
 
 
-class Group(click.Group):
-    """Commands whose bad input ends in one clear message per fault, and exit code 2.
+class Command(click.Command):
+    """A command whose bad input ends in one clear message per fault, and exit code 2.
 
     What nobody foresaw ends in one line too, with how to report it, and exit code 70.
     """
 
     def invoke(self, ctx: click.Context) -> Any:
-        debug = ctx.params["debug"]
+        debug = ctx.params.get("debug", False)
         try:
             with warnings.catch_warnings(), _terminable():
                 if not debug:  # numpy's on what overflows; what comes of it is checked and said
@@ -57,6 +57,10 @@ class Group(click.Group):
         for line in told.splitlines():
             click.echo(one_line(line), err=True)
         return ctx.exit(code)
+
+
+class Group(Command, click.Group):
+    """Several of them."""
 
 
 def _ending(error: BaseException) -> tuple[int, str]:

@@ -169,61 +169,16 @@ def replay(
     console().print(table.replay(record, answers))
 
 
-@click.command()
-@click.option("--rollouts", type=click.IntRange(1), default=1000, help="How many.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
-@click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
-@click.option("--plant", default="kinematic", help="With masses: each with and without errors.")
-@click.option("--contacts", is_flag=True, help="Hands that press, torque_qp on rigid bodies.")
-@engined
-@JSON
-def stress(
-    rollouts: int,
-    seed: int,
-    solver: str,
-    plant: str,
-    contacts: bool,
-    engine: Any,
-    as_json: bool,
-) -> None:
-    """Run random rollouts of the QP law; exit code 1 if one breaks a promise."""
-    from dataclasses import asdict
-
-    from coopqp.errors import InvalidValueError
-    from coopqp.report import strict_json
-    from coopqp.report.terminal import console, progress_bars
-    from coopqp.scenario.catalog import Catalog
-    from coopqp.scenario.loader import plant_by_name, solver_by_name
-    from coopqp.study import stress as trial
-
-    catalog = Catalog()
-    if contacts and plant not in ("kinematic", "rigid_body"):
-        raise InvalidValueError(
-            f"--contacts: found --plant {plant}, needs rigid_body; omit --plant"
-        )
-    asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
-    done: Any
-    lines: Any
-    with progress_bars(["rollouts"], rollouts) as progress:
-        report = (lambda done: progress("rollouts", done)) if progress else None
-        where: Any = {"seed": seed, "engine": engine, "progress": report}
-        if contacts:
-            done = trial.stress_contacts(rollouts, asked[0], **where)
-        else:
-            done = trial.stress(rollouts, *asked, **where)
-    lines = trial.summarize_contacts(done) if contacts else trial.summarize(done)
-    broken = [r for r in done if r.broken]
-    if as_json:
-        data = {"lines": [asdict(x) for x in lines], "broken": [asdict(r) for r in broken]}
-        click.echo(strict_json.text(data))
-    else:
-        from coopqp.report import table
-
-        console().print(table.contacts(lines) if contacts else table.stress(lines, plant))
-        for r in broken[:20]:
-            click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
-    if broken:
-        click.get_current_context().exit(1)
+@click.command(
+    hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
+)
+@click.argument("words", nargs=-1, type=click.UNPROCESSED)
+def stress(words: tuple[str, ...]) -> None:
+    """Say where the random rollouts have gone."""
+    raise CoopqpError(
+        "the random rollouts are a test now: python -m tests.stress, with the same options, "
+        "in a checkout of coopqp (docs/stress.md)"
+    )
 
 
 @click.command()

@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+from stress.draw import DAQP, LAW, draw
+from stress.trial import one_rollout
+
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
 from coopqp.assessment.thresholds import matters
@@ -20,8 +23,6 @@ from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.statistics.trial import _judge
-from coopqp.study.stress.draw import DAQP, LAW, draw
-from coopqp.study.stress.trial import one_rollout
 from coopqp.study.sweep import variant
 from coopqp.trace import Trace
 from coopqp.viewer.lane import Lane

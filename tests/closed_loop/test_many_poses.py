@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from stress import arrangements, driving
 
 from coopqp.closed_loop.many_poses import angles, carried, loop_errors
 from coopqp.scenario.loader import load
 from coopqp.state import State
-from coopqp.study.stress import arrangements, driving
 
 COUNT = 20
 

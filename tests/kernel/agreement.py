@@ -22,11 +22,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 
 from judged import Seen, compare
 from scenario_files import LOADABLE
+from stress.draw import draw
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel.fit import why_not
 from coopqp.scenario.loader import load
-from coopqp.study.stress.draw import draw
 
 
 def main() -> int:

@@ -6,12 +6,12 @@ import pytest
 from judged import compare
 from scenario_files import LOADABLE
 from side_by_side import drive
+from stress.draw import draw
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel import native
 from coopqp.kernel.fit import why_not
 from coopqp.scenario.loader import load
-from coopqp.study.stress.draw import draw
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from laws import problem
 from side_by_side import laws
+from stress import arrangements
 
 from coopqp.kernel import native
-from coopqp.study.stress import arrangements
-from coopqp.study.stress.draw import walk
+from coopqp.study.statistics.draw import walk
 from coopqp.tasks import Manipulability
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

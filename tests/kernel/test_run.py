@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from chains import Walk
 from laws import LIMITS, NEAR, UNREACHABLE, problem
+from stress.draw import LAW as STRESSED
+from stress.draw import draw
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
-from coopqp.study.stress.draw import LAW as STRESSED
-from coopqp.study.stress.draw import draw
 from coopqp.tasks import JointCentering, PointOnPoint
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

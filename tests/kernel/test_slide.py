@@ -6,12 +6,12 @@ import copy
 
 import numpy as np
 import pytest
+from stress import arrangements
 
 from coopqp.kernel import native
 from coopqp.kernel.slide import slide
 from coopqp.rank import null_space
 from coopqp.state import State
-from coopqp.study.stress import arrangements
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 

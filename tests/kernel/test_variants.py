@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from stress.draw import draw
 from variants import apart, variants
 
 from coopqp.scenario.loader import load
-from coopqp.study.stress.draw import draw
 
 pytestmark = pytest.mark.skipif(len(variants()) < 2, reason="there are no two variants here")
 

@@ -8,6 +8,8 @@ from conflicts import OUTSIDE, TURN, started_outside
 from laws import DT, LIMITS, STEP, problem
 from scipy.optimize import LinearConstraint, minimize
 from side_by_side import drive
+from stress.draw import LAW as STRESSED
+from stress.draw import draw
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -21,8 +23,6 @@ from coopqp.qp_law.way_back import KEPT, LEAST_MOTION
 from coopqp.robot import RobotModel
 from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.study.stress.draw import LAW as STRESSED
-from coopqp.study.stress.draw import draw
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 

@@ -58,6 +58,8 @@ def test_all_else_that_can_be_named_is_there() -> None:
     for name in shipped():
         assert f"[{name}]" in PAGES()["scenarios.md"]
     for name, command in cli.main.commands.items():
+        if command.hidden:
+            continue
         told = section("command_line.md", name)
         options = (option for option in command.params if isinstance(option, click.Option))
         assert all(option.opts[0] in told for option in options)

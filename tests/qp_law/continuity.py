@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 
 from crossing import LEFT, Jump, Mode, jump, problem
 from out_of_reach import chain_of, robots
+from stress import arrangements
 
 from coopqp.controllers import QPController
-from coopqp.study.stress import arrangements
 
 
 def main() -> int:

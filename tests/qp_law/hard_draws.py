@@ -24,7 +24,8 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 
-from out_of_reach import FARTHER_OFF, Ended, as_soft, draw, run, shortfall
+from out_of_reach import FARTHER_OFF, Ended, draw, run, shortfall
+from stress.firmness import as_soft
 
 from coopqp.scenario.loader import load
 from coopqp.study.engine import Engine, Lost

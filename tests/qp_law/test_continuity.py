@@ -7,9 +7,9 @@ from functools import cache
 import pytest
 from crossing import LEFT, Jump, Mode, jump, problem
 from out_of_reach import chain_of, robots
+from stress import arrangements
 
 from coopqp.controllers import QPController
-from coopqp.study.stress import arrangements
 
 
 @cache

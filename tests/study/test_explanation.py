@@ -10,6 +10,7 @@ from example_limits import by_name
 from kept_ticks import POSE, WIDE, at, first_tick, problem, record
 from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, ticks
 from scipy.optimize import linprog
+from stress.draw import LAW, draw
 
 import coopqp
 from coopqp.closed_chain import ClosedChain
@@ -22,7 +23,6 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
 from coopqp.state import State
 from coopqp.study.explanation import Explanation, Relaxation, asked_now, explain, explain_asked
-from coopqp.study.stress.draw import LAW, draw
 from coopqp.task import TaskStack
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint
 

@@ -33,8 +33,8 @@ from coopqp.study.statistics import (
     wilson,
 )
 from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
-from coopqp.study.statistics.laws import LAWS
 from coopqp.study.statistics.reach import holds_inside
+from coopqp.study.statistics.trial import LAWS
 from coopqp.tasks import PointOnPoint
 
 SMALL = {"nao_t14": OWN["nao_t14"], "planar_pair": OWN["planar_pair"]}

@@ -26,7 +26,7 @@ from coopqp.report.style import (
     Style,
 )
 from coopqp.report.sweep.bins import Binned
-from coopqp.report.sweep.table import difference, percent, points
+from coopqp.report.sweep.table import difference, points
 from coopqp.report.sweep.worst import worst_error, worst_rows
 from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
@@ -185,7 +185,7 @@ def _line(k: int, line: Line, names: Sequence[str]) -> list[str]:
     reached = f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-"
     quantiles = [*(line.errors[name] for name in names), line.margin]
     shown = [f"{a:.3g}, {b:.3g}" if a == a else "-" for a, b in quantiles]
-    return [_named(k, line.controller), *states, percent(line.success), reached, *shown]
+    return [_named(k, line.controller), *states, line.success.percent(1), reached, *shown]
 
 
 def _named(k: int, controller: str) -> str:

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from coopqp.errors import one_line
 from coopqp.study.statistics.paired import Difference
-from coopqp.study.statistics.summary import Share
 from coopqp.study.sweep.summary import Line, Summary
 
 MOST_NAMES, MOST_REASONS = 3, 5
@@ -77,18 +76,13 @@ def _two_lines(found: Difference, said: Callable[[float], str]) -> str:
     """A dash where there is none."""
     if not found.of:
         return "-"
-    return f"{said(found.value)}, {chance(found.p)}\n{said(found.low)} to {said(found.high)}"
-
-
-def chance(p: float) -> str:
-    """Such as "p 0.03"."""
-    return f"p {p:.1g}" if p >= 1e-4 else "p < 1e-4"
+    return f"{said(found.value)}, {found.chance}\n{said(found.low)} to {said(found.high)}"
 
 
 def _cells(line: Line) -> Iterator[Text]:
     yield Text(one_line(line.controller), style="bold")
     yield Text(", ".join(f"{line.states.get(s, 0):,}" for s in ("done", "invalid", "failed")))
-    yield Text(percent(line.success))
+    yield Text(line.success.percent(1))
     yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
     yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
     yield from (Text(named(counts)) for counts in (line.blocked_by, line.broken))
@@ -106,14 +100,6 @@ def sentences(summary: Summary) -> Iterator[str]:
 def as_json(name: str, summary: Summary) -> dict[str, Any]:
     """The same for machines."""
     return {"study": name, **asdict(summary)}
-
-
-def percent(share: Share) -> str:
-    """Such as "93.1 90.2-95.4"; a dash where there was none."""
-    if not share.of:
-        return "-"
-    part = 100.0 * share.count / share.of
-    return f"{part:.1f} {100 * share.low:.1f}-{100 * share.high:.1f}"
 
 
 def named(counts: Mapping[str, int]) -> str:

@@ -1,9 +1,8 @@
 """Random goals under every law: how often it reaches, stays inside the limits, keeps the loop.
 
-laws     what is compared
 draw     a start and a goal from one seed
 reach    whether bounded inverse kinematics finds a way to hold the goal inside the limits
-trial    the runs, on all cores
+trial    what is compared; the runs, on all cores
 paired   one law against another on the same goals
 summary  counts with intervals, by class of goal
 table    what the command prints

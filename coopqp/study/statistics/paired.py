@@ -42,6 +42,11 @@ class Difference:
     p: float
     of: int
 
+    @property
+    def chance(self) -> str:
+        """Such as "p 0.03"."""
+        return f"p {self.p:.1g}" if self.p >= 1e-4 else "p < 1e-4"
+
 
 @dataclass(frozen=True)
 class Success:

@@ -7,6 +7,7 @@ from several starts, with scipy's trust region method: nothing of it is shared w
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,12 +26,7 @@ INSIDE = 1e-9  # a try begins this far inside the limits [rad or m]
 
 
 def holds_inside(problem: ControlProblem, starts: Sequence[Array]) -> bool:
-    """Whether some configuration inside the limits holds the goal of all tasks.
-
-    Args:
-        problem: whose tasks' references have arrived.
-        starts: where to begin, one after the other, each of shape (n,).
-    """
+    """Whether some configuration inside the limits holds the goal of all tasks, from any start."""
     return any(_holds(problem, start) for start in starts)
 
 
@@ -38,6 +34,7 @@ def _holds(problem: ControlProblem, start: Array) -> bool:
     chain = problem.chain
     state, stack = State(chain), TaskStack(problem.tasks, State(chain))
     state.t = max(task.end for task in problem.tasks)
+    parts = [part for task in problem.tasks for part in task.parts(chain)]
     closed, root = chain.loops.closed, np.sqrt(stack.weights)
 
     def residual(q: Array) -> Array:
@@ -53,15 +50,9 @@ def _holds(problem: ControlProblem, start: Array) -> bool:
     first = np.clip(start, chain.lower + INSIDE, chain.upper - INSIDE)
     bounds = (chain.lower, chain.upper)
     residual(least_squares(residual, first, slope, bounds, max_nfev=STEPS).x)
-    return met(problem, stack) and bool(np.abs(state.loop_error[:closed]).max(initial=0) < CLOSED)
-
-
-def met(problem: ControlProblem, stack: TaskStack) -> bool:
-    """Whether every part of every task is within its tolerance."""
-    at = 0
-    for task in problem.tasks:
-        for part in task.parts(problem.chain):
-            if not within(float(np.linalg.norm(stack.e[at : at + part.rows])), part.tolerance):
-                return False
-            at += part.rows
-    return True
+    ends = itertools.accumulate((part.rows for part in parts), initial=0)
+    met = all(
+        within(float(np.linalg.norm(stack.e[a:b])), part.tolerance)
+        for part, (a, b) in zip(parts, itertools.pairwise(ends), strict=True)
+    )
+    return met and bool(np.abs(state.loop_error[:closed]).max(initial=0) < CLOSED)

@@ -8,7 +8,7 @@ from rich import box
 from rich.table import Table
 
 from coopqp.study.statistics.paired import Difference
-from coopqp.study.statistics.summary import Line, Share
+from coopqp.study.statistics.summary import Line
 
 #: Goals beyond the limits cannot be reached inside them, so that "all three" says nothing there.
 COLUMNS = {
@@ -30,7 +30,7 @@ def tables(lines: Sequence[Line]) -> Iterator[Table]:
         columns = COLUMNS[goal]
         table = _table(f"{title}: {chosen[0].whole.of}", list(columns))
         for x in chosen:
-            table.add_row(x.law, *(percent(getattr(x, name)) for name in columns.values()))
+            table.add_row(x.law, *(getattr(x, name).percent(0) for name in columns.values()))
         yield table
     yield _against(lines, "inside", "all three")
     yield _against(lines, "beyond", "nearest")
@@ -55,8 +55,7 @@ def _points(found: Difference) -> str:
     if not found.of:
         return "-"
     value, low, high = (100.0 * x for x in (found.value, found.low, found.high))
-    p = f"p {found.p:.1g}" if found.p >= 1e-4 else "p < 1e-4"
-    return f"{value:+.0f} {low:+.0f} to {high:+.0f}, {p}"
+    return f"{value:+.0f} {low:+.0f} to {high:+.0f}, {found.chance}"
 
 
 def _by_robot(lines: Sequence[Line], goal: str, what: str, title: str) -> Table:
@@ -64,7 +63,7 @@ def _by_robot(lines: Sequence[Line], goal: str, what: str, title: str) -> Table:
     counts = {x.robot: getattr(x, what).of for x in chosen}
     table = _table(title, [f"{robot}\nof {count}" for robot, count in counts.items()])
     for law in dict.fromkeys(x.law for x in chosen):
-        table.add_row(law, *(percent(getattr(x, what)) for x in chosen if x.law == law))
+        table.add_row(law, *(getattr(x, what).percent(0) for x in chosen if x.law == law))
     return table
 
 
@@ -76,11 +75,3 @@ def _table(title: str, headings: Sequence[str]) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     return table
-
-
-def percent(share: Share) -> str:
-    """Such as "93 89-96"; a dash where there was none."""
-    if not share.of:
-        return "-"
-    part = 100.0 * share.count / share.of
-    return f"{part:.0f} {100 * share.low:.0f}-{100 * share.high:.0f}"

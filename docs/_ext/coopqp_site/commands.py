@@ -14,8 +14,9 @@ def page() -> str:
     """Every command with its arguments and options."""
     top = click.Context(cli.main, info_name="coopqp")
     text = f"# Command line\n\n{_help(cli.main)}\n\n{_options(cli.main, top)}"
-    for name in sorted(cli.main.commands):
-        command = cli.main.commands[name]
+    for name, command in sorted(cli.main.commands.items()):
+        if command.hidden:
+            continue
         inside = click.Context(command, info_name=name, parent=top)
         usage = " ".join([inside.command_path, *command.collect_usage_pieces(inside)])
         text += f"\n## {name}\n\n```text\n{usage}\n```\n\n{_help(command)}\n\n"

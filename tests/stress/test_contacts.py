@@ -13,17 +13,11 @@ from rich.console import Console
 from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.report import table
 from coopqp.solver import Status
-from coopqp.study.stress import (
-    ContactRollout,
-    arrangements,
-    contact_rollout,
-    summarize_contacts,
-)
-from coopqp.study.stress.contacts import Seen, look
-from coopqp.study.stress.pressing import draw_pressing
 from coopqp.tasks import PointOnPoint
+from stress import arrangements
+from stress.contacts import ContactRollout, Seen, contact_rollout, draw_pressing, look
+from stress.summary import contact_table, summarize
 
 needs_robots = pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
 
@@ -93,12 +87,12 @@ def test_the_table_counts_every_rollout() -> None:
         ContactRollout(3, "nao_t14", "fingertip", "none", outcome="refused"),
         ContactRollout(4, broken=("raised",)),
     ]
-    lines = {line.kind: line for line in summarize_contacts(rollouts)}
-    assert lines["all"].count == 5
-    assert lines["all"].causes == {"no name": 1, "push": 1}
-    assert lines["all"].broken == 2
-    counts = Counter({kind: line.count for kind, line in lines.items()})
+    lines = {line["kind"]: line for line in summarize(rollouts)}
+    assert lines["all"]["count"] == 5
+    assert lines["all"]["causes"] == {"no name": 1, "push": 1}
+    assert lines["all"]["broken"] == 2
+    counts = Counter({kind: line["count"] for kind, line in lines.items()})
     assert counts["baxter"] + counts["nao_t14"] == counts["pads"] + counts["fingertip"] == 4
     console = Console(width=80, record=True)
-    console.print(table.contacts(list(lines.values())))
+    console.print(contact_table(list(lines.values())))
     assert "lost by: no name 1, push 1" in console.export_text()

@@ -1,4 +1,4 @@
-"""Runs a law on a plant, and keeps what the signs are read from."""
+"""Runs a law on joints that do as told, and keeps what the signs are read from."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from coopqp.closed_loop import many_poses
 from coopqp.controller import ControlProblem, Law
 from coopqp.kernel.survey import loop_survey
 from coopqp.limits import JointVelocity
-from coopqp.plant import PlantModel
-from coopqp.rollout import drive
 from coopqp.state import State
-from coopqp.study.stress import signs
-from coopqp.study.stress.ending import PartErrors
-from coopqp.study.stress.signs import Record
+
+from . import signs
+from .ending import PartErrors
+from .signs import Record
 
 FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
 LONGEST = 24.0  # who may swing goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
@@ -48,7 +47,7 @@ def record_of(problem: ControlProblem) -> Record:
 def drive_on(
     law: Law, state: State, record: Record, errors: PartErrors, *, patient: bool = False
 ) -> None:
-    """Run on joints that do as told, until it has ended, or its time is up.
+    """Run until it has ended, or its time is up.
 
     Args:
         law: what is tried out.
@@ -57,19 +56,16 @@ def drive_on(
         errors: of its tasks.
         patient: whether all that has not ended goes on for :data:`LONGEST`.
     """
-    problem = law.problem
     record.q = state.q[None].copy()
     while _goes_on(state, record, errors, patient=patient):
         made = law.run(state, ROUND if len(record.v) else FEWEST)
         record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
         record.causes.extend(made.causes)
         record.plain += int(np.count_nonzero(~made.compiled))
-        _note_loops(record, state)
+        note_loops(record, state.loop_position_error, state.loop_orientation_error)
         if not np.isfinite(made.v).all():
             return
-    position, orientation = loop_errors(problem.chain, record.q)
-    record.loop_position = max(record.loop_position, float(position.max()))
-    record.loop_orientation = max(record.loop_orientation, float(orientation.max()))
+    note_loops(record, *(float(each.max()) for each in loop_errors(law.problem.chain, record.q)))
 
 
 def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
@@ -82,34 +78,10 @@ def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
     return sizes[:, 0], sizes[:, 1]
 
 
-def drive_for(ticks: int, law: Law, plant: PlantModel, state: State, record: Record) -> None:
-    """Run so many ticks on a plant, or until one commands NaN."""
-    q, v = [], []
-    for command, _ in drive(law, plant, state, ticks):
-        q.append(state.q.copy())
-        v.append(command.v.copy())
-        record.causes.append(command.causes)
-        record.plain += not law.compiled
-        _note(record, plant, state)
-        if not np.isfinite(command.v).all():
-            break
-    _note(record, plant, state)
-    record.q, record.v = np.array([*q, state.q]), np.array(v)
-
-
-def _note(record: Record, plant: PlantModel, state: State) -> None:
-    """Keep how far the loops are open, and what a plant with masses tells of the last step."""
-    _note_loops(record, state)
-    if "internal_wrench" in plant.signals:
-        forces = plant.signals["internal_wrench"].reshape(-1, 6)[:, :3]
-        record.forces.append(float(np.linalg.norm(forces, axis=1).max()))
-        record.saturated.append(plant.signals["saturated"] > 0.0)
-
-
-def _note_loops(record: Record, state: State) -> None:
-    """Keep how far the loops are open by pinocchio, of which the kernel knows nothing."""
-    record.loop_position = max(record.loop_position, state.loop_position_error)
-    record.loop_orientation = max(record.loop_orientation, state.loop_orientation_error)
+def note_loops(record: Record, position: float, orientation: float) -> None:
+    """Keep how far the loops are open; by pinocchio where a state has it, by the kernel in all."""
+    record.loop_position = max(record.loop_position, position)
+    record.loop_orientation = max(record.loop_orientation, orientation)
 
 
 def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool) -> bool:

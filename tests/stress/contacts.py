@@ -8,27 +8,45 @@ over its edge, or what has no name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.hands import into_contacts
 from coopqp.contact import NO_CONTACT
-from coopqp.controller import Command
+from coopqp.controller import Command, ControlProblem
+from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.disturbance import Disturbance, Push
+from coopqp.errors import CoopqpError
+from coopqp.grasp import Grasp
+from coopqp.grasps import PointContact, SurfaceContact
+from coopqp.limits import JointPosition, JointVelocity
 from coopqp.plants.rigid_body import RigidBody
+from coopqp.profile import Profile
 from coopqp.rollout import drive
 from coopqp.solver import Solver, Status
 from coopqp.state import State
-from coopqp.study.engine import Engine
-from coopqp.study.stress.draw import DAQP
-from coopqp.study.stress.pressing import NOTHING, PressingDraw, draw_pressing
-from coopqp.study.stress.trial import HERE, gathered
+from coopqp.study.statistics.draw import vector, walk
+from coopqp.task import Task
+from coopqp.tasks import InternalWrench
+
+from . import arrangements, goals
+from .draw import DAQP
+from .goals import pick
+from .masses import GRAVITY, random_force
+from .trial import tried
+
+#: Two hands that can press from both sides, and the heaviest object [kg].
+HEAVIEST = {"nao_t14": 0.3, "two_pandas": 3.0, "baxter": 2.0}
+KINDS = ("point_on_point", "pose", "orientation")
+#: What the controller is not told, besides nothing.
+ERRORS = ("none", "none", "push", "friction", "mass", "all")
+DT = 0.002  # [s]
+NOTHING = Disturbance()
 
 TICKS = 300
 EVERY = 10  # ticks in which round cones are asked as well
@@ -40,17 +58,116 @@ BODIES = RigidBody()
 
 
 @dataclass(frozen=True)
+class PressingDraw:
+    """A random problem of "pads", or of a "fingertip" in the first hand.
+
+    Attributes:
+        errors, disturbance: what the controller is not told, in a word and in numbers.
+    """
+
+    robot: str
+    grasp: str
+    errors: str
+    tasks: tuple[str, ...]
+    problem: ControlProblem
+    controller: TorqueQp
+    disturbance: Disturbance
+
+
+def draw_pressing(seed: int, solver: Solver = DAQP) -> PressingDraw:
+    """The problem that belongs to a seed, the same for every solver.
+
+    Raises:
+        CoopqpError: the draw is one that nobody can hold.
+    """
+    rng = np.random.default_rng(seed)
+    robot = pick(rng, [name for name in HEAVIEST if name in arrangements.names()])
+    grasp, errors = pick(rng, ["pads", "pads", "fingertip"]), pick(rng, ERRORS)
+    firm = arrangements.chain(robot, "rigid")
+    chain = _pressing(rng, firm, walk(rng, firm), grasp, HEAVIEST[robot])
+    tasks, wrenches = _tasks(rng, chain), _wrenches(rng, chain)
+    problem = ControlProblem(
+        chain=chain,
+        tasks=tasks,
+        wrenches=wrenches,
+        limits=(JointPosition(), JointVelocity()),
+        dt=DT,
+        kappa=pick(rng, [0.02, 0.1]) / DT,
+        solver=solver,
+    )
+    return PressingDraw(
+        robot, grasp, errors, tuple(f"{t.mode} {type(t).__name__}" for t in (*tasks, *wrenches)),
+        problem, TorqueQp(safety=float(rng.uniform(1.0, 2.0))), _disturbance(rng, chain, errors),
+    )  # fmt: skip
+
+
+def _pressing(
+    rng: np.random.Generator, firm: ClosedChain, q: Array, grasp: str, heaviest: float
+) -> ClosedChain:
+    """Pads, and perhaps a fingertip, at the tips of two hands; their x axis points up."""
+    data = firm.model.createData()
+    pin.framesForwardKinematics(firm.model, data, q)
+    tips = [data.oMf[firm.model.getFrameId(arm.tip)] for arm in firm.arms]
+    e = tips[1].translation - tips[0].translation
+    half, mu = rng.uniform(0.01, 0.04, 2).tolist(), float(rng.uniform(0.2, 1.0))
+    kinds = [PointContact if grasp == "fingertip" else SurfaceContact, SurfaceContact]
+    grasps: dict[str, Grasp] = {}
+    for arm, tip, kind, sign in zip(firm.arms, tips, kinds, (1.0, -1.0), strict=True):
+        normal = vector(tip.rotation.T @ (sign * e))
+        along = vector(tip.rotation.T[:, 2])
+        if kind is PointContact:
+            grasps[arm.name] = PointContact(normal=normal, along=along, friction=mu)
+        else:
+            grasps[arm.name] = SurfaceContact(
+                normal=normal, along=along, friction=mu, half_lengths=(half[0], half[1])
+            )
+    mass = float(heaviest * rng.uniform(0.1, 1.0))
+    return ClosedChain.take_hold(firm.robot, q, grasps, replace(firm.held, mass=mass, pose=None))
+
+
+def _tasks(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:
+    """One that the arms can do, soft or hard, gentle or not."""
+    aim = goals.random_aim(rng, chain.object_pose(walk(rng, chain)))
+    common: goals.Common = {
+        "name": "move",
+        "mode": pick(rng, ["soft", "soft", "soft", "hard"]),
+        "priority": 0,
+        "weight": float(10.0 ** rng.uniform(-1.0, 1.0)),
+        "gain": float(rng.uniform(2.0, 20.0)),
+        "profile": Profile(kind="quintic", duration=float(rng.uniform(0.3, 1.5))),
+    }
+    return (goals.BUILDERS[pick(rng, KINDS)](aim, common),)
+
+
+def _wrenches(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:
+    """A squeeze in a third of the draws: once to four times the weight."""
+    newtons = float(rng.uniform(1.0, 4.0)) * GRAVITY * chain.held.mass
+    return (InternalWrench(squeeze=newtons),) if rng.random() < 1.0 / 3.0 else ()
+
+
+def _disturbance(rng: np.random.Generator, chain: ClosedChain, errors: str) -> Disturbance:
+    force = random_force(rng, chain, 0.2)
+    push = Push(force=force, start=float(rng.uniform(0.0, 0.3)), duration=0.2)
+    friction, mass = rng.uniform([0.4, 0.7], [1.0, 2.0]).tolist()
+    com = vector(rng.uniform(-0.02, 0.02, 3))
+    told = {
+        "push": {"push": push},
+        "friction": {"friction": friction},
+        "mass": {"object_mass": mass, "object_com": com},
+    }
+    which = list(told) if errors == "all" else [errors] if errors in told else []
+    return replace(NOTHING, **{key: value for name in which for key, value in told[name].items()})
+
+
+@dataclass(frozen=True)
 class ContactRollout:
     """How one rollout went.
 
     Attributes:
-        seed: from which it can be repeated.
-        robot, grasp, errors, tasks: as drawn.
         outcome: one of ``OUTCOMES``; empty when it raised.
         reason: why it was lost or refused.
         cause: what a loss is named after: what gave up, or the errors; empty where nothing does.
         broken: promises that were broken, in words.
-        ticks: how many.
         given_up: ticks in which a cone was given up, or there was no answer.
         cone, torque: how far a cone that was kept, or a motor's limit, was left [N], [N m].
     """
@@ -100,35 +217,9 @@ class Seen:
         return tuple(words for words, true in said.items() if true)
 
 
-def stress_contacts(
-    count: int,
-    solver: Solver = DAQP,
-    *,
-    seed: int = 0,
-    engine: Engine = HERE,
-    progress: Callable[[int], None] | None = None,
-) -> list[ContactRollout]:
-    """Run many rollouts; arguments as for :func:`coopqp.study.stress.stress`."""
-    work = partial(_rollouts, solver=solver)
-    return gathered(work, range(seed, seed + count), _ended, engine, progress)
-
-
-def _ended(seed: int, reason: str) -> ContactRollout:
-    return ContactRollout(seed, broken=(reason,))
-
-
-def _rollouts(seeds: Sequence[int], *, solver: Solver) -> list[ContactRollout]:
-    return [contact_rollout(seed, solver) for seed in seeds]
-
-
 def contact_rollout(seed: int, solver: Solver = DAQP) -> ContactRollout:
-    """Draw a rollout from a seed and run it; an exception is a broken promise, not raised."""
-    try:
-        return _judged(seed, solver)
-    except MissingDependencyError:
-        raise
-    except Exception as error:  # noqa: BLE001 - this is what the stress test looks for
-        return ContactRollout(seed, broken=(f"raised {type(error).__name__}: {error}",))
+    """Draw a rollout from a seed and run it."""
+    return tried(_judged, ContactRollout, seed, solver)
 
 
 def _judged(seed: int, solver: Solver) -> ContactRollout:
@@ -172,13 +263,7 @@ def _named(drawn: PressingDraw, seed: int, seen: Seen) -> tuple[str, tuple[str, 
 
 
 def watched(drawn: PressingDraw, seed: int, disturbance: Disturbance) -> Seen:
-    """Run a draw on rigid bodies, and look at every tick until the object is lost.
-
-    Args:
-        drawn: the problem.
-        seed: of the plant.
-        disturbance: what the controller is not told.
-    """
+    """Run a draw on rigid bodies, and look at every tick until the object is lost."""
     law = drawn.controller.build(drawn.problem)
     assert isinstance(law, TorqueQpLaw)
     plant = BODIES.build(drawn.problem, seed, disturbance)
@@ -208,14 +293,7 @@ def _tipped(law: TorqueQpLaw, told: Array, true: State) -> bool:
 
 
 def look(law: TorqueQpLaw, state: State, command: Command, seen: Seen) -> None:
-    """Check what a tick commands, and what it says that it keeps.
-
-    Args:
-        law: after the tick.
-        state: of the tick.
-        command: of the tick.
-        seen: written.
-    """
+    """Check what a tick has commanded, and what it says that it keeps; write it into seen."""
     assert command.tau is not None
     seen.ticks += 1
     effort = law.problem.chain.model.effortLimit
@@ -240,53 +318,3 @@ def _borne(law: TorqueQpLaw, h: Array, state: State) -> bool:
         if needed > ROUND * hand.contact.friction / law.settings.safety:
             return False
     return True
-
-
-@dataclass(frozen=True)
-class ContactSummary:
-    """One line of the table: rollouts of one kind.
-
-    Attributes:
-        kind: such as "baxter", "pads", "errors none" or "all".
-        count: of rollouts.
-        outcomes: by name.
-        causes: of losses, by name.
-        broken: rollouts that broke a promise.
-        ticks, given_up: of all rollouts.
-        cone, torque: the worst of them [N], [N m].
-    """
-
-    kind: str
-    count: int
-    outcomes: dict[str, int]
-    causes: dict[str, int]
-    broken: int
-    ticks: int
-    given_up: int
-    cone: float
-    torque: float
-
-
-def summarize_contacts(rollouts: Sequence[ContactRollout]) -> list[ContactSummary]:
-    """By robot, grasp and errors, and all together."""
-    kinds: dict[str, list[ContactRollout]] = {}
-    for key in ("robot", "grasp", "errors"):
-        for r in sorted(rollouts, key=lambda r: str(getattr(r, key))):
-            if word := str(getattr(r, key)):
-                kinds.setdefault(f"errors {word}" if key == "errors" else word, []).append(r)
-    kinds["all"] = list(rollouts)
-    return [_summary(kind, of_kind) for kind, of_kind in kinds.items()]
-
-
-def _summary(kind: str, of_kind: Sequence[ContactRollout]) -> ContactSummary:
-    return ContactSummary(
-        kind,
-        len(of_kind),
-        dict(sorted(Counter(r.outcome or "raised" for r in of_kind).items())),
-        dict(sorted(Counter(r.cause or "no name" for r in of_kind if r.outcome == "lost").items())),
-        sum(bool(r.broken) for r in of_kind),
-        sum(r.ticks for r in of_kind),
-        sum(r.given_up for r in of_kind),
-        max(r.cone for r in of_kind),
-        max(r.torque for r in of_kind),
-    )

@@ -25,13 +25,13 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.study.stress.draw import LAW
-from coopqp.study.stress.driving import LONGEST, drive_on, record_of
-from coopqp.study.stress.ending import PartErrors
-from coopqp.study.stress.firmness import as_soft, missed_hard_tasks, worse_than_soft
-from coopqp.study.stress.signs import Record
 from coopqp.tasks import PointOnPoint, Twist
 from coopqp.ticks import Ticks
+from stress.draw import LAW
+from stress.driving import LONGEST, drive_on, record_of
+from stress.ending import PartErrors
+from stress.firmness import as_soft, missed_hard_tasks, worse_than_soft
+from stress.signs import Record
 
 FILES = Path(__file__).parent / "firmness"
 DT = 0.005
@@ -191,7 +191,8 @@ def driven(wanted: ControlProblem) -> tuple[Law, State, Record]:
 
 @pytest.mark.parametrize("name", ["swing_hard", "hard_worse_than_soft"])
 def test_soft_tasks_of_priority_0_come_to_rest(name: str) -> None:
-    _, _, seen = driven(as_soft(*asked(name)))
+    wanted, i = asked(name)
+    _, _, seen = driven(as_soft(wanted, wanted.tasks[i]))
     assert swing(seen) is None
 
 
@@ -206,14 +207,14 @@ def test_hard_tasks_out_of_reach_rest_as_near_as_soft_ones(name: str) -> None:
 
 def test_as_soft_moves_the_others_one_priority_down() -> None:
     wanted, i = asked("hard_worse_than_soft")
-    before, after = wanted.tasks, as_soft(wanted, i).tasks
+    before, after = wanted.tasks, as_soft(wanted, wanted.tasks[i]).tasks
     assert [(t.mode, t.priority) for t in before] == [
         ("soft", 9), ("soft", 0), ("soft", 9), ("hard", 9), ("soft", 0)
     ]  # fmt: skip
     assert [t.priority for t in after] == [9, 1, 9, 0, 1]
     assert {t.mode for t in after} == {"soft"}
     scaled = replace(wanted, tasks=(*before[:2], replace(before[2], mode="scaled"), *before[3:]))
-    assert as_soft(scaled, i).tasks[2] == scaled.tasks[2]
+    assert as_soft(scaled, scaled.tasks[i]).tasks[2] == scaled.tasks[2]
 
 
 class Standing:
@@ -239,7 +240,7 @@ def test_a_hard_task_that_rests_farther_off_is_seen(chain: ClosedChain) -> None:
     (words,) = worse_than_soft(stands, start, 0)
     assert words.startswith("reach rests ")
     assert np.array_equal(start.q, chain.q_start)
-    LAW.build(as_soft(asked_for, 0)).run(start, 400)
+    LAW.build(as_soft(asked_for, asked_for.tasks[0])).run(start, 400)
     assert missed_hard_tasks(asked_for, start, seen) == []
     assert list(worse_than_soft(stands, start, 0)) == []
 

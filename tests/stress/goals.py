@@ -15,7 +15,9 @@ import pinocchio as pin
 
 from coopqp.checked import Array, cross
 from coopqp.checked import Pose as PoseValue
+from coopqp.closed_chain import ClosedChain
 from coopqp.profile import KINDS, Profile
+from coopqp.study.statistics.draw import vector
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,
@@ -65,14 +67,30 @@ class Aim:
         """Where the point goes, in the world [m]."""
         return vector(self.X.act(np.array(self.point)))
 
-    def seen(self, direction: Array) -> Vector:
-        """A direction of the object as it is to be in the world."""
-        return vector(self.X.rotation @ direction)
+    @property
+    def along(self) -> Vector:
+        """Where the axis shall point, in the world."""
+        return vector(self.X.rotation @ self.axis)
+
+    @property
+    def across(self) -> Vector:
+        """Where the normal shall point, in the world."""
+        return vector(self.X.rotation @ self.normal)
+
+    @property
+    def own_axis(self) -> Vector:
+        """The axis in the object frame."""
+        return vector(self.axis)
 
     @property
     def rpy(self) -> Vector:
         """Orientation of the object [rad]."""
         return vector(pin.rpy.matrixToRpy(self.X.rotation))
+
+    @property
+    def pose(self) -> PoseValue:
+        """The pose as tasks have it."""
+        return PoseValue(position=vector(self.X.translation), rpy=self.rpy)
 
 
 Common = dict[str, Any]
@@ -81,15 +99,15 @@ Build = Callable[[Aim, Common], Task]
 
 def _point_on_circle(aim: Aim, common: Common) -> Task:
     radius = float(aim.rng.uniform(0.02, 0.2))
-    middle = np.array(aim.there) + radius * np.array(aim.seen(aim.normal))
+    middle = np.array(aim.there) + radius * np.array(aim.across)
     return PointOnCircle(
-        center=vector(middle), normal=aim.seen(aim.axis), radius=radius, point=aim.point, **common
+        center=vector(middle), normal=aim.along, radius=radius, point=aim.point, **common
     )
 
 
 def _distance(aim: Aim, common: Common) -> Task:
     length = float(aim.rng.uniform(0.05, 0.4))
-    to = np.array(aim.there) + length * np.array(aim.seen(aim.axis))
+    to = np.array(aim.there) + length * np.array(aim.along)
     return Distance(to=vector(to), length=length, point=aim.point, **common)
 
 
@@ -107,50 +125,34 @@ def _relative_motion(aim: Aim, common: Common) -> Task:
     return RelativeMotion(goal=goal, **common)
 
 
+def _of(kind: Callable[..., Task], *, point: str = "point", **names: str) -> Build:
+    """A task whose fields are what an aim has by these names."""
+    fields = {**names, **({"point": point} if point else {})}
+    return lambda aim, common: kind(**{k: getattr(aim, x) for k, x in fields.items()}, **common)
+
+
 BUILDERS: dict[str, Build] = {
-    "point_on_point": lambda a, c: PointOnPoint(goal=a.there, point=a.point, **c),
-    "point_on_plane": lambda a, c: PointOnPlane(
-        normal=a.seen(a.axis), through=a.there, point=a.point, **c
-    ),
-    "point_on_line": lambda a, c: PointOnLine(
-        direction=a.seen(a.axis), through=a.there, point=a.point, **c
-    ),
+    "point_on_point": _of(PointOnPoint, goal="there"),
+    "point_on_plane": _of(PointOnPlane, normal="along", through="there"),
+    "point_on_line": _of(PointOnLine, direction="along", through="there"),
     "point_on_circle": _point_on_circle,
-    "line_on_line": lambda a, c: LineOnLine(
-        direction=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
-    ),
-    "line_on_plane": lambda a, c: LineOnPlane(
-        normal=a.seen(a.normal), through=a.there, axis=vector(a.axis), point=a.point, **c
-    ),
-    "plane_on_plane": lambda a, c: PlaneOnPlane(
-        normal=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
-    ),
-    "revolute": lambda a, c: Revolute(
-        direction=a.seen(a.axis), through=a.there, axis=vector(a.axis), point=a.point, **c
-    ),
-    "prismatic": lambda a, c: Prismatic(
-        direction=a.seen(a.axis), through=a.there, point=a.point, rpy=a.rpy, **c
-    ),
-    "pointing": lambda a, c: Pointing(direction=a.seen(a.axis), axis=vector(a.axis), **c),
-    "orientation": lambda a, c: Orientation(rpy=a.rpy, **c),
-    "pose": lambda a, c: Pose(
-        goal=PoseValue(position=vector(a.X.translation), rpy=a.rpy), **c
-    ),
+    "line_on_line": _of(LineOnLine, direction="along", through="there", axis="own_axis"),
+    "line_on_plane": _of(LineOnPlane, normal="across", through="there", axis="own_axis"),
+    "plane_on_plane": _of(PlaneOnPlane, normal="along", through="there", axis="own_axis"),
+    "revolute": _of(Revolute, direction="along", through="there", axis="own_axis"),
+    "prismatic": _of(Prismatic, direction="along", through="there", rpy="rpy"),
+    "pointing": _of(Pointing, direction="along", axis="own_axis", point=""),
+    "orientation": _of(Orientation, rpy="rpy", point=""),
+    "pose": _of(Pose, goal="pose", point=""),
     "distance": _distance,
     "twist": _twist,
     "relative_motion": _relative_motion,
-}  # fmt: skip
+}
 
 
 def pick(rng: np.random.Generator, among: Sequence[T]) -> T:
     """One of several, each as likely; what rng.choice draws, which makes an array of them first."""
     return among[int(rng.integers(len(among)))]
-
-
-def vector(numbers: Array) -> Vector:
-    """Three plain numbers."""
-    x, y, z = np.asarray(numbers, float).tolist()
-    return x, y, z
 
 
 def random_aim(rng: np.random.Generator, X: pin.SE3) -> Aim:
@@ -168,6 +170,11 @@ def anywhere(rng: np.random.Generator, start: pin.SE3, arms: float) -> pin.SE3:
     way *= rng.uniform(0.01, FARTHEST) * arms / np.linalg.norm(way)
     turn = pin.exp3(rng.uniform(0.0, TURN) * axis / np.linalg.norm(axis))
     return pin.SE3(turn @ start.rotation, start.translation + way)
+
+
+def some_aim(rng: np.random.Generator, X: pin.SE3, chain: ClosedChain, *, reach: bool) -> Aim:
+    """At a pose in reach, or anywhere about it."""
+    return random_aim(rng, X if reach else anywhere(rng, X, chain.reach))
 
 
 def common(rng: np.random.Generator, dt: float, name: str) -> Common:

@@ -19,11 +19,12 @@ import numpy as np
 from coopqp.controller import ControlProblem, Law
 from coopqp.memory import Memory
 from coopqp.state import State
-from coopqp.study.stress import signs
-from coopqp.study.stress.draw import LAW
-from coopqp.study.stress.driving import record_of
-from coopqp.study.stress.signs import Record
-from coopqp.task import TaskStack
+from coopqp.task import Task, TaskStack
+
+from . import signs
+from .draw import LAW
+from .driving import record_of
+from .signs import Record
 
 TICKS = 400  # of each of the two; the least gain, 8.3 / s at 5 ms, leaves e^-17 of an error
 NEARER, SHARE = 2e-4, 0.01  # how much farther off counts: this [m, rad], and more than this share
@@ -31,13 +32,7 @@ LOWEST = 9  # priority
 
 
 def missed_hard_tasks(problem: ControlProblem, state: State, record: Record) -> list[int]:
-    """Hard tasks that a rollout rests short of, so that they could be nearer; their indices.
-
-    Args:
-        problem: what was asked for.
-        state: at the end.
-        record: of all ticks.
-    """
+    """Hard tasks that a rollout rests short of, so that they could be nearer; their indices."""
     moves = any(task.asks_velocity for task in problem.tasks) or not _rests(state, record)
     hard = [i for i, task in enumerate(problem.tasks) if task.mode == "hard"]
     if moves or not hard or problem.on_infeasible != "scale":
@@ -47,15 +42,9 @@ def missed_hard_tasks(problem: ControlProblem, state: State, record: Record) -> 
 
 
 def worse_than_soft(law: Law, state: State, i: int) -> Iterator[str]:
-    """In words, if a hard task is farther off than it is as a soft one; where both rest.
-
-    Args:
-        law: what was run.
-        state: where it rests.
-        i: index of the task.
-    """
+    """In words, if the i-th task is farther off than it is as a soft one; where both rest."""
     problem = law.problem
-    soft = _goes_on(LAW.unprepared(as_soft(problem, i)), _from(state), i)
+    soft = _goes_on(LAW.unprepared(as_soft(problem, problem.tasks[i])), _from(state), i)
     if soft is None or soft > _allowed(_errors(problem, state)[i]):
         return
     hard = _goes_on(law, _from(state, copy.copy(state.memory)), i)
@@ -66,14 +55,17 @@ def worse_than_soft(law: Law, state: State, i: int) -> Iterator[str]:
         )
 
 
-def as_soft(problem: ControlProblem, i: int) -> ControlProblem:
-    """The same with a hard task as the first of the soft ones."""
-    tasks = [
-        replace(task, priority=min(task.priority + 1, LOWEST)) if task.mode == "soft" else task
-        for task in problem.tasks
-    ]
-    tasks[i] = replace(tasks[i], mode="soft", priority=0)
-    return replace(problem, tasks=tuple(tasks))
+def as_soft(problem: ControlProblem, firm: Task) -> ControlProblem:
+    """The same with a firm task as the first of the soft ones."""
+
+    def softened(task: Task) -> Task:
+        if task is firm:
+            return replace(task, mode="soft", priority=0)
+        if task.mode == "soft":
+            return replace(task, priority=min(task.priority + 1, LOWEST))
+        return task
+
+    return replace(problem, tasks=tuple(map(softened, problem.tasks)))
 
 
 def _from(state: State, memory: Memory | None = None) -> State:

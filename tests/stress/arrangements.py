@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -65,31 +65,17 @@ def chain(name: str, grasp: str) -> ClosedChain:
     return held.chain.handed_over(held.chain.q_start, RELEASED[name])
 
 
-@cache
-def _scenario(name: str) -> Scenario:
-    return load(name, _catalog())
-
-
-@cache
-def _catalog() -> Catalog:
-    """Which the scenarios share."""
-    return Catalog()
+_scenario = cache(partial(load, catalog=Catalog()))
 
 
 def _held(scenario: Scenario, grasp: str) -> Scenario:
-    """The scenario with another grasp, and with its robot as it is built."""
-    held = replace(scenario, grasps=_grasps(scenario, grasp))
+    """The scenario with passive joints in the hands, and with its robot as it is built."""
+    kind, _, only = grasp.partition(" ")
+    first, *others = (arm.name for arm in scenario.robot_model.arms)
+    kinds = {first: kind, **dict.fromkeys(others, "rigid" if only else kind)}
+    held = replace(scenario, grasps={arm: _grasp(k, scenario, arm) for arm, k in kinds.items()})
     vars(held)["robot_model"] = scenario.robot_model
     return held
-
-
-def _grasps(scenario: Scenario, grasp: str) -> Mapping[str, Grasp]:
-    """The scenario's grasps with passive joints in the hands."""
-    kind, _, only = grasp.partition(" ")
-    arms = [arm.name for arm in scenario.robot_model.arms]
-    return {
-        arm: _grasp(kind if not only or arm == arms[0] else "rigid", scenario, arm) for arm in arms
-    }
 
 
 def _grasp(kind: str, scenario: Scenario, arm: str) -> Grasp:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.controller import Law
-from coopqp.solver import Status
 from coopqp.state import State
-from coopqp.study.stress import signs
-from coopqp.study.stress.draw import Draw
-from coopqp.study.stress.ending import Ending, PartErrors, ending
-from coopqp.study.stress.signs import Record
+
+from . import signs
+from .draw import Draw
+from .ending import Ending, PartErrors, ending
+from .signs import Record
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,12 @@ class Rollout:
     """How one rollout went.
 
     Attributes:
-        seed: from which it can be repeated.
-        robot, grasp, start, limits, kappa, tasks: as drawn.
         goal, errors: as drawn on plants with masses; else empty.
-        outcome: how it ended; empty when it raised.
-        reason: why there.
+        outcome, reason: how it ended, and why there; empty when it raised.
         broken: promises that were broken, in words.
         frozen, swinging, worse, never_back: signs that were seen; each is a broken promise too.
         saturated, squeezed: the same on plants with masses.
         compared: hard tasks that it rests short of, and that were tried as soft ones.
-        ticks: how many.
         position_excess: largest overrun of a position limit that held before [rad].
         velocity_excess: of a velocity limit [rad/s].
         loop_position, loop_orientation: largest loop error [m], [rad].
@@ -80,17 +76,7 @@ def judged(
     errors: PartErrors,
     noise: float = 0.0,
 ) -> Rollout:
-    """Judge a rollout whose time is up.
-
-    Args:
-        seed: of it.
-        drawn: the problem.
-        law: that was run.
-        state: at the end.
-        record: of all ticks.
-        errors: of its tasks.
-        noise: standard deviation of the encoders' [rad].
-    """
+    """Judge a rollout whose time is up; the encoders' noise has this standard deviation [rad]."""
     end = ending(law, state, record, errors)
     resting, units = record.q[record.rest :], record.units
     swings = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
@@ -114,7 +100,7 @@ def judged(
         loop_position=record.loop_position,
         loop_orientation=record.loop_orientation,
         fallbacks=record.given_up,
-        inaccurate=record.count(Status.INACCURATE),
+        inaccurate=record.inaccurate,
         plain=record.plain,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import math
 import os
 import signal
@@ -16,32 +17,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from rich.console import Console
 
 from coopqp.controller import Law
-from coopqp.report import table
 from coopqp.solver import Budget, Status
 from coopqp.state import State
 from coopqp.study.engine import Engine
-from coopqp.study.stress import (
-    Rollout,
-    arrangements,
-    driving,
-    one_rollout,
-    signs,
-    stress,
-    summarize,
-)
-from coopqp.study.stress.draw import LAW, draw
-from coopqp.study.stress.driving import FEWEST, LONGEST, MOST, ROUND, drive_on, record_of
-from coopqp.study.stress.ending import PartErrors, ending, way_back
-from coopqp.study.stress.goals import pick
-from coopqp.study.stress.signs import Record
+from stress import arrangements, driving, signs
+from stress.__main__ import main
+from stress.draw import LAW, draw
+from stress.driving import FEWEST, LONGEST, MOST, ROUND, drive_on, record_of
+from stress.ending import PartErrors, ending, way_back
+from stress.goals import pick
+from stress.judgement import Rollout
+from stress.signs import Record
+from stress.summary import OUTCOMES, summarize, table
+from stress.trial import one_rollout, stress
 
 Array = NDArray[np.float64]
 OK = (Status.OPTIMAL,)
 TICKS = 100
+ROOT = Path(__file__).parents[2]
 
 
 #: What a seed draws, for all who look at it.
@@ -72,8 +70,8 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert all(r.reason for r in small if r.outcome != "reached")
     assert sum(r.outcome == "reached" for r in small) >= len(small) // 4
     everything = summarize(small)[-1]
-    assert everything.position_excess <= 1e-9
-    assert everything.velocity_excess <= 1e-9
+    assert everything["position_excess"] <= 1e-9
+    assert everything["velocity_excess"] <= 1e-9
 
 
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
@@ -237,7 +235,7 @@ def test_pick_draws_what_numpy_draws() -> None:
 def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
     lines = summarize(small)
     console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    console.print(table.stress(lines))
+    console.print(table(lines))
     console.file.close()
     text = console.export_text()
     assert "…" not in text
@@ -250,8 +248,39 @@ def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
 def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
     marked = [dataclasses.replace(small[0], frozen=True, broken=("froze",)), *small[1:]]
     whole = summarize(marked)[-1]
-    assert (whole.kind, whole.count, whole.frozen, whole.broken) == ("all", 30, 1, 1)
-    assert sum(whole.outcomes.values()) == 30
+    assert (whole["kind"], whole["count"], whole["frozen"], whole["broken"]) == ("all", 30, 1, 1)
+    assert sum(whole["outcomes"].values()) == 30
+
+
+def typed(*words: str) -> Result:
+    return CliRunner().invoke(main, words)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--rollouts", "0"], "is not in the range"),
+        (["--solver", "osqq"], "unknown solver 'osqq'; did you mean 'osqp'?"),
+        (["--plant", "mujocoo"], "unknown plant 'mujocoo'; did you mean 'mujoco'?"),
+        (["--contacts", "--plant", "mujoco"], "needs rigid_body; omit --plant"),
+    ],
+)
+def test_the_command_refuses_in_words(words: list[str], message: str) -> None:
+    result = typed(*words)
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+
+
+def test_the_command_says_as_json_what_came_of_it() -> None:
+    result = typed("--rollouts", "3", "--jobs", "1", "--json")
+    assert result.exit_code == 0
+    data = json.loads(result.stdout)
+    assert data["broken"] == []
+    everything = data["lines"][-1]
+    assert everything["count"] == 3
+    assert everything["position_excess"] <= 1e-9
+    assert everything["velocity_excess"] <= 1e-9
+    assert set(everything["outcomes"]) <= {*OUTCOMES.values()}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
@@ -261,9 +290,9 @@ def test_summary_counts_what_was_seen(small: list[Rollout]) -> None:
 )
 def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code: int, word: str) -> None:
     """As from a terminal: every process of the group gets it."""
-    program = "from coopqp.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", program, "stress", "--rollouts", "100000", "--jobs", "2"],
+        [sys.executable, "-m", "tests.stress", "--rollouts", "100000", "--jobs", "2"],
+        cwd=ROOT,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")

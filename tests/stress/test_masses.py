@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,14 +15,14 @@ from rich.console import Console
 from coopqp.disturbance import Disturbance
 from coopqp.errors import MissingDependencyError
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.report import table
 from coopqp.solvers import Osqp, Proxqp
 from coopqp.study.engine import Engine
-from coopqp.study.stress import Rollout, arrangements, one_rollout, stress, summarize
-from coopqp.study.stress.draw import Draw, draw
-from coopqp.study.stress.masses import MARGIN, draw_with_masses
-from coopqp.study.stress.pair import _Run, _saturated, _squeezes
-from coopqp.study.stress.squeeze import Squeeze
+from stress import arrangements
+from stress.draw import Draw, draw
+from stress.judgement import Rollout
+from stress.masses import MARGIN, Run, Squeeze, draw_with_masses, saturates, squeezes
+from stress.summary import summarize, table
+from stress.trial import one_rollout, stress
 
 needs_robots = pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
 
@@ -88,24 +89,24 @@ def test_other_solvers_keep_the_promise(solver: Osqp | Proxqp) -> None:
 # Detectors.
 
 
-def run(force: float, *, rests: bool = True, weight: float = 0.0, noise: float = 0.0) -> _Run:
+def run(force: float, *, rests: bool = True, weight: float = 0.0, noise: float = 0.0) -> Run:
     """A made-up run of seed 34, with no motor at its limit."""
     none = np.zeros(draw_with_masses(34).problem.chain.n, bool)
     found = Squeeze(weight=weight, noise=noise, tau=np.zeros(len(none)))
-    return _Run(Rollout(34), force, rests, found, none, none)
+    return Run(Rollout(34), force, rests, found, none, none)
 
 
 def test_more_force_than_without_errors_and_than_explained_is_a_squeeze() -> None:
     clean = run(1.0)
-    assert _squeezes(run(1.1), clean) == ()
-    assert "squeezes with 1.2 N" in _squeezes(run(1.2), clean)[0]
-    assert _squeezes(run(1.2, weight=1.2), clean) == ()
-    assert _squeezes(run(1.2, noise=0.1), clean) == ()
-    assert _squeezes(run(float("nan")), clean)
+    assert squeezes(run(1.1), clean) == ()
+    assert "squeezes with 1.2 N" in squeezes(run(1.2), clean)[0]
+    assert squeezes(run(1.2, weight=1.2), clean) == ()
+    assert squeezes(run(1.2, noise=0.1), clean) == ()
+    assert squeezes(run(float("nan")), clean)
 
 
 def test_who_does_not_rest_is_said_to_squeeze_and_not_to_rest() -> None:
-    assert "does not rest" in _squeezes(run(2.0, rests=False), run(1.0))[0]
+    assert "does not rest" in squeezes(run(2.0, rests=False), run(1.0))[0]
 
 
 def test_a_motor_at_its_limit_counts_where_neither_weight_nor_clean_run_asks_for_it() -> None:
@@ -113,9 +114,9 @@ def test_a_motor_at_its_limit_counts_where_neither_weight_nor_clean_run_asks_for
     full = clean.saturated.copy()
     full[0] = True
     now = replace(clean, saturated=full)
-    assert drawn.problem.chain.joint_names[0] in _saturated(drawn, now, clean)[0]
-    assert _saturated(drawn, now, now) == ()
-    assert _saturated(drawn, replace(now, overloaded=full), clean) == ()
+    assert drawn.problem.chain.joint_names[0] in saturates(drawn, now, clean)[0]
+    assert saturates(drawn, now, now) == ()
+    assert saturates(drawn, replace(now, overloaded=full), clean) == ()
 
 
 # What people see.
@@ -127,7 +128,7 @@ def test_table_can_be_read_at_80_columns() -> None:
         outcome="at rest", squeezed=True, broken=("squeezes",), force=1.0,
     )  # fmt: skip
     console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    console.print(table.stress(summarize([some]), "mujoco"))
+    console.print(table(summarize([some]), "mujoco"))
     console.file.close()
     text = console.export_text()
     assert "…" not in text
@@ -140,7 +141,7 @@ def test_table_can_be_read_at_80_columns() -> None:
 def test_a_plant_that_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError, match=r"coopqp\[mujoco\]"):
-        stress(2, plant=Mujoco(), engine=Engine(jobs=1))
+        stress(2, partial(one_rollout, plant=Mujoco()), engine=Engine(jobs=1))
 
 
 def test_what_raises_is_a_broken_promise(monkeypatch: pytest.MonkeyPatch) -> None:

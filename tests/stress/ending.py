@@ -20,11 +20,13 @@ from coopqp.checked import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.qp_law.bounds import Bounds
 from coopqp.rank import null_space
+from coopqp.solver import written
 from coopqp.state import State
 from coopqp.study.explanation import asked_now, explain_asked
-from coopqp.study.stress import signs
-from coopqp.study.stress.signs import Record
 from coopqp.task import TaskStack
+
+from . import signs
+from .signs import Record
 
 INWARD = 1e-4  # a joint that could come back faster than this must [rad/s, m/s]
 SINGULAR = 0.05  # least motion of the object for a unit of joint motion [m/rad]
@@ -35,11 +37,9 @@ OUTCOMES = ("reached", "blocked", "at rest", "moving", "recovering")
 
 @dataclass(frozen=True)
 class Ending:
-    """How a rollout ended.
+    """How a rollout ended: one of ``OUTCOMES``, and what blocked it, or why it rests.
 
     Attributes:
-        outcome: one of ``OUTCOMES``.
-        reason: what blocked it, or why it rests.
         frozen: it stands still, and nothing that has a name is in its way.
         never_back: a joint is outside though it could come back.
     """
@@ -70,12 +70,7 @@ class PartErrors:
         ]
 
     def at_end(self, state: State, record: Record) -> Array:
-        """Of a rollout.
-
-        Args:
-            state: at the end, up to date.
-            record: of all ticks.
-        """
+        """Of a rollout whose state is up to date."""
         if self._seen != len(record.v):
             self._seen, self._found = len(record.v), self._errors(state, record.v[-1])
         return self._found
@@ -101,16 +96,8 @@ class PartErrors:
 
 
 def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
-    """Judge the end of a rollout.
-
-    Args:
-        law: what controlled it.
-        state: at the end.
-        record: of all ticks.
-        errors: of its tasks.
-    """
-    said = signs.names_of(record.causes[-1])
-    problem = law.problem
+    """Judge the end of a rollout, with the state where it ended."""
+    problem, said = law.problem, written(record.causes[-1])
     stands = problem.on_infeasible != "scale" and not record.causes[-1][0].usable
     asked = Ending("blocked", f"on_infeasible: {problem.on_infeasible}, {said}")
     outside, missed = signs.outside(record) > signs.EXCESS, errors.at_end(state, record)
@@ -127,16 +114,11 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     rests = signs.at_rest(record)
     if signs.held_up(record) and rests:
         return Ending("at rest", said, frozen=True)
-    if not rests and _nears(missed, errors.before(state, record)):
+    change = np.abs(missed - errors.before(state, record)).max() if not rests else 0.0
+    if change > CHANGE * missed.max():
         speed = signs.slowest(record)
         return Ending("moving", f"moving at {speed:.2g} of the speed limits, {said}")
     return _rest(law, state, record, errors)
-
-
-def _nears(errors: Array, before: Array) -> bool:
-    """Whether what is missed still changes."""
-    change = float(np.abs(errors - before).max())
-    return change > CHANGE * float(errors.max())
 
 
 def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:

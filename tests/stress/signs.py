@@ -6,7 +6,7 @@ Letters: n joints, T ticks.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -33,12 +33,10 @@ class Record:
         lower, upper: position limits, shape (n,) [rad, m].
         speed: velocity limits as the problem has them, shape (n,) [rad/s, m/s].
         units: "rad" or "m" of each joint.
-        dt: control period [s].
         rest: tick from which all references rest.
         longest: time in which what still moves is as good as at rest, in ticks.
         q: configurations before each tick and at last, shape (T + 1, n).
-        v: commands, shape (T, n).
-        causes: of each tick.
+        v, causes: commands, shape (T, n), and what they say.
         plain: ticks that the kernel left to the plain law.
         loop_position, loop_orientation: largest loop error [m], [rad].
         forces: largest internal force of a hand after each tick and at first, where the plant has
@@ -73,28 +71,20 @@ class Record:
         scale[np.isinf(scale)] = 1.0  # nothing to compare with
         return scale
 
-    def count(self, *statuses: Status) -> int:
-        """Ticks that say one of these."""
-        return sum(
-            ticks for causes, ticks in self.spells() if any(cause in statuses for cause in causes)
-        )
+    @property
+    def inaccurate(self) -> int:
+        """Ticks that were not optimal to the declared accuracy."""
+        return sum(ticks for causes, ticks in self._spells() if Status.INACCURATE in causes)
 
     @property
     def given_up(self) -> int:
         """Ticks that gave something up or held still."""
-        return sum(ticks for (c, *_), ticks in self.spells() if c.fallback or not c.usable)
+        return sum(ticks for (c, *_), ticks in self._spells() if c.fallback or not c.usable)
 
-    def spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
-        """What was said, and for how many ticks on end."""
+    def _spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
+        """What was said, and for how many ticks on end; hashing all of it would take longer."""
         for causes, ticks in itertools.groupby(self.causes):
             yield causes, len(list(ticks))
-
-
-def beyond(record: Record) -> Array:
-    """How far each joint is outside its limits, shape (T + 1, n) [rad, m]."""
-    q = record.q
-    out: Array = np.maximum(np.maximum(record.lower - q, q - record.upper), 0.0)
-    return out
 
 
 def outside(record: Record) -> float:
@@ -105,7 +95,7 @@ def outside(record: Record) -> float:
 
 def position_excess(record: Record) -> float:
     """Largest overrun: what is inside stays inside, what is outside may only come nearer."""
-    out = beyond(record)
+    out = np.maximum(np.maximum(record.lower - record.q, record.q - record.upper), 0.0)
     nearest = np.minimum.accumulate(out, axis=0)
     return float((out[1:] - nearest[:-1]).max(initial=0.0))
 
@@ -117,8 +107,7 @@ def velocity_excess(record: Record) -> float:
 
 def slowest(record: Record) -> float:
     """Largest speed in the last ticks, as a share of the limit."""
-    v = np.abs(record.v[-LATEST:]) / record.scale
-    return float(v.max(initial=0.0))
+    return float((np.abs(record.v[-LATEST:]) / record.scale).max(initial=0.0))
 
 
 def at_rest(record: Record) -> bool:
@@ -145,8 +134,3 @@ def overruns(record: Record, budget: Budget) -> Iterator[str]:
         yield f"opened a loop by {1e3 * record.loop_position:.4g} mm"
     if record.loop_orientation > budget.loop_orientation:
         yield f"opened a loop by {record.loop_orientation:.4g} rad"
-
-
-def names_of(causes: Sequence[Status]) -> str:
-    """As the trace has them."""
-    return "+".join(cause.name for cause in causes)

@@ -7,27 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, OnInfeasible
 from coopqp.controllers import QPController
-from coopqp.kernel.slide import Slide, slide
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
-from coopqp.rank import null_space
 from coopqp.solver import Solver
 from coopqp.solvers.daqp import Daqp
-from coopqp.state import State
-from coopqp.study.stress import arrangements, goals
-from coopqp.study.stress.goals import pick
+from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 
-WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps ...
-NEWTON = 3  # iterations that close the loops after each
-FARTHER = 3  # ... so many times as many to get outside
-FARTHEST_OUTSIDE = 0.3  # [rad, m]
-OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
+from . import arrangements, goals
+from .goals import pick
+
 PERIODS = (0.005, 0.01, 0.02)  # [s]
 DAQP = Daqp()
 LAW = QPController()  # what is tried out
@@ -36,15 +29,9 @@ KAPPAS = {"0": 0.0, "0.1/dt": 0.1, "1/dt": 1.0}  # times 1/dt
 
 @dataclass(frozen=True)
 class Draw:
-    """A random problem.
+    """A random problem, and what is drawn of it in words.
 
-    Attributes:
-        robot, grasp: of the arrangement.
-        start: "inside" or "outside" the position limits.
-        limits: "tight" or "loose".
-        kappa: the drift correction's gain, in words.
-        tasks: their types and modes.
-        problem: all of it.
+    The start is "inside" or "outside" the position limits, those are "tight" or "loose".
     """
 
     robot: str
@@ -87,52 +74,6 @@ def draw(seed: int, solver: Solver = DAQP) -> Draw:
     )
 
 
-def walk(
-    rng: np.random.Generator, chain: ClosedChain, *, outside: bool = False, stay: bool = False
-) -> Array:
-    """Where a random walk along the loops ends: inside the limits, or as soon as it is outside.
-
-    Args:
-        rng: of which as many numbers are drawn for a walk that stays where it begins.
-        chain: the closed chain.
-        outside: whether to look for the outside.
-        stay: whether to stay; for those who have no use for a walk inside.
-    """
-    q, go = chain.q_start.copy(), slide(chain) or _slide(chain)
-    direction = rng.normal(size=chain.n)
-    steps = FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))
-    inside = q.copy()
-    for _ in range(0 if stay else steps):
-        if not 0.0 <= go(q, direction, WALK, NEWTON) <= OPEN:
-            return inside
-        beyond = np.maximum(chain.lower - q, q - chain.upper).max()
-        if beyond <= 0.0:
-            inside[:] = q
-        elif not outside or beyond >= FARTHEST_OUTSIDE:
-            return inside
-        elif rng.random() < 0.5:
-            return q
-    return inside
-
-
-def _slide(chain: ClosedChain) -> Slide:
-    """The same without the kernel."""
-    state = State(chain)
-
-    def go(q: Array, direction: Array, size: float, newton: int) -> float:
-        state.q[:] = q
-        state.update()
-        basis = null_space(state.J_loop)
-        step = basis @ (basis.T @ direction)
-        state.q += size * step / max(float(np.linalg.norm(step)), 1e-9)
-        state.update()
-        state.close_loops(newton)
-        q[:] = state.q
-        return max(state.loop_position_error, state.loop_orientation_error)
-
-    return go
-
-
 def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Task, ...]:
     """One to four; in half of the draws all belong to one pose that the arms reach."""
     kinds = [k for k in goals.BUILDERS if k != "relative_motion" or chain.holding < len(chain.arms)]
@@ -140,7 +81,7 @@ def _tasks(rng: np.random.Generator, chain: ClosedChain, dt: float) -> tuple[Tas
     X = chain.object_pose(walk(rng, chain, stay=not reach))
     tasks = []
     for i in range(int(rng.integers(1, 5))):
-        aim = goals.random_aim(rng, X if reach else goals.anywhere(rng, X, chain.reach))
+        aim = goals.some_aim(rng, X, chain, reach=reach)
         build = goals.BUILDERS[pick(rng, kinds)]
         tasks.append(build(aim, goals.common(rng, dt, f"t{i}")))
     return tuple(tasks)
@@ -186,7 +127,7 @@ def _workspace(rng: np.random.Generator, chain: ClosedChain, dt: float) -> Works
     depth = float(np.abs(X.rotation.T @ normal) @ size) / 2.0
     through = X.translation - (depth + rng.uniform(0.0, 0.1)) * normal
     gain = float(rng.uniform(2.0, 1.0 / dt))
-    return Workspace(normal=goals.vector(normal), through=goals.vector(through), gain=gain)
+    return Workspace(normal=vector(normal), through=vector(through), gain=gain)
 
 
 def _on_infeasible(rng: np.random.Generator) -> OnInfeasible:
