@@ -22,7 +22,7 @@ from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
-WRAPPING = ("task_error", "limit", "speed", "margin", "solver")  # columns that may get narrow
+WRAPPING = ("task_error", "limit", "speed", "margin", "motors")  # columns that may get narrow
 
 
 def render(comparison: Comparison) -> str:
@@ -48,7 +48,8 @@ def render(comparison: Comparison) -> str:
         legend=_legend(looks),
         columns=PANES_A_ROW.get(len(looks), 3),
         panes="".join(_pane(name, style) for name, style in looks.items()),
-        groups="".join(map(_group, parts)),
+        leading="".join(_group(group) for group in parts if group.leads),
+        groups="".join(_group(group) for group in parts if not group.leads),
         audit=audit.rows(comparison.traces),
         audit_hidden="" if audit.audited(comparison.traces) else "hidden",
         scene=script_json(scene(comparison)),

@@ -34,15 +34,24 @@ class JointRow:
     about: tuple[str, ...]
 
 
-def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
-    """The joints that come nearest to a limit with those beside them, and the others."""
+def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure]]:
+    """The joint that comes nearest to a limit, others that come near one, and the rest.
+
+    Each with those beside it; the nearest is the first of its row. Where none comes near, the first
+    list is empty and the second has the nearest.
+    """
     rows = joint_rows(chart.chain)
-    room = [min(_least_room(chart, i) for i in row.joints) for row in rows]
+    rooms = [[_least_room(chart, i) for i in row.joints] for row in rows]
+    room = [min(own) for own in rooms]
     nearest = np.argsort(room, kind="stable")[:MOST_FIRST].tolist()
-    shown = [n for n in nearest if room[n] < NEAR] or nearest[:1]
-    first = [row for n, row in enumerate(rows) if n in shown]
-    rest = [row for n, row in enumerate(rows) if n not in shown]
-    return _figures(chart, first), _figures(chart, rest)
+    near = [n for n in nearest if room[n] < NEAR]
+    decisive, others = near[:1], near[1:] or nearest[: not near]
+    rest = [n for n in range(len(rows)) if n not in (*decisive, *others)]
+    parts = (decisive, sorted(others), rest)
+    first, second, third = (_figures(chart, [rows[n] for n in part]) for part in parts)
+    for n in decisive:
+        first.insert(0, first.pop(int(np.argmin(rooms[n]))))
+    return first, second, third
 
 
 def joint_rows(chain: ClosedChain) -> list[JointRow]:
