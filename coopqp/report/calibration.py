@@ -97,12 +97,7 @@ def as_json(found: Calibration) -> dict[str, Any]:
 
 
 def yaml_text(found: Calibration, scenario: Scenario) -> str:
-    """The grasps and the start of the scenario, corrected.
-
-    Args:
-        found: the offsets.
-        scenario: as the controller holds the object.
-    """
+    """The grasps and the start of the scenario, corrected."""
     chain = found.chain
     lines = ["grasps:   # instead of grasp, grasps and grasp_of"]
     for arm in chain.robot.arms:

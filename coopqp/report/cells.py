@@ -23,12 +23,7 @@ LANGUAGES = ("C++", "Python")  # that ticks run in
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the summary.
-
-    Attributes:
-        heading, unit: at its top.
-        help: one sentence.
-    """
+    """A column of the summary."""
 
     heading: str
     unit: str

@@ -10,13 +10,7 @@ from coopqp.study.tick_record import TickRecord
 
 
 def run_text(found: RunExplanation, name: str, *, as_json: bool) -> str:
-    """Why a run missed its goal.
-
-    Args:
-        found: the explanation.
-        name: of the run.
-        as_json: whether machines read it.
-    """
+    """Why a run missed its goal."""
     if as_json:
         return strict_json.text(found.as_json())
     of = f", phase {found.phase}" if found.phase else ""
@@ -24,12 +18,7 @@ def run_text(found: RunExplanation, name: str, *, as_json: bool) -> str:
 
 
 def tick_text(record: TickRecord, *, as_json: bool) -> str:
-    """Why a tick fell short.
-
-    Args:
-        record: the tick.
-        as_json: whether machines read it.
-    """
+    """Why a tick fell short."""
     found = explain(record)
     if as_json:
         return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})

@@ -26,9 +26,6 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         comparison: from :func:`coopqp.compare`.
         folder: made if it does not exist; files of these names are replaced.
 
-    Returns:
-        What was written.
-
     Raises:
         CoopqpError: the folder cannot be made or written to; a user's code keeps the page from
             being drawn, and all else is written.

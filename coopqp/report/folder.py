@@ -32,9 +32,6 @@ def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
         contents: text by file name; files of an earlier report that are not among them go.
         folder: made if it does not exist; its other files stay.
 
-    Returns:
-        The files.
-
     Raises:
         OSError: the folder cannot be made or written to, or has no symbolic links; the old report
             is then as it was.

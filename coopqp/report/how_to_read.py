@@ -10,11 +10,7 @@ from coopqp.report.cells import plugin_name
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:
-    """Paragraphs: the closed loop, what forces are in the run, and what the laws do.
-
-    Args:
-        comparison: of which the page is.
-    """
+    """Paragraphs: the closed loop, what forces are in the run, and what the laws do."""
     yield (
         "All arms hold one object, so the joints are not free: whatever they do, every hand has "
         "to stay where it holds the object. This condition is the closed loop. The loop error is "

@@ -73,12 +73,7 @@ class Study:
 def study(
     scenario: Scenario, asked: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Study:
-    """Analyse a scenario.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        asked: names of the joints of an actuation scheme, or q1, q2 ... by their order.
-        phase: name of the phase; the first if omitted.
+    """Analyse a phase, the first if none is named; ``asked`` are joints by name, or q1, q2 ...
 
     Raises:
         CoopqpError: ``asked`` is no scheme, there is no such phase, the scenario cannot be built,

@@ -26,11 +26,7 @@ WRAPPING = ("task_error", "limit", "speed", "margin", "motors")  # columns that 
 
 
 def render(comparison: Comparison) -> str:
-    """The report as one page.
-
-    Args:
-        comparison: from :func:`coopqp.compare`.
-    """
+    """The report as one page."""
     looks, parts = styles(comparison.traces), groups(comparison)
     plots = [
         {"data": figure.data, "layout": figure.layout, "overTime": figure.over_time}

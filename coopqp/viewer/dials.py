@@ -28,12 +28,7 @@ def dials_of(scenario: Scenario) -> tuple[Dial, ...]:
 
 
 def turned(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
-    """The scenario with its dials turned.
-
-    Args:
-        scenario: any.
-        values: by key, within their dials.
-    """
+    """The scenario with its dials turned."""
     if not values:
         return scenario
     changes: dict[str, Any] = {

@@ -36,12 +36,7 @@ class Handle:
     lives: list[Live] = field(default_factory=list)
 
     def pose(self, targets: Mapping[str, Array], state: State) -> Array:
-        """Where it is, shape (7,).
-
-        Args:
-            targets: what inputs go to.
-            state: where the object is; what has no place is there.
-        """
+        """Where it is, shape (7,)."""
         place, turn = state.point(self.point), np.array(NOT_TURNED)
         for live in self.lives:
             value = targets.get(live.name)
@@ -70,12 +65,7 @@ class Handle:
 
 
 def handles(scenario: Scenario, lives: Sequence[Live]) -> tuple[Handle, ...]:
-    """One for each task of which something can be dragged.
-
-    Args:
-        scenario: with inputs.
-        lives: what can be dragged.
-    """
+    """One for each task of which something can be dragged."""
     found: dict[tuple[int, int], Handle] = {}
     for live in lives:
         phase = scenario.schedule[live.phase]

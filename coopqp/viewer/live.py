@@ -85,11 +85,7 @@ class Fixed(Signal):
 
 
 def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[Live, ...]]:
-    """The scenario with everything that can be dragged as an input, and what that is.
-
-    Args:
-        scenario: as read.
-    """
+    """The scenario with everything that can be dragged as an input, and what that is."""
     if scenario.inputs:
         return scenario, tuple(_own(scenario))
     state = State(scenario.chain)

@@ -23,14 +23,7 @@ MOST = 4
 
 
 class Panel:
-    """The panel of a page.
-
-    Args:
-        server: of viser.
-        show: what there is.
-        ask: called with what people do.
-        arrange: called with how laws are to be seen, and the one that is explained.
-    """
+    """The panel of a page."""
 
     def __init__(self, server: Any, show: Show, ask: Ask, arrange: Arrange) -> None:
         self._gui, self._show, self._ask, self._arrange = server.gui, show, ask, arrange

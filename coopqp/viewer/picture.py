@@ -70,12 +70,7 @@ def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
 
 
 def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
-    """A lane as it is now.
-
-    Args:
-        lane: after a tick.
-        bodies: of the robot.
-    """
+    """A lane as it is now."""
     state = lane.plant.truth(lane.state)
     names = lane.run.problem.chain.joint_names
     places = [pin.SE3ToXYZQUAT(_joint_pose(state, names, body.joint)) for body in bodies]

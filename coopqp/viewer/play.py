@@ -47,10 +47,6 @@ def check_viewer() -> None:
 def check_address(host: str, port: int) -> None:
     """Refuse a port that is taken, and an address that is none.
 
-    Args:
-        host: to be bound to.
-        port: likewise; 0 is any that is free.
-
     Raises:
         InvalidValueError: with what may help.
     """
@@ -80,14 +76,7 @@ def play(
     *,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Play until Ctrl-C, or as long as is asked for.
-
-    Args:
-        player: what is played.
-        host: to be bound to.
-        port: likewise; 0 is any that is free.
-        opened: called with the page's address.
-        goes_on: asked some tens of times a second; where it says no, that is the end.
+    """Play until Ctrl-C, or until ``goes_on`` says no; ``opened`` is told the page's address.
 
     Raises:
         CoopqpError: the page cannot be opened, or breaks down.

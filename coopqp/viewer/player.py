@@ -171,12 +171,7 @@ class Player:
         )
 
     def frame(self, factor: float = 0.0, tick_us: float = 0.0) -> Frame:
-        """Everything as it is now.
-
-        Args:
-            factor: how fast time goes on.
-            tick_us: the longest tick of late [us].
-        """
+        """Everything as it is now; how fast time goes on, and the longest tick of late [us]."""
         self._apply_dials()
         lane = self.lanes[self._main]
         laws = tuple(picture.drawn(each, self._bodies) for each in self.lanes)

@@ -32,9 +32,6 @@ FILE = "scenario.yaml"
 def check_folder(folder: Path) -> None:
     """Refuse a folder to which no recording can be written; nothing stays of the trial.
 
-    Args:
-        folder: for a recording; need not exist.
-
     Raises:
         CoopqpError: it holds a session already, or it cannot be written to.
     """
@@ -60,12 +57,6 @@ def check_folder(folder: Path) -> None:
 
 class Recording:
     """A recording on its way.
-
-    Args:
-        scenario: as read.
-        lives: what can be dragged.
-        laws: names of the controllers that are played.
-        dials: as they are turned when it begins.
 
     Attributes:
         ticks: of each phase so far.
@@ -95,15 +86,7 @@ class Recording:
     def add(
         self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
     ) -> None:
-        """A tick.
-
-        Args:
-            phase: its index.
-            since: when that began [s].
-            t: of the tick, since then [s].
-            sent: what arrived for it.
-            kinds: of the inputs' values, by name.
-        """
+        """A tick."""
         if self.note:
             return
         if sum(self.ticks) >= self._most:
@@ -122,12 +105,6 @@ class Recording:
 
     def save(self, folder: Path) -> Path:
         """Write it.
-
-        Args:
-            folder: made if it does not exist; files of the same names are replaced.
-
-        Returns:
-            The scenario's path.
 
         Raises:
             CoopqpError: it cannot be written, or there is nothing yet.

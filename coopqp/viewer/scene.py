@@ -44,13 +44,7 @@ def _longer_along_x(show: Show) -> bool:
 
 
 class Scene:
-    """The scene of a page.
-
-    Args:
-        server: of viser.
-        show: what there is.
-        ask: called with what people do.
-    """
+    """The scene of a page."""
 
     def __init__(self, server: Any, show: Show, ask: Ask) -> None:
         self._show, self._ask, self._server, self._scene = show, ask, server, server.scene
@@ -67,12 +61,7 @@ class Scene:
         self.arrange("one", 0)
 
     def arrange(self, how: str, main: int) -> None:
-        """Choose what is seen.
-
-        Args:
-            how: one, overlaid or apart.
-            main: the law that is explained, and seen alone with "one".
-        """
+        """Choose what is seen: one, overlaid or apart; the main law alone with "one"."""
         across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._show) else [0.0, -1.0, 0.0])
         width = APART * float(np.abs(across) @ (self._show.high - self._show.low))
         for i, law in enumerate(self._laws):

@@ -46,18 +46,21 @@ def freedom_figures(chart: Chart) -> list[Figure]:
     notes = (LESS,) if less else ()
     worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
     least = min(float(np.nanmin(y)) for _, y in ratio.values())
-    window = Window(min(1.0, least), max(10.0, 2.0 * worst))
+    log = curves.logarithmic(Window(min(1.0, least), max(10.0, 2.0 * worst)))
+    powers = {"exponentformat": "power", "automargin": True, "nticks": 4}
+    linear = curves.linear(Window(0.0, 1.1 * best or 1.0)) | powers
     return [
-        _figure(chart, "Condition", "1, log scale", ratio, curves.logarithmic(window), notes),
-        _figure(
-            chart,
-            "Manipulability",
-            "product of the singular values",
-            product,
-            curves.linear(Window(0.0, 1.1 * best or 1.0))
-            | {"exponentformat": "power", "automargin": True, "nticks": 4},
-            notes,
-        ),
+        Figure(
+            title=title,
+            unit=unit,
+            data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in of.items()],
+            layout=chart.layout(axis),
+            notes=notes,
+        )
+        for title, unit, of, axis in (
+            ("Condition", "1, log scale", ratio, log),
+            ("Manipulability", "product of the singular values", product, linear),
+        )
     ]
 
 
@@ -129,25 +132,6 @@ def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tup
     for name, parts in legs.items():
         known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
         if known:
-            lines[name] = (
-                np.concatenate([t for t, _ in known]),
-                np.concatenate([y for _, y in known]),
-            )
+            t, y = (np.concatenate(part) for part in zip(*known, strict=True))
+            lines[name] = t, y
     return lines
-
-
-def _figure(
-    chart: Chart,
-    title: str,
-    unit: str,
-    lines: dict[str, tuple[Array, Array]],
-    axis: curves.Json,
-    notes: tuple[str, ...],
-) -> Figure:
-    return Figure(
-        title=title,
-        unit=unit,
-        data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in lines.items()],
-        layout=chart.layout(axis),
-        notes=notes,
-    )

@@ -10,13 +10,18 @@ from coopqp.report import audit
 from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.errors import loop_errors, task_errors
+from coopqp.report.figures.forces import (
+    forces,
+    hands,
+    load_shares,
+    squeeze_of_fastened,
+    torques,
+)
 from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.hands import hands, load_shares, squeeze_of_fastened
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures
 from coopqp.report.figures.limits import limit_figures
 from coopqp.report.figures.object import object_figures
 from coopqp.report.figures.times import tick_times
-from coopqp.report.figures.torques import forces, torques
 
 
 @dataclass(frozen=True, kw_only=True)

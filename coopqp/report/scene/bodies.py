@@ -89,17 +89,7 @@ def solid_body(solid: SolidMark) -> Body:
 def body_places(
     robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: NDArray[np.int64]
 ) -> list[list[pin.SE3]]:
-    """Pose of each body's joint in the world.
-
-    Args:
-        robot: whose bodies they are.
-        bodies: as many as wanted.
-        trace: of a chain with this robot.
-        rows: of the trace, shape (r,).
-
-    Returns:
-        r times one pose a body.
-    """
+    """Pose of each body's joint in the world, for each of the rows of a trace, shape (r,)."""
     model, data = robot.model, robot.model.createData()
     # The joints of grasps come after the hands and move no body of the robot.
     columns = [trace.joints.index(name) for name in robot.joint_names]

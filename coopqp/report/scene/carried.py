@@ -26,14 +26,7 @@ Json = dict[str, Any]
 def carried(
     marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
 ) -> dict[str, list[Json]]:
-    """By kind, for ``playback.js``.
-
-    Args:
-        marks: any; those that stand in the world are left out.
-        scenario: as the trace's controller holds the object.
-        trace: of the run.
-        frames: the tick of each frame.
-    """
+    """By kind, for ``playback.js``."""
     found: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
     for mark in marks:
         own = frames[mark.first : mark.last + 1]

@@ -40,12 +40,7 @@ def squeeze_words(found: list[float]) -> str:
 
 
 def told(trace: Trace, k: int) -> tuple[Array, Array] | None:
-    """Points and wrenches of the hands at an instant; None where nobody tells them.
-
-    Args:
-        trace: of a run.
-        k: which instant; there are none at the first.
-    """
+    """Points and wrenches of the hands at an instant; None at the first, or if nobody tells."""
     signals = trace.signals
     if k == 0 or "hand_wrench" not in signals:
         return None
@@ -53,13 +48,7 @@ def told(trace: Trace, k: int) -> tuple[Array, Array] | None:
 
 
 def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:
-    """Start and way of each arrow in each frame, for ``playback.js``; None without forces.
-
-    Args:
-        trace: of a run.
-        scenario: with the object.
-        frames: the tick of each frame.
-    """
+    """Start and way of each arrow in each frame, for ``playback.js``; None without forces."""
     if "hand_wrench" not in trace.signals or not trace.ticks:
         return None
     points = trace.signals["hand_point"].reshape(trace.ticks, -1, 3)

@@ -88,14 +88,9 @@ class Shown:
 def shown_marks(
     scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
 ) -> list[Shown]:
-    """The marks of the tasks of all phases, and those of the limits.
+    """The marks of the tasks of all phases, and those of the limits; ``frames`` are ticks.
 
-    Args:
-        scenario: whose they are.
-        frames: the tick of each frame.
-        trace: of a run.
-        faults: to which a sentence is added for every task and limit that shows what is no mark,
-            or raises an error; it is then left out.
+    What shows no mark or raises an error is left out, and a sentence added to the faults.
     """
     place, found = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
@@ -133,11 +128,7 @@ def _through_time(
 
 
 class Place:
-    """Where what has no end is cut off: near the object's start.
-
-    Args:
-        scenario: with the object.
-    """
+    """Where what has no end is cut off: near the object's start."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)

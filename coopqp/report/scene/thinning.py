@@ -21,13 +21,9 @@ FLAT = 1e-2  # share of a cell's largest eigenvalue below which its planes leave
 
 
 def thinned(surface: Triangles, cell: float) -> Triangles:
-    """The surface with one vertex in each cell of a grid.
+    """The surface with one vertex in each cell of a grid, of this edge [m].
 
     No vertex leaves its cell, so that the surface moves by less than a cell's diagonal.
-
-    Args:
-        surface: any.
-        cell: edge of a cell [m].
     """
     cells, of_vertex = _cells(surface, cell)
     corners = of_vertex[surface.corners]
@@ -72,16 +68,7 @@ def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count
     """Of each cell the point with the least sum of squared distances to its planes.
 
     A plane counts with its triangle's area. Where planes leave the point free it is as near to the
-    mean of the cell's vertices as they allow.
-
-    Args:
-        surface: with all vertices.
-        of_vertex: the cell of each vertex, shape (v,).
-        corners: cells of each triangle's corners, shape (t, 3).
-        count: c.
-
-    Returns:
-        shape (c, 3) [m].
+    mean of the cell's vertices as they allow. Shape (c, 3) [m]; ``corners`` are cells.
     """
     total = _sums(of_vertex, surface.vertices, count)
     mean: Array = total / np.bincount(of_vertex, minlength=count)[:, None]
@@ -101,11 +88,5 @@ def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count
 
 
 def _sums(of_row: Ints, rows: Array, count: int) -> Array:
-    """Sum of the rows of each cell, shape (count, columns); np.add.at takes several times longer.
-
-    Args:
-        of_row: the cell of each row, shape (r,).
-        rows: shape (r, columns).
-        count: of cells.
-    """
+    """Sum of the rows of each cell, shape (count, columns) (np.add.at is slow)."""
     return np.column_stack([np.bincount(of_row, column, count) for column in rows.T])

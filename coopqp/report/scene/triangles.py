@@ -106,11 +106,7 @@ def _round_ends(radius: float, length: float) -> Array:
 
 
 def _turned(outline: Array) -> Triangles:
-    """What an outline sweeps when it is turned about z.
-
-    Args:
-        outline: distance from z and height of each point, shape (p, 2) [m].
-    """
+    """What an outline, distances from z and heights, shape (p, 2) [m], sweeps about z."""
     angles = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)
     distance, height = outline[:, :1], np.broadcast_to(outline[:, 1:], (len(outline), ROUND))
     rings = np.stack([distance * np.cos(angles), distance * np.sin(angles), height], axis=-1)

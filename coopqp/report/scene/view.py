@@ -26,11 +26,6 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     """Lowest and highest corner of what is shown, and its rims.
 
     Shown is all there is, but nothing that flies away or stands far from what moves.
-
-    Args:
-        comparison: with the traces.
-        bodies: of the robot.
-        goals: points, shape (m, 3) [m].
     """
     traces, half = comparison.traces.values(), 0.5 * max(comparison.scenario.held.size)
     moving = [points for trace in traces for points in trace.points.values()]
@@ -49,12 +44,7 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
 
 
 def _rims(points: Array, middle: Array) -> Array:
-    """What the points reach when turned about z: heights and radii from the middle, shape (r, 2).
-
-    Args:
-        points: shape (m, 3) [m].
-        middle: what they turn about, shape (3,) [m].
-    """
+    """What the points reach when turned about z: heights and radii, shape (r, 2)."""
     x, y, z = (points - middle).T
     radius, half = np.hypot(x, y), np.ptp(z) / (2 * SLICES)
     rims = []

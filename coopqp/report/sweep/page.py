@@ -45,15 +45,6 @@ WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
     """Write ``report.html``, and the scenarios that it links to.
 
-    Args:
-        study: whose page it is.
-        columns: its results.
-        summary: of them.
-        folder: of the study.
-
-    Returns:
-        The page.
-
     Raises:
         CoopqpError: it cannot be written.
     """
@@ -82,16 +73,7 @@ def render(
     worst: Sequence[Sequence[int]],
     places: dict[int, int],
 ) -> str:
-    """The page as text.
-
-    Args:
-        study: whose page it is.
-        columns: its results.
-        summary: of them.
-        binned: the same by what is varied.
-        worst: places of each controller's worst rows in the columns.
-        places: their numbers in the study.
-    """
+    """The page as text."""
     measures = [name for name in columns.kinds if name.startswith("task_error.")]
     data = {
         "controllers": list(binned.controllers),

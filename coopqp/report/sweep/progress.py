@@ -35,11 +35,7 @@ def shown(study: Study) -> Iterator[Callable[[State], None]]:
 
 
 class _Lines:
-    """A line now and then.
-
-    Args:
-        study: that is run.
-    """
+    """A line now and then."""
 
     def __init__(self, study: Study) -> None:
         self._name, self._next = study.name, time.monotonic() + EVERY
