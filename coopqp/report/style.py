@@ -59,10 +59,14 @@ class Style:
 
 def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
     """A style for each controller; who keeps limits is thick, the first of them full blue."""
+    return chosen_styles({name: trace.keeps_limits for name, trace in traces.items()})
+
+
+def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
+    """The same by whether each controller keeps limits."""
     counts = {True: 0, False: 0}
     chosen: dict[str, Style] = {}
-    for name, trace in traces.items():
-        keeps = trace.keeps_limits
+    for name, keeps in keeps_limits.items():
         colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
         i = counts[keeps]
         counts[keeps] += 1

@@ -1,8 +1,9 @@
-"""Tables for the terminal: comparisons, replayed ticks, the stress test."""
+"""What commands print: comparisons, replayed ticks, explanations, the stress test."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 from rich import box
 from rich.table import Table
@@ -10,7 +11,9 @@ from rich.text import Text
 
 from coopqp.comparison import Comparison
 from coopqp.errors import one_line
+from coopqp.report import strict_json
 from coopqp.report.cells import Cell, cells
+from coopqp.study.explanation import RunExplanation, explain
 from coopqp.study.replay import Replay
 from coopqp.study.stress import Summary
 from coopqp.study.stress.contacts import ContactSummary
@@ -89,52 +92,61 @@ def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:
 def stress(lines: Sequence[Summary], plant: str = "kinematic") -> Table:
     """One row a kind of rollout; fits 80 columns."""
     masses = plant != "kinematic"
-    table = Table(
-        title=f"random rollouts on {plant}" if masses else "random rollouts of the QP law",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        show_edge=False,
-        caption=_worst(lines[-1], masses=masses),
-        caption_justify="left",
-    )
     outcomes = OUTCOMES_WITH_MASSES if masses else OUTCOMES
     signs = SIGNS_WITH_MASSES if masses else SIGNS
-    table.add_column("rollouts", no_wrap=True)
-    for heading in ("runs", *outcomes, *signs):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for x in lines:
-        counts = (x.outcomes.get(outcome, 0) for outcome in outcomes.values())
-        seen = (getattr(x, sign) for sign in signs.values())
-        table.add_row(x.kind, *(str(count) for count in (x.count, *counts, *seen)))
-    return table
+    return _rollouts(
+        f"random rollouts on {plant}" if masses else "random rollouts of the QP law",
+        _worst(lines[-1], masses=masses),
+        ("runs", *outcomes, *signs),
+        {
+            x.kind: (
+                x.count,
+                *(x.outcomes.get(outcome, 0) for outcome in outcomes.values()),
+                *(getattr(x, sign) for sign in signs.values()),
+            )
+            for x in lines
+        },
+    )
 
 
 def contacts(lines: Sequence[ContactSummary]) -> Table:
     """One row a kind of rollout of hands that press; fits 80 columns."""
     worst, causes = lines[-1], lines[-1].causes
     lost = ", ".join(f"{name} {count}" for name, count in causes.items()) or "nothing"
-    table = Table(
-        title="random rollouts of hands that press, on rigid_body",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        show_edge=False,
-        caption=Text(
+    return _rollouts(
+        "random rollouts of hands that press, on rigid_body",
+        Text(
             f"lost by: {lost}\n"
             f"kept cones left by at most {worst.cone:.1e} N, "
             f"motors' limits by {worst.torque:.1e} N m\n"
             f"of {worst.ticks} ticks {worst.given_up} gave a cone up or had no answer"
         ),
-        caption_justify="left",
+        ("number", *CONTACT_OUTCOMES, "edge", "no\nname", "broken"),
+        {
+            x.kind: (
+                x.count,
+                *(x.outcomes.get(outcome, 0) for outcome in CONTACT_OUTCOMES),
+                *(x.causes.get(cause, 0) for cause in ("edge", "no name")),
+                x.broken,
+            )
+            for x in lines
+        },
     )
+
+
+def _rollouts(
+    title: str, caption: Text, headings: Sequence[str], counts: Mapping[str, Sequence[int]]
+) -> Table:
+    """Counts by kind of rollout."""
+    table = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0, show_edge=False,
+        caption=caption, caption_justify="left",
+    )  # fmt: skip
     table.add_column("rollouts", no_wrap=True)
-    for heading in ("number", *CONTACT_OUTCOMES, "edge", "no\nname", "broken"):
+    for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
-    for x in lines:
-        ended = [x.outcomes.get(outcome, 0) for outcome in CONTACT_OUTCOMES]
-        named = [x.causes.get("edge", 0), x.causes.get("no name", 0)]
-        table.add_row(x.kind, *(str(count) for count in (x.count, *ended, *named, x.broken)))
+    for kind, row in counts.items():
+        table.add_row(kind, *map(str, row))
     return table
 
 
@@ -148,3 +160,20 @@ def _worst(x: Summary, *, masses: bool) -> Text:
         f"the kernel left {x.plain} to the plain law ({x.plain / max(x.ticks, 1):.2%})\n"
         f"hard tasks that rest short, tried as soft ones: {x.compared}{squeeze}"
     )
+
+
+def run_text(found: RunExplanation, name: str, *, as_json: bool) -> str:
+    """Why a run missed its goal."""
+    if as_json:
+        return strict_json.text(found.as_json())
+    of = f", phase {found.phase}" if found.phase else ""
+    return f"{name}, {found.controller}{of}:\n{found.sentence}."
+
+
+def tick_text(record: TickRecord, *, as_json: bool) -> str:
+    """Why a tick fell short."""
+    found = explain(record)
+    if as_json:
+        return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})
+    said = f"{found.sentence[0].upper()}{found.sentence[1:]}."
+    return f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{said}"

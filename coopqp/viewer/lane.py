@@ -57,10 +57,7 @@ class Lane:
         CoopqpError: the controller or the plant cannot be built.
 
     Attributes:
-        name: of the controller.
         run: the phase that is on.
-        plant: guarded.
-        feed: who sends to it.
         command: of the last tick. us: time that it took [us].
         starts: configuration in which each phase but the first has begun.
         torn: whether the hands were once too far apart for one object, or have lost it.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def hands(chart: Chart) -> list[Figure]:
     figures = []
     for i, arm in enumerate(_arms(chart)):
         normal, use, edge = (
-            _told(chart, "normal_force", lambda t, name=name, i=i: t.signals[name][:, i])
+            _told(chart, "normal_force", partial(_column, name=name, i=i))
             for name in ("normal_force", "friction_use", "edge_use")
         )
         title = f"Friction that {arm} needs over what there is"
@@ -64,7 +65,7 @@ def forces(chart: Chart) -> list[Figure]:
     """At the cut of the loop and between the hands, as far as told."""
     figures = []
     for signal, part, title, unit in WRENCHES:
-        lines = _told(chart, "tau", lambda t, signal=signal, part=part: _largest(t, signal, part))
+        lines = _told(chart, "tau", partial(_largest, signal=signal, part=part))
         if lines:
             figures.append(chart.plain(title, unit, lines))
     return figures
@@ -104,6 +105,10 @@ def _told(chart: Chart, signal: str, of: Callable[[Trace], Array | None]) -> dic
 
 def _arms(chart: Chart) -> list[str]:
     return [arm.name for arm in chart.chain.robot.arms]
+
+
+def _column(trace: Trace, name: str, i: int) -> Array:
+    return trace.signals[name][:, i]
 
 
 def _largest(trace: Trace, signal: str, part: slice) -> Array | None:

@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 
 from coopqp.errors import InvalidValueError
 from coopqp.mark import SolidMark
-from coopqp.report.scene.thinning import count_thinned, thinned
 from coopqp.report.scene.triangles import (
     NOTHING,
     Triangles,
+    count_thinned,
     joined,
     moved,
     of_capsule,
     of_mesh,
     of_shape,
+    thinned,
 )
 from coopqp.robot import Capsule, RobotModel, Shape
 from coopqp.robot_files.meshes import version

@@ -25,6 +25,7 @@ OTHER = "others"
 NULL = "left out"  # what a scenario does with a key that is null
 
 Codes = NDArray[np.int64]
+WORST = 10
 
 
 @dataclass(frozen=True)
@@ -212,3 +213,22 @@ class Binned:
 def short(value: float) -> float:
     """Five digits are enough for a picture."""
     return float(f"{value:.5g}")
+
+
+def worst_error(columns: Columns) -> Array:
+    """Each row's error of the task that is worst, in medians of that task, shape (rows,)."""
+    worst = np.full(len(columns), -np.inf)
+    for name in columns.kinds:
+        if name.startswith("task_error."):
+            error = columns.numbers(name)
+            known = error[np.isfinite(error)]
+            scale = float(np.median(known)) if len(known) else 1.0
+            worst = np.fmax(worst, error / (scale or 1.0))
+    return worst
+
+
+def worst_rows(binned: Binned, error: Array, controller: int) -> list[int]:
+    """Those of a controller that do not succeed and end farthest from their goals; a NaN is far."""
+    rows = np.flatnonzero(binned.done & (binned.controller == controller) & ~(binned.success > 0.0))
+    far = np.where(np.isfinite(error[rows]), error[rows], np.inf)
+    return [int(row) for row in rows[np.argsort(-far, kind="stable")[:WORST]]]

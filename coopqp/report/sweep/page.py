@@ -25,9 +25,8 @@ from coopqp.report.style import (
     VERMILION,
     Style,
 )
-from coopqp.report.sweep.bins import Binned
+from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, percent, points
-from coopqp.report.sweep.worst import worst_error, worst_rows
 from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
