@@ -23,7 +23,7 @@ LANGUAGES = ("C++", "Python")  # that ticks run in
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the summary."""
+    """A column of the summary: what stands at its top, and a sentence."""
 
     heading: str
     unit: str
@@ -224,15 +224,9 @@ def _task_error(found: Assessment) -> Cell:
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:
-    failed, ticks, inaccurate = (
-        metrics["failed_ticks"],
-        metrics["ticks"],
-        metrics["inaccurate_ticks"],
-    )
-    lines = [f"{failed} of {ticks}"]
-    if inaccurate:
-        lines.append(f"{inaccurate} inaccurate")
-    return Cell(tuple(lines), failed > 0 or inaccurate > 0)
+    failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]
+    more = (f"{inaccurate} inaccurate",) if inaccurate else ()
+    return Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0)
 
 
 def _worst_gap(comparison: Comparison) -> str:

@@ -40,8 +40,6 @@ class Study:
     """What a scenario's grasp allows, and how well its tasks can be moved on the way.
 
     Attributes:
-        scenario: what was analysed.
-        phase: name of the phase, if the scenario has phases.
         mobility: at generic poses and at the start.
         forces: between the hands at the start; None where one arm alone holds the object, and
             where hands that are in one place have no direction between them.
@@ -61,7 +59,7 @@ class Study:
 
     @property
     def name(self) -> str:
-        """Of the scenario, and of the phase."""
+        """Of the scenario, and of the phase if it has phases."""
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
     def verdict(self) -> str:

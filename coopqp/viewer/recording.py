@@ -130,11 +130,8 @@ class Recording:
         writer.width = 100
         writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
         writer.dump(self._data(names, folder), stream)
-        head = (
-            f"# {self._scenario.name}, played for {self.seconds:.3f} s; "
-            "coopqp compare replays it.\n"
-        )
-        return head + stream.getvalue()
+        played = f"{self._scenario.name}, played for {self.seconds:.3f} s"
+        return f"# {played}; coopqp compare replays it.\n{stream.getvalue()}"
 
     def _data(self, names: Mapping[str, str], folder: Path) -> dict[str, Any]:
         """The scenario file as a mapping, with what was played."""
@@ -148,12 +145,9 @@ class Recording:
         if secondary:
             data["secondary"] = secondary
         inputs = dict(data.get("inputs") or {})
-        for live in self._lives:
-            if live.made:
-                slot = phases[live.phase]["tasks"] if live.phase < len(phases) else None
-                if slot is not None:
-                    _follow(slot[live.task], live)
-                    inputs.setdefault(live.name, pace_of(scenario))
+        for live in (live for live in self._lives if live.made and live.phase < len(phases)):
+            _follow(phases[live.phase]["tasks"][live.task], live)
+            inputs.setdefault(live.name, pace_of(scenario))
         paths = {name: self._path_of(file, folder) for name, file in names.items()}
         if inputs:
             data["inputs"] = fed(inputs, paths)
@@ -171,14 +165,9 @@ class Recording:
         for k, ticks in enumerate(self.ticks):
             given = data["phases"][k] if "phases" in data else data
             ends = max((task.end for task in self._scenario.schedule[k].tasks), default=0.0)
-            lasts = max(ticks * self._scenario.dt, ends)
-            found.append(
-                {
-                    **(given if "phases" in data else {}),
-                    "duration": lasts,
-                    "tasks": [_spelled(slot) for slot in given["tasks"]],
-                }
-            )
+            lasts, tasks = max(ticks * self._scenario.dt, ends), map(_spelled, given["tasks"])
+            kept = given if "phases" in data else {}
+            found.append({**kept, "duration": lasts, "tasks": list(tasks)})
         if "phases" in data:
             data["phases"] = found
         else:

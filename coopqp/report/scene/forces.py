@@ -62,14 +62,10 @@ def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json 
     starts = np.where((ways != 0.0).any(axis=2, keepdims=True), points[before] - ways, 0.0)
     hands = np.zeros((len(frames), points.shape[1], 6))
     hands[frames > 0] = np.concatenate([starts, ways], axis=2)
-    com = trace.position[frames] + trace.rotation[frames] @ np.array(_com(scenario))
+    own = np.array(scenario.held.com) + scenario.disturbance.object_com  # of the real object [m]
+    com = trace.position[frames] + trace.rotation[frames] @ own
     falls = np.tile([0.0, 0.0, -scale * down], (len(frames), 1))
     return {"hands": short(hands), "weight": short(np.concatenate([com, falls], axis=1))}
-
-
-def _com(scenario: Scenario) -> Array:
-    """Of the real object, in the object [m]."""
-    return np.array(scenario.held.com) + scenario.disturbance.object_com
 
 
 def _cut(forces: Array, longest: float) -> Array:

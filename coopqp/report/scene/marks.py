@@ -45,6 +45,11 @@ PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 KINDS = (
     "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
 )  # fmt: skip
+#: Which of its values say where it is.
+PLACES = {
+    "goals": "at", "poses": "at", "circles": "center", "spheres": "center", "planes": "corners",
+    "lines": "ends",
+}  # fmt: skip
 #: What moves with the robot, and so differs between controllers.
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
 #: What stands still, and is drawn as the robot is.
@@ -57,10 +62,7 @@ class Shown:
 
     Attributes:
         kind: one of KINDS, one of those that move with the robot, or SOLID.
-        name: of the task or limit.
-        limit: whether it is a limit.
-        first: frame.
-        values: what is drawn, in each frame.
+        name: of the task or limit. values: what is drawn, in each frame from the first on.
     """
 
     kind: str
@@ -102,9 +104,9 @@ def shown_marks(
         own = np.flatnonzero(phases == i).tolist()
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         for task in phase.tasks:
-            nows = {k: trace.moment(int(frames[k]), t) for k, t in times.items()}
             marks = {
-                k: asked(task.name, partial(task.marks, now), faults) for k, now in nows.items()
+                k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
+                for k, t in times.items()
             }
             found += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
@@ -154,18 +156,20 @@ class Place:
             case SolidMark():
                 return SOLID, {"solid": mark}
             case PoseMark():
-                return self._axes(mark)
+                axes = {"axes": self._axes(mark.rotation)}
+                where = mark.position
+                return ("orientations", axes) if where is None else ("poses", {"at": where} | axes)
             case TrackedMark() | PostureMark() | RelativeMark():
                 return self._carried(mark)
 
     def _carried(self, mark: TrackedMark | PostureMark | RelativeMark) -> tuple[str, Json]:
-        """What :mod:`coopqp.report.scene.marks` needs."""
+        """What moves with the robot."""
         match mark:
             case TrackedMark():
                 return TRACKED, {"point": mark.point}
             case PostureMark():
                 return POSTURE, {"goal": mark.goal}
-        return RELATIVE, {"at": mark.position, "axes": self._shown_axes(mark.rotation)}
+        return RELATIVE, {"at": mark.position, "axes": self._axes(mark.rotation)}
 
     def _line(self, line: LineMark) -> tuple[str, Json]:
         """Ends of a piece of it, or the way from the object."""
@@ -176,14 +180,8 @@ class Place:
         middle = line.through + d * (d @ (self._start - line.through))
         return "lines", {"ends": [middle - way, middle + way]}
 
-    def _axes(self, pose: PoseMark) -> tuple[str, Json]:
-        """The axes as rows, and the origin where there is one."""
-        axes = self._shown_axes(pose.rotation)
-        if pose.position is None:
-            return "orientations", {"axes": axes}
-        return "poses", {"at": pose.position, "axes": axes}
-
-    def _shown_axes(self, rotation: Array) -> Array:
+    def _axes(self, rotation: Array) -> Array:
+        """The axes as rows."""
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 
@@ -207,16 +205,8 @@ def as_json(marks: Sequence[Shown]) -> dict[str, list[Json]]:
 
 def in_view(marks: Sequence[Shown]) -> Array:
     """Points that a picture must not leave out, shape (p, 3) [m]."""
-    keys = {
-        "goals": "at",
-        "poses": "at",
-        "circles": "center",
-        "spheres": "center",
-        "planes": "corners",
-        "lines": "ends",
-    }
-    shown = [mark for mark in marks if mark.kind in keys and not mark.limit]
-    points = [mark.stacked(keys[mark.kind]).reshape(-1, 3) for mark in shown]
+    shown = [mark for mark in marks if mark.kind in PLACES and not mark.limit]
+    points = [mark.stacked(PLACES[mark.kind]).reshape(-1, 3) for mark in shown]
     return np.concatenate([*points, np.zeros((0, 3))])
 
 

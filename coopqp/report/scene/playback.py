@@ -93,21 +93,19 @@ def _body(body: Body) -> Json:
 
 def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json:
     state, robot = joint_state(trace), scenario.chain.robot
-    places, arms = label_places(robot, trace.points), []
-    middle = _middle(trace.points)
-    for arm in robot.arms:  # as the bodies number them
-        columns = [trace.joints.index(joint) for joint in robot.arm_joints(arm)]
-        arms.append(
-            {
-                "name": arm.name,
-                "points": short(trace.points[arm.name][frames]),
-                "state": state[frames][:, columns].tolist(),
-                "label": places[arm.name],
-                "middle": short(middle),
-            }
-        )
+    places, middle = label_places(robot, trace.points), short(_middle(trace.points))
+    columns = {a.name: [trace.joints.index(j) for j in robot.arm_joints(a)] for a in robot.arms}
     return {
-        "arms": arms,
+        "arms": [
+            {
+                "name": name,
+                "points": short(trace.points[name][frames]),
+                "state": state[frames][:, joints].tolist(),
+                "label": places[name],
+                "middle": middle,
+            }
+            for name, joints in columns.items()  # as the bodies number them
+        ],
         "position": short(trace.position[frames]),
         "rotation": short(trace.rotation[frames].reshape(-1, 9)),
         "readout": _readout(trace, frames),
@@ -118,11 +116,8 @@ def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, in
     """At which of its points each arm's name stands.
 
     Of the joints that no other arm has it is the one that is farthest from the middle of all arms
-    at the start; the hand where an arm shares all its joints.
-
-    Args:
-        robot: with the arms.
-        points: by arm, joints base first and then the hand, shape (T + 1, p, 3) [m].
+    at the start; the hand where an arm shares all its joints. Points by arm, joints base first and
+    then the hand, shape (T + 1, p, 3) [m].
     """
     middle = _middle(points)
     joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -49,19 +48,14 @@ def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Pat
     """
     binned, error = Binned.of(study, columns), worst_error(columns)
     worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
-    places = _places(columns, worst)
+    numbers = columns.numbers("row")
+    places = {row: int(numbers[row]) for rows in worst for row in rows}
     for place in places.values():
         path = folder / ROWS / f"{place}.yaml"
         if not path.exists():
             write_one(path, scenario_of_row(study, place)[0])
     write_one(folder / NAME, render(study, columns, summary, binned, worst, places))
     return folder / NAME
-
-
-def _places(columns: Columns, worst: Sequence[Sequence[int]]) -> dict[int, int]:
-    """Numbers of the rows of the study at some places in the file."""
-    numbers = columns.numbers("row")
-    return {row: int(numbers[row]) for rows in worst for row in rows}
 
 
 def render(
@@ -72,31 +66,31 @@ def render(
     worst: Sequence[Sequence[int]],
     places: dict[int, int],
 ) -> str:
-    """The page as text."""
+    """The page as text; ``places`` are the study's numbers of the worst rows in the columns."""
+    styles = [_style(k) for k in range(len(binned.controllers))]
     measures = [name for name in columns.kinds if name.startswith("task_error.")]
     data = {
         "controllers": list(binned.controllers),
-        "colors": [COLORS[k % len(COLORS)] for k in range(len(binned.controllers))],
-        "dashes": [_style(k).dash for k in range(len(binned.controllers))],
-        "widths": [_style(k).width for k in range(len(binned.controllers))],
+        "colors": [style.color for style in styles],
+        "dashes": [style.dash for style in styles],
+        "widths": [style.width for style in styles],
         "axes": [axis.as_json() for axis in binned.axes],
         "maps": list(binned.maps()),
         "bands": {name: binned.bands(columns.numbers(name)) for name in (*measures, MARGIN)},
         "margin": MARGIN,
         "flows": binned.flows(),
     }
-    missing = study.rows - summary.rows
     return Template(_read("page.html")).substitute(
         title=text(study.name),
         version=text(coopqp.__version__),
-        facts=_facts(study, summary, missing),
+        facts=_facts(study, summary),
         summary=_summary(summary),
         reasons=_reasons(summary),
         paired=_paired(summary.pairs),
         blocked="".join(_limits(line) for line in summary.lines),
         legend="".join(
-            f"<span>{_style(k).swatch()} {breakable(name)}</span>"
-            for k, name in enumerate(binned.controllers)
+            f"<span>{style.swatch()} {breakable(name)}</span>"
+            for style, name in zip(styles, binned.controllers, strict=True)
         ),
         worst="".join(
             _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
@@ -119,7 +113,8 @@ def _style(k: int) -> Style:
     return Style(color, dashes[k % len(dashes)], widths[min(k, len(widths) - 1)])
 
 
-def _facts(study: Study, summary: Summary, missing: int) -> str:
+def _facts(study: Study, summary: Summary) -> str:
+    missing = study.rows - summary.rows
     facts = {
         "scenario": study.scenario.path.stem,
         "variants": f"{study.points.count:,}",
@@ -259,17 +254,12 @@ def _worst(
         [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
         for k, row in enumerate(rows)
     ]
-    heads = ["row", *(_head(column) for column in shown)]
+    heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
     return f'<h3>{breakable(name)}</h3><div class="worst">{_table(heads, table)}</div>'
 
 
-def _head(name: str) -> str:
-    """A column's name, which may be broken after dots and underscores."""
-    return html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
-
-
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
-    if columns.kinds[name] in ("string",):
+    if columns.kinds[name] == "string":
         codes, texts = columns.codes(name)
         return [text(texts[codes[row]]) if codes[row] >= 0 else "" for row in rows]
     numbers = columns.numbers(name)
