@@ -28,10 +28,9 @@ MOST_LINES = 14  # of the timeline
 
 @dataclass(frozen=True)
 class Audited:
-    """A limit, or that of one joint.
+    """A limit, or that of one joint, such as "position of RElbowRoll".
 
     Attributes:
-        name: such as "position of RElbowRoll", or "table".
         row: the one of its rows that had least left.
         margin: least of all its rows after each tick, shape (T,) [the row's unit].
     """

@@ -47,12 +47,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry.
-
-    Attributes:
-        lines: of text.
-        bad: whether it speaks against the controller; None where neither good nor bad is meant.
-    """
+    """One entry; bad where it speaks against the controller, None if neither good nor bad."""
 
     lines: tuple[str, ...]
     bad: bool | None = None

@@ -35,10 +35,6 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
 
     They change all at once, also when the process is killed.
 
-    Args:
-        comparison: from :func:`coopqp.compare`.
-        folder: made if it does not exist; files of these names are replaced.
-
     Raises:
         CoopqpError: the folder cannot be made or written to; a user's code keeps the page from
             being drawn, and all else is written.
@@ -102,11 +98,7 @@ def trace_csv(comparison: Comparison) -> str:
 
 
 def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
-    """Replace the files of a folder by others, all of them in one step.
-
-    Args:
-        contents: text by file name; files of an earlier report that are not among them go.
-        folder: made if it does not exist; its other files stay.
+    """Replace the files of a folder by others, by name, in one step; what is not ours stays.
 
     Raises:
         OSError: the folder cannot be made or written to, or has no symbolic links; the old report
@@ -129,15 +121,7 @@ def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
 
 
 def _check_writable(folder: Path, names: Iterable[str]) -> None:
-    """Refuse a folder that cannot be written to, before a long run and not after it.
-
-    Args:
-        folder: made if it does not exist.
-        names: of the files to be written.
-
-    Raises:
-        CoopqpError: it is a file, or cannot be made or written to; a file's name is a folder's.
-    """
+    """Refuse a folder that cannot be written to, or that has a folder of one of the names."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _alone(folder):

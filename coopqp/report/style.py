@@ -26,13 +26,7 @@ QP_WIDTH, OTHER_WIDTHS = 4.5, (2.4, 1.9, 1.5)  # px
 
 @dataclass(frozen=True)
 class Style:
-    """A line of one controller.
-
-    Attributes:
-        color: such as "#0072B2".
-        dash: lengths of dash and gap [px], empty for a full line.
-        width: [px]
-    """
+    """A line: colour such as "#0072B2", dashes and gaps or none [px], width [px]."""
 
     color: str
     dash: str

@@ -57,9 +57,8 @@ class Lane:
         CoopqpError: the controller or the plant cannot be built.
 
     Attributes:
-        run: the phase that is on.
+        run: the phase that is on. starts: where each phase but the first has begun.
         command: of the last tick. us: time that it took [us].
-        starts: configuration in which each phase but the first has begun.
         torn: whether the hands were once too far apart for one object, or have lost it.
         goals: error of each task to its goal, by the tasks' rows.
     """

@@ -47,20 +47,14 @@ UNTOLD = Told(False, "", (), "")
 
 
 class Player:
-    """A scenario that is played.
-
-    Args:
-        scenario: as read.
-        names: of controllers; all of the scenario's when empty.
-        folder: where recordings go; None where nowhere.
+    """A scenario that is played, by all of its controllers if none is named.
 
     Raises:
         CoopqpError: a controller that was named cannot be built, or none can.
 
     Attributes:
         scenario: with inputs for all that can be dragged.
-        lanes: one a law.
-        refused: laws that are left out, and why.
+        lanes: one a law. refused: laws that are left out, and why.
         told: what the explainer has said last. explains: whether there is one.
         recording: since the last reset. note: what there is to say beside.
     """

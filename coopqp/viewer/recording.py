@@ -56,12 +56,7 @@ def check_folder(folder: Path) -> None:
 
 
 class Recording:
-    """A recording on its way.
-
-    Attributes:
-        ticks: of each phase so far.
-        note: why it has ended; empty while it has not.
-    """
+    """A recording on its way: ticks of each phase so far; its note says why it has ended."""
 
     def __init__(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -57,6 +58,15 @@ class Chart:
         return [
             curves.curve(name, self.styles[name], t[: len(y)], y, steps=steps)
             for name, y in lines.items()
+        ]
+
+    def instants(self, trace: Trace, most: int) -> list[NDArray[np.int64]]:
+        """Rows of each phase of a trace, evenly spread, first and last among them."""
+        firsts = self.comparison.scenario.first_ticks
+        ends = [*firsts[1:], trace.ticks]
+        return [
+            np.unique(np.linspace(a, b, min(b - a + 1, most)).round().astype(np.int64))
+            for a, b in zip(firsts, ends, strict=True)
         ]
 
     def lines(self, of: Callable[[Trace], Array | None]) -> dict[str, Array]:

@@ -67,10 +67,7 @@ def freedom_figures(chart: Chart) -> list[Figure]:
 def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     """Of M at each instant, largest first, shape (i, k); NaN where a task raises an error.
 
-    Args:
-        problem: of the phase.
-        t: since the phase began, shape (i,) [s].
-        q: configurations, shape (i, n).
+    At times since the phase began, shape (i,) [s], and configurations, shape (i, n).
     """
     chain = problem.chain
     steering = [task for task in problem.tasks if not task.joint_space]
@@ -115,15 +112,12 @@ def manipulability(sigma: Array) -> Array:
 
 def _legs(chart: Chart, name: str) -> Legs:
     """Along a run, phase by phase."""
-    trace, scenario, legs = chart.traces[name], chart.comparison.scenario, []
-    ends = [*scenario.first_ticks[1:], trace.ticks]
-    problems = chart.problems(name)
-    for problem, first, last in zip(problems, scenario.first_ticks, ends, strict=True):
-        count = min(last - first + 1, MOST_INSTANTS)
-        rows = np.unique(np.linspace(first, last, count).round().astype(int))
-        t = trace.t[rows]
-        legs.append((t, singular_values(problem, t - trace.t[first], trace.q[rows])))
-    return legs
+    trace = chart.traces[name]
+    instants = chart.instants(trace, MOST_INSTANTS)
+    return [
+        (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
+        for problem, rows in zip(chart.problems(name), instants, strict=True)
+    ]
 
 
 def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:

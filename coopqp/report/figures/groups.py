@@ -26,13 +26,9 @@ from coopqp.report.figures.times import tick_times
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Figures that belong together.
+    """Figures that belong together, with a hint how to read them, and words explained.
 
     Attributes:
-        title: of the section.
-        hint: how to read them.
-        words: those that need it, explained.
-        figures: shown at once.
         folded: shown on demand, and on paper. more: what those are.
         leads: whether it stands directly below the result.
     """

@@ -24,12 +24,7 @@ PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in
 
 @dataclass(frozen=True)
 class JointRow:
-    """Joints that are shown side by side.
-
-    Attributes:
-        joints: their indices: one that arms share, or the same one of two arms of equal build.
-        about: what is said of each, such as "q2 of the right arm".
-    """
+    """Joints side by side: one that arms share, or the same one of two; what is said of each."""
 
     joints: tuple[int, ...]
     about: tuple[str, ...]

@@ -47,12 +47,7 @@ REFERENCE = {"color": "#000000", "dash": "1.5px,2.5px", "width": 1.5}
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinate:
-    """Of a point of the object.
-
-    Attributes:
-        axis: 0, 1, 2 for the world's x, y, z.
-        point: in the object frame [m].
-    """
+    """Of a point in the object frame [m]; axis 0, 1, 2 for the world's x, y, z."""
 
     unit: ClassVar[str] = "m"
     least: ClassVar[float] = 0.02  # height of its figure [m]
@@ -173,11 +168,9 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
     """What each task of each phase wants of a quantity."""
     scenario, trace, found = chart.comparison.scenario, chart.any, []
     t = trace.t
-    ends = [*scenario.first_ticks[1:], chart.any.ticks]
-    for number, (phase, last) in enumerate(zip(scenario.schedule, ends, strict=True)):
-        first = scenario.first_ticks[number]
-        count = min(last - first + 1, MOST_INSTANTS)
-        rows = np.unique(np.linspace(first, last, count).round().astype(int))
+    instants = chart.instants(trace, MOST_INSTANTS)
+    for number, (phase, rows) in enumerate(zip(scenario.schedule, instants, strict=True)):
+        first = int(rows[0])
         for task in phase.tasks:
             nows = [trace.moment(k, float(t[k] - t[first])) for k in rows.tolist()]
             marks = [asked(task.name, partial(task.marks, now), []) for now in nows]

@@ -29,12 +29,7 @@ FLAT = 1e-2  # share of a cell's largest eigenvalue below which its planes leave
 
 @dataclass(frozen=True)
 class Triangles:
-    """A surface; which side is outside is not told.
-
-    Attributes:
-        vertices: shape (v, 3) [m].
-        corners: of each triangle, rows of vertices, shape (t, 3).
-    """
+    """A surface: vertices (v, 3) [m], corners of its triangles (t, 3); no side is outside."""
 
     vertices: Array
     corners: NDArray[np.int64]

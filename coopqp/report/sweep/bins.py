@@ -30,12 +30,9 @@ WORST = 10
 
 @dataclass(frozen=True)
 class Axis:
-    """Something that is varied, in bins.
+    """Something that is varied, in bins that have labels or edges, one more than there are.
 
     Attributes:
-        name: of its column.
-        labels: of the bins; empty where the edges say it.
-        edges: of the bins, one more than there are; empty where each has a label.
         log: whether the edges are even in their logarithm.
         code: bin of each row, shape (rows,).
     """
@@ -137,12 +134,7 @@ def _texts(columns: Columns, name: str) -> Axis:
 class Binned:
     """Rows that are done, by what the page asks of them.
 
-    Attributes:
-        axes: what is varied.
-        controllers: names.
-        controller: of each row, shape (rows,).
-        done: which rows count, shape (rows,).
-        success: 1, 0 or NaN, shape (rows,).
+    Of each row, shape (rows,): the controller, whether it counts, success 1, 0 or NaN.
     """
 
     axes: Sequence[Axis]
