@@ -92,20 +92,16 @@ def study(
     state = State(chain)
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], state)
     tasks.update(state)
-    rows = [
-        (task.name, tasks.J[part].copy())
-        for task, part in zip(tasks.tasks, tasks.slices, strict=True)
-    ]
+    slices = zip(tasks.tasks, tasks.slices, strict=True)
+    rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = [joints.get(name, name) for name in asked] if asked is not None else None
     found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
-    every = max(1, (last - first) // MOST_POINTS)
-    kept = slice(first, last + 1, every)
+    kept = slice(first, last + 1, max(1, (last - first) // MOST_POINTS))
     measure = _along(times[kept] - times[first], path[kept], tasks, state)
-    between = _between(chain)
-    return Study(scenario, phases[number], found, between, times[kept], measure, refused)
+    return Study(scenario, phases[number], found, _between(chain), times[kept], measure, refused)
 
 
 def _between(chain: ClosedChain) -> Forces | None:

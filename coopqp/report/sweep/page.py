@@ -26,7 +26,6 @@ from coopqp.report.style import (
 )
 from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, percent, points
-from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
@@ -193,15 +192,11 @@ def _paired(found: Sequence[Pair]) -> str:
         "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
         *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in found[0].numbers),
     ]  # fmt: skip
-    rows = [
-        [
-            breakable(p.controller),
-            *(f"{n:,}" for n in _counts(p.success)),
-            _unbroken(points(p.success.difference)),
-            *(_unbroken(difference(x)) for x in p.numbers.values()),
-        ]
-        for p in found
-    ]
+    rows = []
+    for p in found:
+        counts = (p.success.both, p.success.only_one, p.success.only_reference, p.success.neither)
+        values = [points(p.success.difference), *map(difference, p.numbers.values())]
+        rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *map(_unbroken, values)])
     hint = (
         '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
         "median of the differences, with order statistics as its interval, and the sign test.</p>"
@@ -214,17 +209,11 @@ def _unbroken(lines: str) -> str:
     return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
 
 
-def _counts(found: Success) -> tuple[int, ...]:
-    return found.both, found.only_one, found.only_reference, found.neither
-
-
 def _limits(line: Line) -> str:
     """Bars: how often a limit was in the way, or was broken."""
-    parts = [
-        _bars("ends at it, short of the goal", line.blocked_by, line.success.of),
-        _bars("goes beyond it", line.broken, line.success.of),
-    ]
-    bars = "".join(parts) or '<p class="hint">No limit in the way, none broken.</p>'
+    short = _bars("ends at it, short of the goal", line.blocked_by, line.success.of)
+    beyond = _bars("goes beyond it", line.broken, line.success.of)
+    bars = short + beyond or '<p class="hint">No limit in the way, none broken.</p>'
     return f"<div><h3>{breakable(line.controller)}</h3>{bars}</div>"
 
 
@@ -243,10 +232,9 @@ def _bars(title: str, counts: dict[str, int], of: int) -> str:
 def _worst(
     name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
 ) -> str:
+    head = f"<h3>{breakable(name)}</h3>"
     if not rows:
-        return (
-            f"<h3>{breakable(name)}</h3><p class='hint'>No row is done that does not succeed.</p>"
-        )
+        return f"{head}<p class='hint'>No row is done that does not succeed.</p>"
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
@@ -255,7 +243,7 @@ def _worst(
         for k, row in enumerate(rows)
     ]
     heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
-    return f'<h3>{breakable(name)}</h3><div class="worst">{_table(heads, table)}</div>'
+    return f'{head}<div class="worst">{_table(heads, table)}</div>'
 
 
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
