@@ -199,14 +199,13 @@ def _build_all(scenario: Any, name: str) -> None:
 @JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
-    from coopqp.report import names
-    from coopqp.report.terminal import console
+    from coopqp.report.terminal import console, help_lines, names_table
 
-    rows = {k: names.help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
+    rows = {k: help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
         click.echo(json.dumps(rows, indent=2))
         return
-    console().print(names.table(rows))
+    console().print(names_table(rows))
 
 
 @click.command()

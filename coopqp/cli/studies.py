@@ -41,14 +41,14 @@ def explain(
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
     made of it.
     """
-    from coopqp.report import explained, files
+    from coopqp.report import files, table
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
     from coopqp.study.trace_file import trace_from_file
 
     if tick is not None or save:
         record = read_tick(trace, catalog, controller, tick)
-        click.echo(explained.tick_text(record, as_json=as_json))
+        click.echo(table.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
             say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
@@ -60,7 +60,7 @@ def explain(
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recorded, report)
-    click.echo(explained.run_text(found, absolute(run.path.parent).name, as_json=as_json))
+    click.echo(table.run_text(found, absolute(run.path.parent).name, as_json=as_json))
 
 
 @click.command()

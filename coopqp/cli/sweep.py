@@ -58,7 +58,7 @@ def sweep(
 
 
 def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_json: bool) -> None:
-    from coopqp.report.sweep.progress import shown
+    from coopqp.report.sweep.table import shown
     from coopqp.study import sweep as study_of
 
     with printed_aside(as_json):

@@ -17,7 +17,7 @@ from coopqp.assessment.thresholds import AT_LIMIT, matters
 from coopqp.checked import Array
 from coopqp.report import curves
 from coopqp.report.cells import length, number
-from coopqp.report.curves import Figure
+from coopqp.report.curves import Figure, Json
 from coopqp.report.style import Style
 from coopqp.row import Row
 from coopqp.trace import Trace
@@ -28,10 +28,9 @@ MOST_LINES = 14  # of the timeline
 
 @dataclass(frozen=True)
 class Audited:
-    """A limit, or that of one joint.
+    """A limit, or that of one joint, such as "position of RElbowRoll".
 
     Attributes:
-        name: such as "position of RElbowRoll", or "table".
         row: the one of its rows that had least left.
         margin: least of all its rows after each tick, shape (T,) [the row's unit].
     """
@@ -58,51 +57,45 @@ class Audited:
 
 def rows(traces: Mapping[str, Trace]) -> str:
     """Rows of the table: broken limits first, then those at the bound for longest."""
-    lines = []
-    for name, trace in audited(traces).items():
-        for limit in _tightest(trace):
-            value, unit = length(limit.least, limit.row.unit)
-            where = "" if limit.row.joint else f" ({limit.row.words})"
-            cells = (
-                html.escape(f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"),
-                str(int(limit.active.sum())),
-                f"{100 * limit.active.mean():.0f} %",
-            )
-            lines.append(
-                f"<tr><td class='name'>{html.escape(name)}</td><td class='name'>"
-                f"{html.escape(limit.name + where)}</td>"
-                f"{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-            )
-    return "".join(lines)
+    return "".join(
+        _row(name, limit) for name, trace in audited(traces).items() for limit in _tightest(trace)
+    )
+
+
+def _row(name: str, limit: Audited) -> str:
+    value, unit = length(limit.least, limit.row.unit)
+    where = "" if limit.row.joint else f" ({limit.row.words})"
+    names = (name, limit.name + where)
+    cells = (
+        f"{'✗ ' if limit.broken else ''}{number(value)} {unit}",
+        str(int(limit.active.sum())),
+        f"{100 * limit.active.mean():.0f} %",
+    )
+    texts = [f"<td class='name'>{html.escape(text)}</td>" for text in names]
+    texts += [f"<td>{html.escape(text)}</td>" for text in cells]
+    return f"<tr>{''.join(texts)}</tr>"
 
 
 def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure | None:
     """When which limit was active, a line each; None when none ever was."""
     found = {
-        name: {limit.name: limit for limit in limits_of(trace)}
+        name: {limit.name: limit.active for limit in limits_of(trace)}
         for name, trace in audited(traces).items()
     }
     used: dict[str, int] = {}
-    for of_controller in found.values():
-        for name, limit in of_controller.items():
-            used[name] = max(used.get(name, 0), int(limit.active.sum()))
+    for name, active in (item for of in found.values() for item in of.items()):
+        used[name] = max(used.get(name, 0), int(active.sum()))
     shown = sorted((k for k, ticks in used.items() if ticks), key=lambda k: -used[k])[:MOST_LINES]
     if not shown:
         return None
-    data = []
-    for name, trace in audited(traces).items():
-        for line in reversed(shown):
-            if line not in found[name]:
-                continue
-            active = found[name][line].active
-            t, _ = curves.thinned(trace.t[1:][active], trace.t[1:][active])
-            mark = {"color": styles[name].color, "symbol": "square", "size": 5}
-            data.append(
-                {
-                    "type": "scatter", "mode": "markers", "x": t.tolist(), "y": [line] * len(t),
-                    "marker": mark, "legendgroup": name, "hoverinfo": "x+y",
-                }
-            )  # fmt: skip
+    data: list[Json] = []
+    for name, of in found.items():
+        mark = {"color": styles[name].color, "symbol": "square", "size": 5}
+        look = {"type": "scatter", "mode": "markers", "marker": mark, "hoverinfo": "x+y"}
+        for line in (line for line in reversed(shown) if line in of):
+            t = traces[name].t[1:][of[line]]
+            t, _ = curves.thinned(t, t)
+            data.append(look | {"x": t.tolist(), "y": [line] * len(t), "legendgroup": name})
     end = max(float(trace.t[-1]) for trace in traces.values())
     axis = {"type": "category", "automargin": True, "categoryarray": list(reversed(shown))}
     layout = curves.layout(end, axis)

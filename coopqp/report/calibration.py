@@ -16,7 +16,7 @@ from coopqp.grasp import Grasp
 from coopqp.hold import with_passive_joints
 from coopqp.scenario.scenario import Scenario, by_arm
 from coopqp.scenario.start_solver import DIGITS, start_text
-from coopqp.study.calibration import Calibration, Offset, not_shown
+from coopqp.study.calibration import Calibration, not_shown
 
 
 def table(found: Calibration) -> Table:
@@ -25,17 +25,11 @@ def table(found: Calibration) -> Table:
     for heading in ("offset", "", "standard deviation", ""):
         out.add_column(heading, justify="right" if heading else "left")
     for offset in found.offsets:
-        unit = f" m{offset.unit}"
-        out.add_row(offset.name, f"{1e3 * offset.value:.3f}{unit}", *_deviation(offset, unit))
+        unit, deviation = f" m{offset.unit}", (f"{1e3 * offset.deviation:.3f}", f" m{offset.unit}")
+        if not np.isfinite(offset.deviation):
+            deviation = ("not shown" if np.isinf(offset.deviation) else "one tick", "")
+        out.add_row(offset.name, f"{1e3 * offset.value:.3f}{unit}", *deviation)
     return out
-
-
-def _deviation(offset: Offset, unit: str) -> tuple[str, str]:
-    if np.isinf(offset.deviation):
-        return "not shown", ""
-    return (
-        ("one tick", "") if np.isnan(offset.deviation) else (f"{1e3 * offset.deviation:.3f}", unit)
-    )
 
 
 def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
@@ -97,12 +91,7 @@ def as_json(found: Calibration) -> dict[str, Any]:
 
 
 def yaml_text(found: Calibration, scenario: Scenario) -> str:
-    """The grasps and the start of the scenario, corrected.
-
-    Args:
-        found: the offsets.
-        scenario: as the controller holds the object.
-    """
+    """The grasps and the start of the scenario, corrected."""
     chain = found.chain
     lines = ["grasps:   # instead of grasp, grasps and grasp_of"]
     for arm in chain.robot.arms:
@@ -142,10 +131,8 @@ def _object_in_hand(found: Calibration, arm: str) -> pin.SE3:
 
 
 def _pose(X: pin.SE3) -> dict[str, Any]:
-    rounded = [
-        np.round(part, DIGITS) + 0.0 for part in (X.translation, pin.rpy.matrixToRpy(X.rotation))
-    ]
-    return dict(zip(("position", "rpy"), (part.tolist() for part in rounded), strict=True))
+    parts = {"position": X.translation, "rpy": pin.rpy.matrixToRpy(X.rotation)}
+    return {key: (np.round(part, DIGITS) + 0.0).tolist() for key, part in parts.items()}
 
 
 def _flow(value: Any) -> str:

@@ -18,16 +18,12 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
 MOST_LINES = 4  # task errors in one cell
+LANGUAGES = ("C++", "Python")  # that ticks run in
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the summary.
-
-    Attributes:
-        heading, unit: at its top.
-        help: one sentence.
-    """
+    """A column of the summary: what stands at its top, and a sentence."""
 
     heading: str
     unit: str
@@ -44,19 +40,14 @@ COLUMNS = {
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "motors": Column("Motors", "saturated", "Share of the ticks in which one is at its limit."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
-    "tick": Column("Median tick", "µs", "Time from reading the joints to the verified command."),
-    "solver": Column("Solver", "", "What solved the QPs, and ticks that the kernel left."),
+    "tick": Column("Median tick", "µs", "From reading the joints to the verified command, and in "
+                   "which language: C++ and Python are no measure of each other."),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry.
-
-    Attributes:
-        lines: of text.
-        bad: whether it speaks against the controller; None where neither good nor bad is meant.
-    """
+    """One entry; bad where it speaks against the controller, None if neither good nor bad."""
 
     lines: tuple[str, ...]
     bad: bool | None = None
@@ -86,18 +77,45 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         ),
         "motors": _motors(found),
         "failed": _failed(metrics),
-        "tick": Cell((f"{metrics['tick_us']['median']:.0f}" if metrics["tick_us"] else "-",)),
-        "solver": Cell(_solver(metrics)),
+        "tick": _tick(trace),
     }
 
 
-def _solver(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """What solved the QPs, and how many the kernel left."""
-    engine, solver = metrics["engine"], metrics["solver"] or "none"
-    if not engine or engine["name"] != "kernel":
-        return (solver,)
-    left = engine["ticks_in_python"]
-    return ("kernel", f"{solver} in {left}") if left else ("kernel",)
+def tick_times_in(trace: Trace) -> dict[str, Array]:
+    """Times of the ticks [us] by the language that they ran in; empty where some were not timed."""
+    us, compiled = trace.tick_us, trace.compiled
+    times = dict(zip(LANGUAGES, (us[compiled], us[~compiled]), strict=True))
+    return {k: of for k, of in times.items() if len(of)} if np.isfinite(us).all() else {}
+
+
+def _tick(trace: Trace) -> Cell:
+    """The median in the language of most ticks, and how many ran in the other one."""
+    times = sorted(tick_times_in(trace).items(), key=lambda item: -len(item[1]))
+    if not times:
+        return Cell(("-",))
+    (language, us), *others = times
+    return Cell(
+        (f"{np.median(us):.0f}", language, *(f"{len(of)} in {other}" for other, of in others))
+    )
+
+
+def _solvers(comparison: Comparison) -> str:
+    """What solved the QPs; by controller where that differs."""
+    used = {name: said for name, m in comparison.metrics.items() if (said := _solver(m))}
+    kinds = dict.fromkeys(used.values())
+    if len(kinds) < 2:
+        return next(iter(kinds), "none")
+    of = {said: ", ".join(name for name, own in used.items() if own == said) for said in kinds}
+    return "; ".join(f"{said} ({names})" for said, names in of.items())
+
+
+def _solver(metrics: Mapping[str, Any]) -> str:
+    """The kernel, which has one of its own, or the scenario's; empty without a QP."""
+    engine, solver = metrics["engine"], metrics["solver"] or ""
+    left = engine["ticks_in_python"] if engine else 0
+    if not engine or engine["name"] != "kernel" or left == metrics["ticks"]:
+        return str(solver)
+    return f"kernel, {solver} in {left} ticks" if left else "kernel"
 
 
 def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
@@ -117,7 +135,7 @@ def _acceleration(found: Assessment) -> Cell:
     worst = found.acceleration
     if worst is None:
         return Cell(("-",))
-    times = f"{number(worst.value / worst.allowed)} times"
+    times = f"{number(worst.value / worst.allowed)} x allowed"
     return Cell((_quantity(worst.value, worst.unit), times), worst.exceeds)
 
 
@@ -142,7 +160,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
         *([("phases", _phases(scenario))] if scenario.phases else []),
         ("drift correction κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
-        ("QP solver", scenario.solver_name),
+        ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
         ("plant", plugin_name(scenario.plant)),
     ]
@@ -201,15 +219,9 @@ def _task_error(found: Assessment) -> Cell:
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:
-    failed, ticks, inaccurate = (
-        metrics["failed_ticks"],
-        metrics["ticks"],
-        metrics["inaccurate_ticks"],
-    )
-    lines = [f"{failed} of {ticks}"]
-    if inaccurate:
-        lines.append(f"{inaccurate} inaccurate")
-    return Cell(tuple(lines), failed > 0 or inaccurate > 0)
+    failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]
+    more = (f"{inaccurate} inaccurate",) if inaccurate else ()
+    return Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0)
 
 
 def _worst_gap(comparison: Comparison) -> str:

@@ -25,6 +25,15 @@ MARGIN = 0.1  # of the range, left free above and below; a label fits in
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12}
 INK, GRID, FORBIDDEN = "#333333", "#e6e6e6", "#f1f1f1"
 HEIGHT = 215  # px
+# What Plotly is told of each of a kind: marks, hatched regions, names of lines.
+MARKER = {"size": 10, "line": {"width": 1, "color": "white"}}
+MARKERS = {"type": "scatter", "mode": "markers", "hoverinfo": "skip", "cliponaxis": False}
+PATTERN = {"shape": "/", "size": 7, "solidity": 0.12, "fgcolor": "#8a8a8a", "bgcolor": FORBIDDEN}
+REGION = {"type": "scatter", "mode": "lines", "fill": "toself", "line": {"width": 0}}
+HATCHED = REGION | {"fillcolor": FORBIDDEN, "fillpattern": PATTERN, "hoverinfo": "skip"}
+NAME = {"showarrow": False, "font": {"size": 10.5, "color": INK}, "xref": "paper", "x": 1}
+LEVEL = NAME | {"xanchor": "right", "bgcolor": "rgba(255,255,255,0.6)", "borderpad": 1}
+UPRIGHT = {"showarrow": False, "font": {"size": 10.5, "color": "#555"}, "yref": "paper"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,80 +109,32 @@ def aside(name: str, t: Array, y: Array, line: Json) -> Json:
 
 def markers(name: str, style: Style, points: Sequence[tuple[float, float]], symbol: str) -> Json:
     """Marks on a controller's line."""
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "legendgroup": name,
-        "x": [x for x, _ in points],
-        "y": [y for _, y in points],
-        "marker": {
-            "symbol": symbol,
-            "size": 10,
-            "color": style.color,
-            "line": {"width": 1, "color": "white"},
-        },
-        "hoverinfo": "skip",
-        "cliponaxis": False,
-    }
+    marker = MARKER | {"symbol": symbol, "color": style.color}
+    x, y = ([point[i] for point in points] for i in (0, 1))
+    return MARKERS | {"legendgroup": name, "x": x, "y": y, "marker": marker}
 
 
 def forbidden(span: tuple[float, float], low: float, high: float) -> Json:
     """Hatch the region between two heights."""
-    (a, b), pattern = span, {"shape": "/", "size": 7, "solidity": 0.12, "fgcolor": "#8a8a8a"}
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [a, b, b, a, a],
-        "y": [low, low, high, high, low],
-        "fill": "toself",
-        "fillcolor": FORBIDDEN,
-        "fillpattern": pattern | {"bgcolor": FORBIDDEN},
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-    }
+    a, b = span
+    return HATCHED | {"x": [a, b, b, a, a], "y": [low, low, high, high, low]}
 
 
 def level(y: float, text: str = "", *, above: bool = True, log: bool = False) -> Json:
     """A horizontal line across the figure, with its name at the right."""
-    shape = {
-        "type": "line",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": y,
-        "y1": y,
-        "line": {"color": INK, "width": 1.2},
-    }
-    label = {
-        "xref": "paper",
-        "x": 1,
-        "xanchor": "right",
-        "y": math.log10(y) if log else y,
-        "yanchor": "bottom" if above else "top",
-        "text": text,
-        "showarrow": False,
-        "font": {"size": 10.5, "color": INK},
-        "bgcolor": "rgba(255,255,255,0.6)",
-        "borderpad": 1,
-    }
-    return {"shapes": [shape], "annotations": [label] if text else []}
+    line = {"color": INK, "width": 1.2}
+    shape = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
+    place = {"y": math.log10(y) if log else y, "yanchor": "bottom" if above else "top"}
+    return {"shapes": [shape], "annotations": [LEVEL | place | {"text": text}] if text else []}
 
 
 def upright(t: float, text: str, *, after: bool = False) -> Json:
     """A dotted line at an instant, with its name at the bottom, or after it at the top."""
     line = {"color": "#777", "width": 1, "dash": "dot"}
     shape = {"type": "line", "yref": "paper", "x0": t, "x1": t, "y0": 0, "y1": 1, "line": line}
-    label = {
-        "x": t,
-        "xanchor": "left" if after else "right",
-        "yref": "paper",
-        "y": 1 if after else 0,
-        "yanchor": "top" if after else "bottom",
-        "text": html.escape(text),
-        "showarrow": False,
-        "font": {"size": 10.5, "color": "#555"},
-    }
-    return {"shapes": [shape], "annotations": [label]}
+    xanchor, y, yanchor = ("left", 1, "top") if after else ("right", 0, "bottom")
+    place = {"x": t, "xanchor": xanchor, "y": y, "yanchor": yanchor, "text": html.escape(text)}
+    return {"shapes": [shape], "annotations": [UPRIGHT | place]}
 
 
 def layout(end: float, y: Json, *levels: Json, height: int = HEIGHT) -> Json:

@@ -1,33 +1,39 @@
-"""The report as files: the page, the metrics as JSON and every tick as CSV."""
+"""The report as files: the page, the metrics as JSON and every tick as CSV.
+
+They change all at once, whenever the process that writes them dies. They lie in a folder of their
+own, ``.report-XXXX``. ``.report`` is a symbolic link to it, and ``report.html`` and
+the others are links through it. A new report is written whole beside the old one; then one rename
+gives ``.report`` its new target, which the file system does in one step or not at all. Against a
+loss of power the files are flushed to the disk before the rename.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from coopqp.comparison import Comparison
-from coopqp.errors import CoopqpError, InternalError
+from coopqp.errors import CoopqpError, InternalError, one_line
 from coopqp.recordings import csv_file
-from coopqp.report import folder as report_folder
 from coopqp.report import strict_json
-from coopqp.report.folder import publish, replace_file
 from coopqp.report.page import render
 from coopqp.study.sweep.journal import PATTERN as JOURNALS
 from coopqp.wording import by_user, raised
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
+POINTER = ".report"
+PREFIX = ".report-"
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
     """Write ``report.html``, ``metrics.json``, ``trace.csv`` and ``scenario.yaml``.
 
-    They change all at once, also when the process is killed (:mod:`coopqp.report.folder`).
-
-    Args:
-        comparison: from :func:`coopqp.compare`.
-        folder: made if it does not exist; files of these names are replaced.
-
-    Returns:
-        What was written.
+    They change all at once, also when the process is killed.
 
     Raises:
         CoopqpError: the folder cannot be made or written to; a user's code keeps the page from
@@ -78,7 +84,7 @@ def check_folder(folder: Path) -> None:
     if next(folder.glob(JOURNALS), None):
         words = "holds a study, whose page a report would replace; give another --out"
         raise CoopqpError(f"'{folder}' {words}")
-    report_folder.check_folder(folder, NAMES)
+    _check_writable(folder, NAMES)
 
 
 def metrics_json(comparison: Comparison) -> str:
@@ -89,3 +95,130 @@ def metrics_json(comparison: Comparison) -> str:
 def trace_csv(comparison: Comparison) -> str:
     """``trace.csv``: all that is recorded of each controller's run."""
     return csv_file.text(list(comparison.traces.values()))
+
+
+def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
+    """Replace the files of a folder by others, by name, in one step; what is not ours stays.
+
+    Raises:
+        OSError: the folder cannot be made or written to, or has no symbolic links; the old report
+            is then as it was.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        try:
+            new = _new_folder(folder)
+            for name, content in contents.items():
+                _write(new / name, content)
+            before = {link.name for link in folder.iterdir() if _is_ours(link)}
+            _adopt(contents, folder)
+            _link(POINTER, new.name, folder)  # the step
+            for name in before - set(contents):
+                (folder / name).unlink()
+        finally:
+            _sweep(folder)
+    return [folder / name for name in contents]
+
+
+def _check_writable(folder: Path, names: Iterable[str]) -> None:
+    """Refuse a folder that cannot be written to, or that has a folder of one of the names."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _alone(folder):
+            _sweep(folder)
+            trial = _new_folder(folder)
+            os.symlink(trial.name, trial / "link")
+            shutil.rmtree(trial)
+        for name in names:
+            if os.path.lexists(folder / name) and (folder / name).is_dir():
+                raise CoopqpError(
+                    f"'{folder / name}' is a folder, but a file is to be written there"
+                )
+        if os.path.lexists(folder / POINTER) and not (folder / POINTER).is_symlink():
+            raise CoopqpError(f"'{folder / POINTER}' is in the way; remove it")
+    except FileExistsError:
+        raise CoopqpError(one_line(f"'{folder}' is not a folder")) from None
+    except OSError as error:
+        words = f"cannot write to '{folder}': {error.strerror or error}"
+        raise CoopqpError(one_line(words)) from error
+
+
+def replace_file(path: Path, content: str) -> None:
+    """Write one file; the old one stays until the new one is whole.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.parent / _new_name()
+    try:
+        _write(aside, content)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait for others that write to the folder; the system ends the wait where they die."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _adopt(names: Iterable[str], folder: Path) -> None:
+    """Make a link through the pointer of every name; what each shows stays the same."""
+    if not (folder / POINTER).is_symlink():
+        _link(POINTER, _new_folder(folder).name, folder)
+    for name in names:
+        path = folder / name
+        if _is_ours(path):
+            continue
+        if path.exists():  # a report of an earlier version, or a copy
+            shutil.copy2(path, folder / POINTER / name)
+        else:
+            (folder / POINTER / name).unlink(missing_ok=True)
+        _link(name, f"{POINTER}/{name}", folder)
+
+
+def _is_ours(path: Path) -> bool:
+    return path.is_symlink() and os.readlink(path) == f"{POINTER}/{path.name}"
+
+
+def _link(name: str, target: str, folder: Path) -> None:
+    """A symbolic link in one step, also where something else has its name."""
+    aside = folder / _new_name()
+    os.symlink(target, aside)
+    os.replace(aside, folder / name)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what is no part of the report: older ones, and what writers that died have left."""
+    pointer = folder / POINTER
+    kept = os.readlink(pointer) if pointer.is_symlink() else ""
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.name == kept:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def _new_name() -> str:
+    return PREFIX + secrets.token_hex(8)
+
+
+def _new_folder(folder: Path) -> Path:
+    new = folder / _new_name()
+    new.mkdir()
+    return new
+
+
+def _write(path: Path, content: str) -> None:
+    path.write_text(content, encoding="utf-8", newline="")
+    with open(path, "rb") as stream:
+        os.fsync(stream.fileno())

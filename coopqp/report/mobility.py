@@ -40,8 +40,6 @@ class Study:
     """What a scenario's grasp allows, and how well its tasks can be moved on the way.
 
     Attributes:
-        scenario: what was analysed.
-        phase: name of the phase, if the scenario has phases.
         mobility: at generic poses and at the start.
         forces: between the hands at the start; None where one arm alone holds the object, and
             where hands that are in one place have no direction between them.
@@ -61,7 +59,7 @@ class Study:
 
     @property
     def name(self) -> str:
-        """Of the scenario, and of the phase."""
+        """Of the scenario, and of the phase if it has phases."""
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
     def verdict(self) -> str:
@@ -73,12 +71,7 @@ class Study:
 def study(
     scenario: Scenario, asked: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Study:
-    """Analyse a scenario.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        asked: names of the joints of an actuation scheme, or q1, q2 ... by their order.
-        phase: name of the phase; the first if omitted.
+    """Analyse a phase, the first if none is named; ``asked`` are joints by name, or q1, q2 ...
 
     Raises:
         CoopqpError: ``asked`` is no scheme, there is no such phase, the scenario cannot be built,
@@ -99,20 +92,16 @@ def study(
     state = State(chain)
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], state)
     tasks.update(state)
-    rows = [
-        (task.name, tasks.J[part].copy())
-        for task, part in zip(tasks.tasks, tasks.slices, strict=True)
-    ]
+    slices = zip(tasks.tasks, tasks.slices, strict=True)
+    rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = [joints.get(name, name) for name in asked] if asked is not None else None
     found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
-    every = max(1, (last - first) // MOST_POINTS)
-    kept = slice(first, last + 1, every)
+    kept = slice(first, last + 1, max(1, (last - first) // MOST_POINTS))
     measure = _along(times[kept] - times[first], path[kept], tasks, state)
-    between = _between(chain)
-    return Study(scenario, phases[number], found, between, times[kept], measure, refused)
+    return Study(scenario, phases[number], found, _between(chain), times[kept], measure, refused)
 
 
 def _between(chain: ClosedChain) -> Forces | None:
@@ -179,16 +168,16 @@ def _forces_json(found: Forces | None) -> dict[str, Any] | None:
             for pair in told.pairs
         ],
         "squeeze": [
-            {
-                "arms": squeeze.arms,
-                "least": squeeze.least and {"value": squeeze.least.value, "by": squeeze.least.by},
-                "most": squeeze.most and {"value": squeeze.most.value, "by": squeeze.most.by},
-            }
-            for squeeze in found.squeezes
+            {"arms": s.arms, "least": _bound_json(s.least), "most": _bound_json(s.most)}
+            for s in found.squeezes
         ],
-        "load": {"value": found.load.value, "by": found.load.by},
+        "load": _bound_json(found.load),
         "safety": found.safety,
     }
+
+
+def _bound_json(bound: Any) -> dict[str, Any] | None:
+    return bound and {"value": bound.value, "by": bound.by}
 
 
 def _screw_json(screw: Any) -> dict[str, Any]:
@@ -199,12 +188,13 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     """What is asked, at generic poses, at the start."""
     m = result.mobility
     schemes = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
+    motors = (str(m.motor_freedom), str(m.motor_freedom_start))
     lines = [
         ("joints (passive)", f"{len(m.joints)} ({len(m.passive)})", ""),
         ("rank of J_c", ", ".join(map(str, m.ranks)), str(m.rank_start)),
         ("degrees of freedom, l - rank", str(m.freedom), str(m.freedom_start)),
         ("object motions (largest task)", str(m.object_freedom), str(m.object_freedom_start)),
-        ("object motions the motors decide", str(m.motor_freedom), str(m.motor_freedom_start)),
+        ("object motions the motors decide", *motors),
         (
             "inadmissible schemes",
             f"{m.inadmissible} {schemes}",
@@ -260,31 +250,24 @@ def _conditions(s: Scheme) -> tuple[str, str]:
 
 def tables(result: Study) -> list[Table]:
     """For the terminal."""
-    first = Table(title=Text(f"mobility of {result.name}"), title_justify="left")
-    for heading in ("", "generic poses", "at the start"):
-        first.add_column(heading)
-    for row in rows(result):
-        first.add_row(*map(Text, row))
-    second = Table(title="actuation schemes: condition number", title_justify="left")
-    for heading in (
-        "asked for, then best" if result.mobility.asked else "best",
-        "generic",
-        "start",
-    ):
-        second.add_column(heading)
-    for row in schemes(result):
-        second.add_row(*map(Text, row))
-    return [first, second]
+    shown = "asked for, then best" if result.mobility.asked else "best"
+    parts = (
+        (f"mobility of {result.name}", ("", "generic poses", "at the start"), rows(result)),
+        ("actuation schemes: condition number", (shown, "generic", "start"), schemes(result)),
+    )
+    found = []
+    for title, headings, lines in parts:
+        table = Table(*headings, title=Text(title), title_justify="left")
+        for row in lines:
+            table.add_row(*map(Text, row))
+        found.append(table)
+    return found
 
 
 def page(result: Study) -> str:
     """One HTML page that works offline."""
-    line = {
-        "x": result.t.tolist(),
-        "y": finite(result.manipulability.tolist()),
-        "mode": "lines",
-        "line": {"color": "#0072B2", "width": 2.5},
-    }
+    values, look = finite(result.manipulability.tolist()), {"color": "#0072B2", "width": 2.5}
+    line = {"x": result.t.tolist(), "y": values, "mode": "lines", "line": look}
     layout = {
         "height": 300,
         "margin": {"l": 70, "r": 20, "t": 10, "b": 45},
@@ -306,9 +289,8 @@ def page(result: Study) -> str:
 
 
 def _html_rows(lines: Sequence[tuple[str, str, str]]) -> str:
-    cells = (f"<td class='name'>{html.escape(a)}</td>" + _cells(rest) for a, *rest in lines)
-    return "".join(f"<tr>{row}</tr>" for row in cells)
-
-
-def _cells(values: Sequence[str]) -> str:
-    return "".join(f"<td>{html.escape(value)}</td>" for value in values)
+    return "".join(
+        f"<tr><td class='name'>{html.escape(name)}</td>"
+        f"{''.join(f'<td>{html.escape(value)}</td>' for value in values)}</tr>"
+        for name, *values in lines
+    )

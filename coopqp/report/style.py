@@ -26,13 +26,7 @@ QP_WIDTH, OTHER_WIDTHS = 4.5, (2.4, 1.9, 1.5)  # px
 
 @dataclass(frozen=True)
 class Style:
-    """A line of one controller.
-
-    Attributes:
-        color: such as "#0072B2".
-        dash: lengths of dash and gap [px], empty for a full line.
-        width: [px]
-    """
+    """A line: colour such as "#0072B2", dashes and gaps or none [px], width [px]."""
 
     color: str
     dash: str
@@ -59,10 +53,14 @@ class Style:
 
 def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
     """A style for each controller; who keeps limits is thick, the first of them full blue."""
+    return chosen_styles({name: trace.keeps_limits for name, trace in traces.items()})
+
+
+def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
+    """The same by whether each controller keeps limits."""
     counts = {True: 0, False: 0}
     chosen: dict[str, Style] = {}
-    for name, trace in traces.items():
-        keeps = trace.keeps_limits
+    for name, keeps in keeps_limits.items():
         colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
         i = counts[keeps]
         counts[keeps] += 1

@@ -1,8 +1,9 @@
-"""Tables for the terminal: comparisons, replayed ticks."""
+"""What commands print: comparisons, replayed ticks, explanations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from rich import box
 from rich.table import Table
@@ -10,7 +11,9 @@ from rich.text import Text
 
 from coopqp.comparison import Comparison
 from coopqp.errors import one_line
+from coopqp.report import strict_json
 from coopqp.report.cells import Cell, cells
+from coopqp.study.explanation import RunExplanation, explain
 from coopqp.study.tick_record import Replay, TickRecord
 
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
@@ -57,3 +60,20 @@ def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:
         numbers = (answer.primal_residual, answer.dual_residual, answer.difference)
         table.add_row(name, answer.status.value, *(f"{number:.2g}" for number in numbers))
     return table
+
+
+def run_text(found: RunExplanation, name: str, *, as_json: bool) -> str:
+    """Why a run missed its goal."""
+    if as_json:
+        return strict_json.text(found.as_json())
+    of = f", phase {found.phase}" if found.phase else ""
+    return f"{name}, {found.controller}{of}:\n{found.sentence}."
+
+
+def tick_text(record: TickRecord, *, as_json: bool) -> str:
+    """Why a tick fell short."""
+    found = explain(record)
+    if as_json:
+        return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})
+    said = f"{found.sentence[0].upper()}{found.sentence[1:]}."
+    return f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{said}"

@@ -25,11 +25,7 @@ class _Ready:
 
 
 class Line:
-    """The other end, in the process beside.
-
-    Args:
-        connection: to the control loop.
-    """
+    """The other end, in the process beside."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -55,9 +51,6 @@ class Beside:
     Args:
         work: a function of a module, called with a :class:`Line` and the arguments.
         arguments: that can be pickled.
-
-    Attributes:
-        ready: whether it waits for something.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any) -> None:
@@ -88,10 +81,7 @@ class Beside:
         return True
 
     def received(self, timeout: float = 0.0) -> Iterator[Any]:
-        """What has come from it.
-
-        Args:
-            timeout: how long to wait for the first [s].
+        """What has come from it; waits for the first as long as told [s].
 
         Raises:
             EOFError: it has ended.

@@ -30,12 +30,7 @@ TONES: dict[Tone, str] = {
 
 
 def of_joint(left: float, base: Rgb) -> Rgb:
-    """Colour of a link by what its joint has left to its nearer limit, in half ranges.
-
-    Args:
-        left: 0 at the limit, below beyond it.
-        base: far from it.
-    """
+    """Colour of a link by what its joint has left to its nearer limit, in half ranges."""
     if left < 0.0:
         return BEYOND
     if left == 0.0:

@@ -8,6 +8,7 @@ from typing import Any
 
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
+from coopqp.viewer.live import with_schedule
 from coopqp.viewer.messages import Dial
 
 KAPPA = "kappa"
@@ -28,33 +29,19 @@ def dials_of(scenario: Scenario) -> tuple[Dial, ...]:
 
 
 def turned(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
-    """The scenario with its dials turned.
-
-    Args:
-        scenario: any.
-        values: by key, within their dials.
-    """
+    """The scenario with its dials turned."""
     if not values:
         return scenario
-    changes: dict[str, Any] = {
-        "secondary": tuple(
-            _turned(task, f"secondary.{i}", values) for i, task in enumerate(scenario.secondary)
-        )
-    }
-    phases = tuple(
+    phases = [
         replace(
             phase,
             tasks=tuple(_turned(t, f"tasks.{i}.{j}", values) for j, t in enumerate(phase.tasks)),
         )
         for i, phase in enumerate(scenario.schedule)
-    )
-    if scenario.phases:
-        changes["phases"] = phases
-    else:
-        changes["tasks"] = phases[0].tasks
-    if KAPPA in values:
-        changes[KAPPA] = values[KAPPA]
-    return replace(scenario, **changes)
+    ]
+    secondary = [_turned(t, f"secondary.{i}", values) for i, t in enumerate(scenario.secondary)]
+    found = replace(with_schedule(scenario, phases), secondary=tuple(secondary))
+    return replace(found, kappa=values[KAPPA]) if KAPPA in values else found
 
 
 def task_and_field(key: str) -> tuple[str, int, int, str]:

@@ -27,12 +27,7 @@ from coopqp.viewer.messages import Look, Placed, Told
 
 
 def serve(line: Line, scenario: Scenario) -> None:
-    """Answer until the player ends.
-
-    Args:
-        line: to the player.
-        scenario: that is played.
-    """
+    """Answer until the player ends."""
     own: _Own | None = None
     for thing in line.things():
         if isinstance(thing, Placed):
@@ -42,12 +37,7 @@ def serve(line: Line, scenario: Scenario) -> None:
 
 
 class _Own:
-    """The law of its own.
-
-    Args:
-        scenario: that is played.
-        placed: which law, and where its phases have begun.
-    """
+    """The law of its own."""
 
     def __init__(self, scenario: Scenario, placed: Placed) -> None:
         self._name = placed.law

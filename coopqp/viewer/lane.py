@@ -28,18 +28,7 @@ Hands = Mapping[str, list[float]]
 
 
 class HandFeed:
-    """Who sends during a phase: people, or who feeds the scenario's inputs until they do.
-
-    Args:
-        settings: of the inputs, by name.
-        inputs: of the phase.
-        since: when it begins [s].
-        hands: what people send; looked at anew in each tick.
-
-    Attributes:
-        inputs: of the phase.
-        arrived: what has been sent for the last tick.
-    """
+    """Who sends during a phase: people, or who feeds the scenario's inputs until they do."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float, hands: Hands
@@ -64,21 +53,12 @@ class HandFeed:
 class Lane:
     """A law that is played.
 
-    Args:
-        scenario: with inputs for all that can be dragged.
-        name: of the controller.
-        hands: what people send.
-
     Raises:
         CoopqpError: the controller or the plant cannot be built.
 
     Attributes:
-        name: of the controller.
-        run: the phase that is on.
-        plant: guarded.
-        feed: who sends to it.
+        run: the phase that is on. starts: where each phase but the first has begun.
         command: of the last tick. us: time that it took [us].
-        starts: configuration in which each phase but the first has begun.
         torn: whether the hands were once too far apart for one object, or have lost it.
         goals: error of each task to its goal, by the tasks' rows.
     """
@@ -134,9 +114,6 @@ class Lane:
 
     def turn(self, scenario: Scenario) -> None:
         """Build the law anew for other gains and the like, and go on from where it is.
-
-        Args:
-            scenario: the same but for what has been turned.
 
         Raises:
             CoopqpError: the law cannot be built for it.

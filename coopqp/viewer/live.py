@@ -1,14 +1,15 @@
-"""Constants of tasks become inputs, so that what a task goes to can be dragged.
+"""Constants of tasks become inputs, so that what a task goes to can be dragged, by gizmos.
 
 A task that asks for a point, a direction, a rotation or a pose, as a constant, gets an input that
 begins there: until somebody drags, the motion is that of the scenario. A scenario that has inputs
-already is played with these alone.
+already is played with these alone. A gizmo may steer two fields, such as a plane's point and
+normal: its place is the one, its third axis the other.
 """
 
 from __future__ import annotations
 
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -23,7 +24,7 @@ from coopqp.limiter import RAMPS, VELOCITIES, Pace
 from coopqp.limits import ObjectSpeed
 from coopqp.mark import RelativeMark
 from coopqp.profile import Profile
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import (
     DIRECTION,
     POSE,
@@ -40,6 +41,9 @@ from coopqp.signal import (
 from coopqp.signals import Input
 from coopqp.state import State
 from coopqp.task import Task
+from coopqp.viewer.messages import Gizmo
+
+NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -47,10 +51,8 @@ class Live:
     """A field of a task that follows an input.
 
     Attributes:
-        name: of the input.
-        phase, task: whose field, by their order.
-        field: its name.
-        kind: of the values.
+        name: of the input. kind: of its values.
+        phase, task, field: which field of which task, by their order.
         start: where it begins, as a file has it; None where the scenario's own input says that.
     """
 
@@ -85,11 +87,7 @@ class Fixed(Signal):
 
 
 def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[Live, ...]]:
-    """The scenario with everything that can be dragged as an input, and what that is.
-
-    Args:
-        scenario: as read.
-    """
+    """The scenario with everything that can be dragged as an input, and what that is."""
     if scenario.inputs:
         return scenario, tuple(_own(scenario))
     state = State(scenario.chain)
@@ -102,30 +100,31 @@ def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[Live, ...]]:
             tasks.append(changed)
             lives += found
         schedule.append(replace(phase, tasks=tuple(tasks)))
-    pace = _pace(scenario)
+    pace = InputSettings(**pace_of(scenario))
     inputs = {live.name: pace for live in lives}
+    return replace(with_schedule(scenario, schedule), inputs=inputs), tuple(lives)
+
+
+def with_schedule(scenario: Scenario, schedule: Sequence[Phase]) -> Scenario:
+    """The scenario with other phases, or with the tasks of the only one."""
     if scenario.phases:
-        return replace(scenario, phases=tuple(schedule), inputs=inputs), tuple(lives)
-    return replace(scenario, tasks=tuple(schedule[0].tasks), inputs=inputs), tuple(lives)
+        return replace(scenario, phases=tuple(schedule))
+    return replace(scenario, tasks=tuple(schedule[0].tasks))
 
 
 def pace_of(scenario: Scenario) -> dict[str, Any]:
     """How fast inputs that are made may go, as far as the scenario's limits and the limiter say."""
     found: dict[str, Any] = {}
     usual = Pace()
-    for limit in scenario.limits:
-        if isinstance(limit, ObjectSpeed):
-            slow = limit.linear, limit.angular
-            keys = {"velocity": usual.acceleration, "angular_velocity": usual.angular_acceleration}
-            for (key, acceleration), speed in zip(keys.items(), slow, strict=True):
-                if speed:
-                    least, most = max(VELOCITIES[0], RAMPS[0] * acceleration), VELOCITIES[1]
-                    found[key] = min(max(speed, least), most)
+    for limit in (limit for limit in scenario.limits if isinstance(limit, ObjectSpeed)):
+        for key, speed, acceleration in (
+            ("velocity", limit.linear, usual.acceleration),
+            ("angular_velocity", limit.angular, usual.angular_acceleration),
+        ):
+            if speed:
+                least = max(VELOCITIES[0], RAMPS[0] * acceleration)
+                found[key] = min(max(speed, least), VELOCITIES[1])
     return found
-
-
-def _pace(scenario: Scenario) -> InputSettings:
-    return InputSettings(**pace_of(scenario))
 
 
 def at_targets(task: Task, targets: Mapping[str, Array]) -> Task:
@@ -176,13 +175,13 @@ def _loosened(
         return task, []  # without a place, or seen from an arm that moves
     found: list[Live] = []
     constants = [
-        (field, kind, value)
-        for field, kind in followed_fields(task)
-        if (value := _constant(task, field, kind)) is not None
+        (key, kind, value)
+        for key, kind in followed_fields(task)
+        if (value := _constant(task, key, kind)) is not None
     ]
-    for field, kind, value in constants:
-        own = name if len(constants) == 1 else f"{name} {field}"
-        changes: dict[str, Any] = {field: Input(name=own, start=list(value))}
+    for key, kind, value in constants:
+        own = name if len(constants) == 1 else f"{name} {key}"
+        changes: dict[str, Any] = {key: Input(name=own, start=list(value))}
         if kind is ROTATION and hasattr(task, "rpy"):
             changes |= {"rpy": None, "rpy_deg": None}
         try:
@@ -191,7 +190,7 @@ def _loosened(
         except CoopqpError:  # it moves by itself already, or cannot say where it begins
             continue
         task = other
-        found.append(Live(own, *place, field, kind, value))
+        found.append(Live(own, *place, key, kind, value))
     return task, found
 
 
@@ -217,3 +216,52 @@ def _rotation(task: Task) -> tuple[float, ...] | None:
         return None
     R = pose_matrix(Pose(rpy=rpy, rpy_deg=rpy_deg)).rotation
     return tuple(np.asarray(quaternion_of(R)).tolist())
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A gizmo, the point of the object that its task moves [m], and the fields that it steers."""
+
+    look: Gizmo
+    point: Array
+    lives: list[Live]
+
+    def pose(self, targets: Mapping[str, Array], state: State) -> Array:
+        """Where it is, shape (7,)."""
+        place, turn = state.point(self.point), np.array(NOT_TURNED)
+        for live in self.lives:
+            value = targets.get(live.name)
+            if value is None:
+                continue
+            if live.kind.numbers:
+                place = value[:3]
+            if live.kind.turns:
+                turn = value[live.kind.numbers :]
+        return np.concatenate([place, turn])
+
+    def sent(self, pose: Sequence[float]) -> Iterable[tuple[str, list[float]]]:
+        """What its tasks are sent for a pose x, y, z, qx, qy, qz, qw, by input."""
+        for live in self.lives:
+            kind, turn = live.kind, np.array(pose[3:])
+            if kind.axis:
+                yield live.name, Course(kind, turn).R[:, 2].tolist()
+                continue
+            place = list(pose[:3]) if kind.numbers else []
+            yield live.name, place + (turn.tolist() if kind.turns else [])
+
+    def carried(self, place: Sequence[float], targets: Mapping[str, Array], state: State) -> Array:
+        """The pose with which the object's origin goes to a place, turned as before."""
+        lever = state.R_WO @ self.point
+        return np.concatenate([np.array(place) + lever, self.pose(targets, state)[3:]])
+
+
+def handles(scenario: Scenario, lives: Sequence[Live]) -> tuple[Handle, ...]:
+    """One for each task of which something can be dragged."""
+    found = []
+    for phase, number in dict.fromkeys((live.phase, live.task) for live in lives):
+        task = scenario.schedule[phase].tasks[number]
+        own = [live for live in lives if (live.phase, live.task) == (phase, number)]
+        moves, turns = any(o.kind.numbers for o in own), any(o.kind.turns for o in own)
+        point = np.array(getattr(task, "point", (0.0, 0.0, 0.0)), float)
+        found.append(Handle(Gizmo(task.name, phase, moves, turns), point, own))
+    return tuple(found)

@@ -20,12 +20,7 @@ Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
 
 @dataclass(frozen=True)
 class Surface:
-    """What a joint carries.
-
-    Attributes:
-        joint: the joint that moves it, as an index into the names; None for what stands still.
-        vertices: shape (v, 3) [m]. corners: of each triangle, shape (t, 3).
-    """
+    """What a joint carries, None for what stands still; vertices (v, 3) [m], corners (t, 3)."""
 
     joint: int | None
     vertices: Array
@@ -34,13 +29,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class LawLook:
-    """A law as the page shows it.
-
-    Attributes:
-        name: its name.
-        color: such as "#0072B2".
-        keeps_limits: whether it promises to.
-    """
+    """A law as the page shows it; its colour is such as "#0072B2"."""
 
     name: str
     color: str
@@ -49,13 +38,7 @@ class LawLook:
 
 @dataclass(frozen=True)
 class Gizmo:
-    """Something to drag.
-
-    Attributes:
-        label: the task's name.
-        phase: in which it is there.
-        moves, turns: what can be done to it.
-    """
+    """Something to drag in a phase: the task's name, and what can be done to it."""
 
     label: str
     phase: int
@@ -65,13 +48,7 @@ class Gizmo:
 
 @dataclass(frozen=True)
 class Dial:
-    """A number that can be turned.
-
-    Attributes:
-        key: which, :mod:`coopqp.viewer.dials`.
-        group: under which it stands. label: what it is called there, with its unit.
-        low, high, step, value: what it can be, and what it is at first.
-    """
+    """A number that can be turned, from a value at first; its label says its unit."""
 
     key: str
     group: str
@@ -87,13 +64,8 @@ class Show:
     """All that does not change while a scenario is played.
 
     Attributes:
-        title, description: of the scenario.
-        laws: that are played.
-        bodies: of the robot, and what stands around.
-        joints: names, shape (n,).
-        size: edges of the object [m].
-        low, high: corners of the space that is seen [m].
-        gizmos: of all phases.
+        bodies: of the robot, and what stands around. joints: names, shape (n,).
+        size: edges of the object [m]. low, high: corners of the space that is seen [m].
         dials: gains and the like. knobs: inputs without a gizmo, a number each.
         phases: names; one for scenarios without.
         forces: whether the plant tells what the hands press with.
@@ -122,11 +94,10 @@ class LawFrame:
 
     Attributes:
         bodies: where their joints are, x, y, z, qx, qy, qz, qw each, shape (b, 7).
-        held: where the object is, shape (7,).
+        held: where the object is, likewise, shape (7,).
         left: of each joint's half range what is left to its nearer limit; below 0 beyond it,
             shape (n,).
         arrows: of the hands' forces, from and to, shape (., 2, 3) [m]. weight: of the object's.
-        reached: whether all goals are within their tolerances.
         words: how far from its goals, and what is wrong.
         broken: what of it must not be, such as a joint past its limit; empty if nothing.
     """
@@ -147,13 +118,10 @@ class Frame:
 
     Attributes:
         t: since the beginning [s].
-        phase: its index.
-        playing: whether time goes on. speed: how fast it shall. factor: how fast it does.
-        laws: by the order of ``Show.laws``.
-        main: the law that is explained.
+        speed: how fast time shall go on. factor: how fast it does.
+        laws: by the order of ``Show.laws``. main: the one that is explained.
         gizmos: where each is, shape (7,); None where its phase is not on.
         outlines: of what tasks ask for, shape (s, 2, 3) [m].
-        tone, sentence: the verdict.
         active: limits at their bound, by name.
         detail: of the last tick that was explained. explained: whether ticks still are.
         recorded: time since the beginning that a recording has [s]. note: what to say of it.
@@ -196,11 +164,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Opened:
-    """The page answers, or why it does not.
-
-    Attributes:
-        port: on which. fault: why not; empty where it does.
-    """
+    """The page answers, or why it does not."""
 
     port: int = 0
     fault: str = ""
@@ -208,13 +172,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class Placed:
-    """The law that is explained, from now on.
-
-    Attributes:
-        law: its name.
-        dials: as they are turned.
-        starts: configuration in which each phase but the first has begun.
-    """
+    """The law that is explained, its dials, and where each phase but the first has begun."""
 
     law: str
     dials: Mapping[str, float]
@@ -223,14 +181,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class Look:
-    """An instant to explain.
-
-    Attributes:
-        t, q, v, memory, gap, corrected, measured, hand_wrench: of the state.
-        inputs: what is followed: kind, value, rate.
-        targets: what inputs go to, by name.
-        rests: whether the arms stand still.
-    """
+    """An instant to explain: of the state, and by name what inputs follow and what they go to."""
 
     t: float
     q: Array
@@ -247,14 +198,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Told:
-    """What the explainer has found.
-
-    Attributes:
-        blocked: whether geometry keeps the arms from their goals.
-        sentence: why.
-        active: limits at their bound.
-        detail: of this tick.
-    """
+    """Whether geometry keeps the arms from their goals and why, and what is so in this tick."""
 
     blocked: bool
     sentence: str

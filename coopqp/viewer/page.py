@@ -19,14 +19,7 @@ FAREWELL = 0.2
 
 
 def serve(line: Line, show: Show, host: str, port: int) -> None:
-    """Serve the page until the player ends.
-
-    Args:
-        line: to the player.
-        show: what there is.
-        host: to be bound to.
-        port: likewise; 0 is any that is free.
-    """
+    """Serve the page until the player ends."""
     import viser
 
     server = viser.ViserServer(host=host, port=port, label="coopqp play", verbose=False)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from html import escape
 from typing import Any
 
@@ -14,7 +13,7 @@ Ask = Callable[[Asked], None]
 Arrange = Callable[[str, int], None]
 
 OVERLAID, APART = "all, one over the other", "all, side by side"
-BUTTONS = ("Play", "Pause", "One tick", "Reset")
+BUTTONS = {"Play": "play", "Pause": "pause", "One tick": "step", "Reset": "reset"}
 DRAG = "Drag the box, or the arrows and rings at a goal; the arms follow as far as they can."
 STILL = "Nothing can be dragged here: what the tasks ask for moves by itself, or has no place."
 STEERED = "Nothing can be dragged here; move the sliders below Inputs, and the arms follow."
@@ -23,14 +22,7 @@ MOST = 4
 
 
 class Panel:
-    """The panel of a page.
-
-    Args:
-        server: of viser.
-        show: what there is.
-        ask: called with what people do.
-        arrange: called with how laws are to be seen, and the one that is explained.
-    """
+    """The panel of a page."""
 
     def __init__(self, server: Any, show: Show, ask: Ask, arrange: Arrange) -> None:
         self._gui, self._show, self._ask, self._arrange = server.gui, show, ask, arrange
@@ -63,19 +55,18 @@ class Panel:
             self._texts[id(handle)] = handle.content = text
 
     def _buttons(self) -> None:
-        buttons = self._gui.add_button_group("", BUTTONS)
-
-        async def press(event: Any) -> None:
-            word = buttons.value.lower()
-            self._ask(Asked("step" if word == "one tick" else word))
-
-        buttons.on_click(press)
+        buttons = self._gui.add_button_group("", tuple(BUTTONS))
+        self._tell(buttons.on_click, lambda: Asked(BUTTONS[buttons.value]))
         speed = self._gui.add_slider("speed", 0.05, 4.0, 0.05, 1.0, hint="1 is real time")
+        self._tell(speed.on_update, lambda: Asked("speed", 0, (float(speed.value),)))
 
-        async def hasten(event: Any) -> None:
-            self._ask(Asked("speed", 0, (float(speed.value),)))
+    def _tell(self, register: Callable[[Any], Any], asked: Callable[[], Asked]) -> None:
+        """Ask for something whenever somebody uses a control."""
 
-        speed.on_update(hasten)
+        async def tell(event: Any) -> None:
+            self._ask(asked())
+
+        register(tell)
 
     def _choice(self) -> None:
         """Which laws are seen; nothing to choose where there is one."""
@@ -102,36 +93,25 @@ class Panel:
                     for dial in self._show.dials:
                         if dial.group == group:
                             self._slider(dial, "dial")
-        if not self._show.knobs:
-            return
-        with self._folder("Inputs", shut=False):
-            for dial in self._show.knobs:
-                self._slider(dial, "knob")
+        if self._show.knobs:
+            with self._folder("Inputs", shut=False):
+                for dial in self._show.knobs:
+                    self._slider(dial, "knob")
 
     def _slider(self, dial: Dial, what: str) -> None:
         label = dial.label if what == "dial" else f"{dial.group} {dial.label}"
         slider = self._gui.add_slider(label, dial.low, dial.high, dial.step, dial.value)
-
-        async def turn(event: Any) -> None:
-            self._ask(Asked(what, dial.key, (float(slider.value),)))
-
-        slider.on_update(turn)
+        self._tell(slider.on_update, lambda: Asked(what, dial.key, (float(slider.value),)))
 
     def _record(self) -> None:
         with self._folder("Recording", shut=False):
             self._recorded = self._gui.add_html("")
             if self._show.folder:
                 save = self._gui.add_button("Save", hint=f"to {self._show.folder}")
+                self._tell(save.on_click, lambda: Asked("save"))
 
-                async def press(event: Any) -> None:
-                    self._ask(Asked("save"))
-
-                save.on_click(press)
-
-    @contextmanager
-    def _folder(self, name: str, *, shut: bool = True) -> Iterator[None]:
-        with self._gui.add_folder(name, expand_by_default=not shut):
-            yield
+    def _folder(self, name: str, *, shut: bool = True) -> Any:
+        return self._gui.add_folder(name, expand_by_default=not shut)
 
 
 def _box(content: str, *, style: str = "") -> str:
@@ -183,12 +163,9 @@ def _table(frame: Frame, show: Show) -> str:
     for i, (look, drawn) in enumerate(zip(show.laws, frame.laws, strict=True)):
         mark = f'<span style="color:{look.color}">&#9632;</span>'
         name = f"<b>{escape(look.name)}</b>" if i == frame.main else escape(look.name)
-        wrong = ""
-        if drawn.broken:
-            wrong = f'<div style="color:{colors.TONES["broken"]}">{escape(drawn.broken)}</div>'
-        rows.append(
-            f'<div style="margin-bottom:0.25em">{mark} {name}: {escape(drawn.words)}{wrong}</div>'
-        )
+        wrong = f'<div style="color:{colors.TONES["broken"]}">{escape(drawn.broken)}</div>'
+        words = escape(drawn.words) + (wrong if drawn.broken else "")
+        rows.append(f'<div style="margin-bottom:0.25em">{mark} {name}: {words}</div>')
     return _box("".join(rows))
 
 

@@ -41,10 +41,8 @@ def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
     """The robot and what stands around, and what could not be read."""
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
-    solids = [
-        solid_body(mark) for limit in scenario.limits for mark in limit.marks(0.0)
-        if isinstance(mark, SolidMark)
-    ]  # fmt: skip
+    marks = (mark for limit in scenario.limits for mark in limit.marks(0.0))
+    solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMark)]
     names = scenario.chain.joint_names
     found = [
         Surface(
@@ -70,27 +68,21 @@ def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
 
 
 def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
-    """A lane as it is now.
-
-    Args:
-        lane: after a tick.
-        bodies: of the robot.
-    """
+    """A lane as it is now."""
     state = lane.plant.truth(lane.state)
     names = lane.run.problem.chain.joint_names
     places = [pin.SE3ToXYZQUAT(_joint_pose(state, names, body.joint)) for body in bodies]
-    left, broken = _left(state), _broken(lane, state)
     reached, words = _off(lane, state)
     arrows, weight, squeeze = _forces(lane, state)
     return LawFrame(
         bodies=np.array(places).reshape(-1, 7),
         held=np.concatenate([state.p_WO, quaternion_of(state.R_WO)]),
-        left=left,
+        left=_left(state),
         arrows=arrows,
         weight=weight,
         reached=reached,
         words=", ".join(filter(None, (words, squeeze))),
-        broken=broken,
+        broken=_broken(lane, state),
     )
 
 
@@ -100,18 +92,17 @@ def outlines(lane: Lane, place: Place) -> Array:
     for task in lane.run.problem.tasks:
         for mark in asked(task.name, partial(task.marks, state), []):
             kind, values = place.drawn(mark)
-            if kind == "planes":
-                found.append(_closed(np.array(values["corners"])))
-            elif kind == "lines":
-                found.append(np.array(values["ends"])[None])
-            elif kind == "circles":
-                found.append(_circle(values["center"], values["normal"], values["radius"]))
-            elif kind == "spheres":
-                rims = (_circle(values["center"], n, values["radius"]) for n in np.eye(3))
-                found += list(rims)
-            elif kind == "directions":
-                ends = np.array([state.p_WO, state.p_WO + values["way"]])
-                found.append(ends[None])
+            match kind:
+                case "planes":
+                    found.append(_closed(np.array(values["corners"])))
+                case "lines":
+                    found.append(np.array(values["ends"])[None])
+                case "circles":
+                    found.append(_circle(**values))
+                case "spheres":
+                    found += [_circle(normal=n, **values) for n in np.eye(3)]
+                case "directions":
+                    found.append(np.array([[state.p_WO, state.p_WO + values["way"]]]))
     return np.concatenate(found)
 
 

@@ -9,12 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from coopqp.errors import (
-    CoopqpError,
-    InternalError,
-    InvalidValueError,
-    MissingDependencyError,
-)
+from coopqp.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
 from coopqp.viewer.beside import Beside
 from coopqp.viewer.messages import Asked, Opened, Placed, Told
@@ -31,6 +26,7 @@ PATIENCE = 60.0
 #: Over this time the pace is averaged [s].
 AVERAGED = 1.0
 MOST_PORT = 65535
+PORTS = "take another with --port, or any that is free with --port 0"
 HOSTS = "needs an address of this machine: 127.0.0.1, or 0.0.0.0 for all that it has"
 
 
@@ -47,10 +43,6 @@ def check_viewer() -> None:
 def check_address(host: str, port: int) -> None:
     """Refuse a port that is taken, and an address that is none.
 
-    Args:
-        host: to be bound to.
-        port: likewise; 0 is any that is free.
-
     Raises:
         InvalidValueError: with what may help.
     """
@@ -61,14 +53,11 @@ def check_address(host: str, port: int) -> None:
         with socket.socket(family, kind) as found:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             found.bind(address)
-    except (socket.gaierror, UnicodeError) as error:
+    except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        raise InvalidValueError(f"--host: found '{host}': {why}; {HOSTS}") from None
-    except OSError as error:
-        why = getattr(error, "strerror", None) or str(error)
-        words = "take another with --port, or any that is free with --port 0"
-        if error.errno == errno.EADDRNOTAVAIL:
-            words = HOSTS
+        if isinstance(error, socket.gaierror | UnicodeError):
+            raise InvalidValueError(f"--host: found '{host}': {why}; {HOSTS}") from None
+        words = HOSTS if error.errno == errno.EADDRNOTAVAIL else PORTS
         raise InvalidValueError(f"cannot listen on {host}:{port}: {why}; {words}") from None
 
 
@@ -80,14 +69,7 @@ def play(
     *,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Play until Ctrl-C, or as long as is asked for.
-
-    Args:
-        player: what is played.
-        host: to be bound to.
-        port: likewise; 0 is any that is free.
-        opened: called with the page's address.
-        goes_on: asked some tens of times a second; where it says no, that is the end.
+    """Play until Ctrl-C, or until ``goes_on`` says no; ``opened`` is told the page's address.
 
     Raises:
         CoopqpError: the page cannot be opened, or breaks down.

@@ -16,14 +16,13 @@ from coopqp.checked import Array
 from coopqp.controller_run import check_plant, controller_of
 from coopqp.errors import CoopqpError
 from coopqp.report.scene.marks import Place
-from coopqp.report.style import OTHER_COLORS, QP_COLORS
+from coopqp.report.style import chosen_styles
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import picture
 from coopqp.viewer.dials import dials_of, turned
-from coopqp.viewer.gizmos import Handle, handles
 from coopqp.viewer.lane import Lane
-from coopqp.viewer.live import with_inputs
+from coopqp.viewer.live import Handle, handles, with_inputs
 from coopqp.viewer.messages import (
     Asked,
     Dial,
@@ -48,24 +47,16 @@ UNTOLD = Told(False, "", (), "")
 
 
 class Player:
-    """A scenario that is played.
-
-    Args:
-        scenario: as read.
-        names: of controllers; all of the scenario's when empty.
-        folder: where recordings go; None where nowhere.
+    """A scenario that is played, by all of its controllers if none is named.
 
     Raises:
         CoopqpError: a controller that was named cannot be built, or none can.
 
     Attributes:
         scenario: with inputs for all that can be dragged.
-        lanes: one a law.
-        refused: laws that are left out, and why.
-        playing, speed: whether and how fast time goes on.
+        lanes: one a law. refused: laws that are left out, and why.
         told: what the explainer has said last. explains: whether there is one.
-        recording: since the last reset.
-        note: what there is to say beside.
+        recording: since the last reset. note: what there is to say beside.
     """
 
     def __init__(
@@ -153,10 +144,12 @@ class Player:
     def show(self) -> Show:
         """What does not change."""
         low, high = picture.space(self.scenario, self._bodies)
+        laws = {lane.name: lane.keeps_limits for lane in self.lanes}
+        looks = chosen_styles(laws)
         return Show(
             title=self.scenario.name,
             description=self.scenario.description,
-            laws=self._looks(),
+            laws=tuple(LawLook(name, looks[name].color, keeps) for name, keeps in laws.items()),
             bodies=self._bodies,
             joints=self.scenario.chain.joint_names,
             size=self.scenario.held.size,
@@ -171,17 +164,13 @@ class Player:
         )
 
     def frame(self, factor: float = 0.0, tick_us: float = 0.0) -> Frame:
-        """Everything as it is now.
-
-        Args:
-            factor: how fast time goes on.
-            tick_us: the longest tick of late [us].
-        """
+        """Everything as it is now; how fast time goes on, and the longest tick of late [us]."""
         self._apply_dials()
         lane = self.lanes[self._main]
         laws = tuple(picture.drawn(each, self._bodies) for each in self.lanes)
         tone, sentence = self._verdict(lane, laws[self._main])
         gizmos = self._gizmo_poses(lane)
+        recorded = f"the recording {self.recording.note}" if self.recording.note else ""
         return Frame(
             t=lane.t,
             phase=lane.run.index,
@@ -198,7 +187,7 @@ class Player:
             detail=self.told.detail,
             explained=self.explains,
             recorded=self.recording.seconds,
-            note="; ".join(filter(None, (self._recording_note(), self.note))),
+            note="; ".join(filter(None, (recorded, self.note))),
             tick_us=tick_us,
         )
 
@@ -211,21 +200,18 @@ class Player:
         """The instant that is to be explained."""
         lane = self.lanes[self._main]
         state = lane.state
-        followed = {
-            name: (of.kind, of.value.copy(), of.rate.copy()) for name, of in state.inputs.items()
-        }
-        return Look(
+        return Look(  # which is sent to another process, and so copied
             t=state.t,
-            q=state.q.copy(),
-            v=state.v.copy(),
-            memory=state.memory.numbers.copy(),
-            gap=state.gap.copy(),
+            q=state.q,
+            v=state.v,
+            memory=state.memory.numbers,
+            gap=state.gap,
             corrected=state.corrected,
-            measured=None if state.q_measured is None else state.q_measured.copy(),
-            hand_wrench=None if state.hand_wrench is None else state.hand_wrench.copy(),
-            inputs=followed,
+            measured=state.q_measured,
+            hand_wrench=state.hand_wrench,
+            inputs={name: (of.kind, of.value, of.rate) for name, of in state.inputs.items()},
             targets=lane.targets(),
-            rests=rests(lane.state.v) and _arrived(lane),
+            rests=rests(state.v) and _arrived(lane),
         )
 
     def _playable(self, asked: Sequence[str]) -> tuple[str, ...]:
@@ -244,16 +230,6 @@ class Player:
         if not found:
             raise CoopqpError("; ".join(f"{name}: {why}" for name, why in self.refused.items()))
         return tuple(dict.fromkeys(found))
-
-    def _looks(self) -> tuple[LawLook, ...]:
-        counts = {True: 0, False: 0}
-        found = []
-        for lane in self.lanes:
-            keeps = lane.keeps_limits
-            colors = QP_COLORS if keeps else OTHER_COLORS
-            found.append(LawLook(lane.name, colors[counts[keeps] % len(colors)], keeps))
-            counts[keeps] += 1
-        return tuple(found)
 
     def _own_knobs(self) -> list[Dial]:
         """Inputs of the scenario's own that no gizmo steers."""
@@ -319,9 +295,6 @@ class Player:
         except CoopqpError as error:
             self.note = str(error)
         self.recording.end("ends where a dial was turned; reset begins another")
-
-    def _recording_note(self) -> str:
-        return f"the recording {self.recording.note}" if self.recording.note else ""
 
     def _gizmo_poses(self, lane: Lane) -> tuple[Array | None, ...]:
         targets = lane.targets()

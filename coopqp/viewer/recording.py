@@ -32,9 +32,6 @@ FILE = "scenario.yaml"
 def check_folder(folder: Path) -> None:
     """Refuse a folder to which no recording can be written; nothing stays of the trial.
 
-    Args:
-        folder: for a recording; need not exist.
-
     Raises:
         CoopqpError: it holds a session already, or it cannot be written to.
     """
@@ -59,18 +56,7 @@ def check_folder(folder: Path) -> None:
 
 
 class Recording:
-    """A recording on its way.
-
-    Args:
-        scenario: as read.
-        lives: what can be dragged.
-        laws: names of the controllers that are played.
-        dials: as they are turned when it begins.
-
-    Attributes:
-        ticks: of each phase so far.
-        note: why it has ended; empty while it has not.
-    """
+    """A recording on its way: ticks of each phase so far; its note says why it has ended."""
 
     def __init__(
         self,
@@ -95,15 +81,7 @@ class Recording:
     def add(
         self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
     ) -> None:
-        """A tick.
-
-        Args:
-            phase: its index.
-            since: when that began [s].
-            t: of the tick, since then [s].
-            sent: what arrived for it.
-            kinds: of the inputs' values, by name.
-        """
+        """A tick."""
         if self.note:
             return
         if sum(self.ticks) >= self._most:
@@ -122,12 +100,6 @@ class Recording:
 
     def save(self, folder: Path) -> Path:
         """Write it.
-
-        Args:
-            folder: made if it does not exist; files of the same names are replaced.
-
-        Returns:
-            The scenario's path.
 
         Raises:
             CoopqpError: it cannot be written, or there is nothing yet.
@@ -153,11 +125,8 @@ class Recording:
         writer.width = 100
         writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
         writer.dump(self._data(names, folder), stream)
-        head = (
-            f"# {self._scenario.name}, played for {self.seconds:.3f} s; "
-            "coopqp compare replays it.\n"
-        )
-        return head + stream.getvalue()
+        played = f"{self._scenario.name}, played for {self.seconds:.3f} s"
+        return f"# {played}; coopqp compare replays it.\n{stream.getvalue()}"
 
     def _data(self, names: Mapping[str, str], folder: Path) -> dict[str, Any]:
         """The scenario file as a mapping, with what was played."""
@@ -171,12 +140,9 @@ class Recording:
         if secondary:
             data["secondary"] = secondary
         inputs = dict(data.get("inputs") or {})
-        for live in self._lives:
-            if live.made:
-                slot = phases[live.phase]["tasks"] if live.phase < len(phases) else None
-                if slot is not None:
-                    _follow(slot[live.task], live)
-                    inputs.setdefault(live.name, pace_of(scenario))
+        for live in (live for live in self._lives if live.made and live.phase < len(phases)):
+            _follow(phases[live.phase]["tasks"][live.task], live)
+            inputs.setdefault(live.name, pace_of(scenario))
         paths = {name: self._path_of(file, folder) for name, file in names.items()}
         if inputs:
             data["inputs"] = fed(inputs, paths)
@@ -194,14 +160,9 @@ class Recording:
         for k, ticks in enumerate(self.ticks):
             given = data["phases"][k] if "phases" in data else data
             ends = max((task.end for task in self._scenario.schedule[k].tasks), default=0.0)
-            lasts = max(ticks * self._scenario.dt, ends)
-            found.append(
-                {
-                    **(given if "phases" in data else {}),
-                    "duration": lasts,
-                    "tasks": [_spelled(slot) for slot in given["tasks"]],
-                }
-            )
+            lasts, tasks = max(ticks * self._scenario.dt, ends), map(_spelled, given["tasks"])
+            kept = given if "phases" in data else {}
+            found.append({**kept, "duration": lasts, "tasks": list(tasks)})
         if "phases" in data:
             data["phases"] = found
         else:

@@ -44,13 +44,7 @@ def _longer_along_x(show: Show) -> bool:
 
 
 class Scene:
-    """The scene of a page.
-
-    Args:
-        server: of viser.
-        show: what there is.
-        ask: called with what people do.
-    """
+    """The scene of a page."""
 
     def __init__(self, server: Any, show: Show, ask: Ask) -> None:
         self._show, self._ask, self._server, self._scene = show, ask, server, server.scene
@@ -67,12 +61,7 @@ class Scene:
         self.arrange("one", 0)
 
     def arrange(self, how: str, main: int) -> None:
-        """Choose what is seen.
-
-        Args:
-            how: one, overlaid or apart.
-            main: the law that is explained, and seen alone with "one".
-        """
+        """Choose what is seen: one, overlaid or apart; the main law alone with "one"."""
         across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._show) else [0.0, -1.0, 0.0])
         width = APART * float(np.abs(across) @ (self._show.high - self._show.low))
         for i, law in enumerate(self._laws):
@@ -118,15 +107,13 @@ class Scene:
         camera.look_at = self._middle - below  # after the position, which takes it along
 
     def _look_around(self, server: Any) -> None:
-        low, high = self._show.low, self._show.high
-        wide = float(np.linalg.norm(high - low))
-        middle, eye = view(self._show)
+        low, (middle, eye) = self._show.low, view(self._show)
+        wide = float(np.linalg.norm(self._show.high - low))
         self._middle, self._wide, self._aside = middle, wide, eye - middle
         server.scene.set_up_direction("+z")
-        server.initial_camera.look_at = tuple(middle)
-        server.initial_camera.position = tuple(eye)
-        server.initial_camera.fov = FOV
-        server.initial_camera.near = 0.01 * wide
+        camera = server.initial_camera
+        camera.look_at, camera.position = tuple(middle), tuple(eye)
+        camera.fov, camera.near = FOV, 0.01 * wide
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.world_axes.visible = False
         cell = 10.0 ** np.floor(np.log10(wide / 2.0))
@@ -168,15 +155,9 @@ class _Law:
         scene, look = server.scene, show.laws[i]
         self._bodies, self._look = show.bodies, look
         self._ask, self._root = ask, scene.add_frame(f"/law{i}", show_axes=False)
+        made = {"color": colors.LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(
-                f"/law{i}/link{k}",
-                body.vertices,
-                body.corners,
-                color=colors.LINK,
-                side="double",
-                flat_shading=True,
-            )
+            scene.add_mesh_simple(f"/law{i}/link{k}", body.vertices, body.corners, **made)
             for k, body in enumerate(show.bodies)
         ]
         self._held = scene.add_box(

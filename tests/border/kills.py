@@ -18,7 +18,7 @@ from random import Random
 
 import click
 
-from coopqp.report.folder import publish
+from coopqp.report.files import publish
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
 LONGEST = 0.3  # until a kill [s]

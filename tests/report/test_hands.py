@@ -19,8 +19,7 @@ from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
 from coopqp.report.figures.groups import groups
-from coopqp.report.how_to_read import how_to_read
-from coopqp.report.page import render
+from coopqp.report.page import how_to_read, render
 from coopqp.solver import Status
 from coopqp.trace import Failure
 

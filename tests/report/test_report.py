@@ -18,12 +18,15 @@ from rich.console import Console
 
 import coopqp
 from coopqp.comparison import Comparison, summarize
+from coopqp.controllers import QPController
 from coopqp.errors import CoopqpError
 from coopqp.kernel import native
 from coopqp.report import curves, files
+from coopqp.report.cells import cells, facts
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.groups import groups
 from coopqp.report.figures.joints import joint_figures, joint_window
+from coopqp.report.figures.times import tick_times
 from coopqp.report.page import render
 from coopqp.report.scene.playback import MOST_FRAMES, scene
 from coopqp.report.style import styles
@@ -63,7 +66,8 @@ def test_page_loads_nothing(page: str) -> None:
 
 def test_page_names_every_joint_verdict_and_fact(page: str, comparison: Comparison) -> None:
     joints = next(iter(comparison.traces.values())).joints
-    for text in (*joints, *comparison.verdicts.values(), "daqp", "nao_t14", "kinematic"):
+    solver = "kernel" if comparison.traces["qp"].compiled.any() else "daqp"
+    for text in (*joints, *comparison.verdicts.values(), solver, "nao_t14", "kinematic"):
         assert html.escape(text, quote=False) in page
     assert f"{comparison.scenario.kappa:g} 1/s" in page
 
@@ -88,6 +92,8 @@ def test_every_figure_shows_every_controller(page: str, comparison: Comparison) 
     for figure, title in zip(figures, (f.title for f in drawn), strict=True):
         if title == "Active limits":
             assert {line["legendgroup"] for line in figure["data"]} == {"qp"}
+            continue
+        if title.startswith("Time of a tick in"):
             continue
         shown = {line["legendgroup"] for line in figure["data"] if "legendgroup" in line}
         assert shown == set(comparison.traces)
@@ -117,6 +123,35 @@ def test_thinning_keeps_peaks() -> None:
     assert len(kept_y) <= curves.MOST_POINTS + 2
     assert kept_y.max() == 5.0
     assert kept_t[kept_y.argmax()] == t[17_321]
+
+
+def test_times_of_ticks_stand_beside_those_of_the_same_language_alone() -> None:
+    trace = coopqp.compare(coopqp.load("planar_pair"), controllers=["qp"]).traces["qp"]
+    runs = {"compiled": True, "plain": False, "left": np.arange(trace.ticks) > 1}
+    traces = {k: replace(trace, compiled=trace.compiled * 0 + on > 0) for k, on in runs.items()}
+    found = summarize(coopqp.load("planar_pair"), traces)
+    shown = {
+        figure.title: {line["legendgroup"] for line in figure.data}
+        for figure in tick_times(Chart(found))
+    }
+    assert shown == {
+        "Time of a tick in C++": {"compiled", "left"},
+        "Time of a tick in Python": {"plain", "left"},
+    }
+    tick = {name: cells(traces[name], found.metrics[name])["tick"].lines for name in traces}
+    assert [lines[1:] for lines in tick.values()] == [("C++",), ("Python",), ("C++", "2 in Python")]
+
+
+@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+def test_the_solver_has_one_name(comparison: Comparison) -> None:
+    assert ("QP solver", "kernel") in facts(comparison)
+    both = coopqp.compare(
+        replace(
+            comparison.scenario,
+            controllers={"a": QPController(), "b": QPController(engine="python")},
+        )
+    )
+    assert ("QP solver", "kernel (a); daqp (b)") in facts(both)
 
 
 def test_what_leaves_the_chart_is_told_where_it_is_farthest_off() -> None:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from coopqp.report.sweep import table
-from coopqp.report.sweep.bins import BINS, Binned, bins_for
+from coopqp.report.sweep.bins import BINS, Binned, bins_for, worst_error, worst_rows
 from coopqp.report.sweep.page import write
-from coopqp.report.sweep.worst import worst_error, worst_rows
 from coopqp.study.sweep import Study, read_study
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import summarize

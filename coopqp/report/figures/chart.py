@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -21,14 +22,8 @@ ALWAYS = slice(None)  # rows of a trace
 class Chart:
     """Lines of all controllers of a comparison over the whole run.
 
-    Args:
-        comparison: from :func:`coopqp.compare`.
-
     Attributes:
-        comparison: the same.
-        traces: by controller.
         names: of the controllers in the order in which they are drawn.
-        styles: of each controller's line.
         any: the trace with most joints; grasps may differ between controllers.
         end: of the run [s].
     """
@@ -55,10 +50,6 @@ class Chart:
             self._problems[name] = list(scenario.problems(lambda first: decided[first]))
         return self._problems[name]
 
-    def lines(self, of: Callable[[Trace], Array]) -> dict[str, Array]:
-        """Something of every trace."""
-        return {name: of(self.traces[name]) for name in self.names}
-
     def curves(
         self, lines: dict[str, Array], *, steps: bool = False, rows: slice = ALWAYS
     ) -> list[Json]:
@@ -69,50 +60,56 @@ class Chart:
             for name, y in lines.items()
         ]
 
+    def instants(self, trace: Trace, most: int) -> list[NDArray[np.int64]]:
+        """Rows of each phase of a trace, evenly spread, first and last among them."""
+        firsts = self.comparison.scenario.first_ticks
+        ends = [*firsts[1:], trace.ticks]
+        return [
+            np.unique(np.linspace(a, b, min(b - a + 1, most)).round().astype(np.int64))
+            for a, b in zip(firsts, ends, strict=True)
+        ]
+
+    def lines(self, of: Callable[[Trace], Array | None]) -> dict[str, Array]:
+        """Something of every trace that has it."""
+        return {k: y for k in self.names if (y := of(self.traces[k])) is not None}
+
     def layout(self, axis: Json, *levels: Json) -> Json:
         """Over the whole run, with a line where a phase begins."""
         phases = self.any.phases
         begins = [curves.upright(float(self.any.t[p.first]), p.name, after=True) for p in phases]
         return curves.layout(self.end, axis, *begins, *levels)
 
-    def beyond_limits(self, shown: Window, lower: float, upper: float) -> list[Json]:
-        """Hatch what is shown below one height and above another."""
-        span, regions = (0.0, self.end), []
-        if shown.bottom < lower:
-            regions.append(curves.forbidden(span, shown.bottom, lower))
-        if upper < shown.top:
-            regions.append(curves.forbidden(span, upper, shown.top))
-        return regions
-
-    def plain(self, title: str, unit: str, lines: dict[str, Array], about: str = "") -> Figure:
-        """Lines over time on a linear scale that has a zero."""
-        low = min(0.0, *(float(y.min(initial=0.0)) for y in lines.values()))
-        high = max(1e-3, *(float(y.max(initial=0.0)) for y in lines.values()))
-        return Figure(
-            title=title,
-            unit=unit,
-            about=about,
-            data=self.curves(lines),
-            layout=self.layout(curves.linear(Window(1.1 * low, 1.1 * high))),
-        )
-
-    def log(
+    def figure(
         self,
         title: str,
         unit: str,
         lines: dict[str, Array],
-        floor: float,
+        shown: Window,
         *levels: Json,
-        good: tuple[float, str],
+        allowed: tuple[float, float] = (-np.inf, np.inf),
+        log: bool = False,
+        steps: bool = False,
         rows: slice = ALWAYS,
+        extra: Iterable[Json] = (),
+        notes: tuple[str, ...] = (),
     ) -> Figure:
-        """Errors over time on a log scale, with the bound below which they are good."""
-        lines = {name: np.maximum(y, floor) for name, y in lines.items()}
-        shown = curves.log_window(list(lines.values()), floor, good[0])
-        bound = curves.level(good[0], f"{good[1]}: {good[0]:.3g}", log=True)
+        """Lines over time; what is shown beyond the two heights that are allowed is hatched."""
+        axis = curves.logarithmic(shown) if log else curves.linear(shown)
+        hatched = [(shown.bottom, allowed[0]), (allowed[1], shown.top)]
         return Figure(
             title=title,
-            unit=f"{unit}, log scale",
-            data=self.curves(lines, rows=rows),
-            layout=self.layout(curves.logarithmic(shown), bound, *levels),
+            unit=f"{unit}, log scale" if log else unit,
+            data=[
+                *(curves.forbidden((0.0, self.end), a, b) for a, b in hatched if a < b),
+                *self.curves(lines, steps=steps, rows=rows),
+                *extra,
+            ],
+            layout=self.layout(axis, *levels),
+            notes=notes,
         )
+
+    def plain(self, title: str, unit: str, lines: dict[str, Array]) -> Figure:
+        """Lines over time on a linear scale that has a zero."""
+        low = min(0.0, *(float(y.min(initial=0.0)) for y in lines.values()))
+        high = max(1e-3, *(float(y.max(initial=0.0)) for y in lines.values()))
+        return self.figure(title, unit, lines, Window(1.1 * low, 1.1 * high))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.checked import Array
 from coopqp.report import curves
 from coopqp.report.cells import length
-from coopqp.report.curves import Figure
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Figure, Json
+from coopqp.report.figures.chart import ALWAYS, Chart
+from coopqp.trace import Trace
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 MOST_FIRST = 3  # tasks that are shown first
@@ -39,51 +42,51 @@ def _missed(chart: Chart, i: int) -> float:
 
 def _of_task(chart: Chart, i: int) -> list[Figure]:
     name, traces = chart.any.tasks[i].name, chart.traces.values()
-    same = all(
-        np.array_equal(trace.goal_error[:, i], trace.task_error[:, i], equal_nan=True)
-        for trace in traces
-    )
-    goal = _error(chart, i, f"'{name}': error to the goal", "goal_error")
+    goal = _error(chart, i, f"'{name}': error to the goal", lambda trace: trace.goal_error)
+    if all(np.array_equal(t.goal_error[:, i], t.task_error[:, i], equal_nan=True) for t in traces):
+        return [goal]
     reference = f"'{name}': error to the moving reference"
-    return [goal] if same else [goal, _error(chart, i, reference, "task_error")]
+    return [goal, _error(chart, i, reference, lambda trace: trace.task_error)]
 
 
-def _error(chart: Chart, i: int, title: str, field: str) -> Figure:
+def _error(chart: Chart, i: int, title: str, of: Callable[[Trace], Array]) -> Figure:
     task = chart.any.tasks[i]
     scale, unit = length(1.0, task.unit)
-
-    def error(name: str) -> Array:
-        values: Array = getattr(chart.traces[name], field)[task.rows, i]
-        return scale * values
-
-    arrives = 0 < task.end < chart.end
-    return chart.log(
-        title,
-        unit,
-        {name: error(name) for name in chart.names},
-        scale * FLOOR,
-        *([curves.upright(task.end, "reference arrives")] if arrives else []),
-        good=(scale * task.tolerance, "counts as reached"),
-        rows=task.rows,
-    )
+    lines = chart.lines(lambda trace: scale * of(trace)[task.rows, i])
+    arrives = [curves.upright(task.end, "reference arrives")] if 0 < task.end < chart.end else []
+    good = scale * task.tolerance
+    return _log(chart, title, unit, lines, scale, good, "reached", *arrives, rows=task.rows)
 
 
 def loop_errors(chart: Chart) -> list[Figure]:
     """How far apart the arms carry the object."""
     kappa = f"κ = {chart.any.kappa:g} 1/s"
+    position = chart.lines(lambda trace: 1e3 * trace.loop_position)
+    turn = chart.lines(lambda trace: 1e3 * trace.loop_orientation)
+    parts = (
+        ("position", "mm", position, 1e3 * LOOP_CLOSED),
+        ("orientation", "mrad", turn, 1e3 * LOOP_CLOSED_ANGLE),
+    )
     return [
-        chart.log(
-            f"Loop error, position, {kappa}",
-            "mm",
-            chart.lines(lambda trace: 1e3 * trace.loop_position),
-            1e3 * FLOOR,
-            good=(1e3 * LOOP_CLOSED, "counts as closed"),
-        ),
-        chart.log(
-            f"Loop error, orientation, {kappa}",
-            "mrad",
-            chart.lines(lambda trace: 1e3 * trace.loop_orientation),
-            1e3 * FLOOR,
-            good=(1e3 * LOOP_CLOSED_ANGLE, "counts as closed"),
-        ),
+        _log(chart, f"Loop error, {what}, {kappa}", unit, lines, 1e3, good, "closed")
+        for what, unit, lines, good in parts
     ]
+
+
+def _log(
+    chart: Chart,
+    title: str,
+    unit: str,
+    lines: dict[str, Array],
+    scale: float,
+    good: float,
+    word: str,
+    *levels: Json,
+    rows: slice = ALWAYS,
+) -> Figure:
+    """On a log scale, with the bound below which errors are good."""
+    floor = scale * FLOOR
+    lines = {name: np.maximum(y, floor) for name, y in lines.items()}
+    shown = curves.log_window(list(lines.values()), floor, good)
+    bound = curves.level(good, f"counts as {word}: {good:.3g}", log=True)
+    return chart.figure(title, unit, lines, shown, bound, *levels, log=True, rows=rows)

@@ -46,28 +46,28 @@ def freedom_figures(chart: Chart) -> list[Figure]:
     notes = (LESS,) if less else ()
     worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
     least = min(float(np.nanmin(y)) for _, y in ratio.values())
-    window = Window(min(1.0, least), max(10.0, 2.0 * worst))
+    log = curves.logarithmic(Window(min(1.0, least), max(10.0, 2.0 * worst)))
+    powers = {"exponentformat": "power", "automargin": True, "nticks": 4}
+    linear = curves.linear(Window(0.0, 1.1 * best or 1.0)) | powers
     return [
-        _figure(chart, "Condition", "1, log scale", ratio, curves.logarithmic(window), notes),
-        _figure(
-            chart,
-            "Manipulability",
-            "product of the singular values",
-            product,
-            curves.linear(Window(0.0, 1.1 * best or 1.0))
-            | {"exponentformat": "power", "automargin": True, "nticks": 4},
-            notes,
-        ),
+        Figure(
+            title=title,
+            unit=unit,
+            data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in of.items()],
+            layout=chart.layout(axis),
+            notes=notes,
+        )
+        for title, unit, of, axis in (
+            ("Condition", "1, log scale", ratio, log),
+            ("Manipulability", "product of the singular values", product, linear),
+        )
     ]
 
 
 def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     """Of M at each instant, largest first, shape (i, k); NaN where a task raises an error.
 
-    Args:
-        problem: of the phase.
-        t: since the phase began, shape (i,) [s].
-        q: configurations, shape (i, n).
+    At times since the phase began, shape (i,) [s], and configurations, shape (i, n).
     """
     chain = problem.chain
     steering = [task for task in problem.tasks if not task.joint_space]
@@ -112,15 +112,12 @@ def manipulability(sigma: Array) -> Array:
 
 def _legs(chart: Chart, name: str) -> Legs:
     """Along a run, phase by phase."""
-    trace, scenario, legs = chart.traces[name], chart.comparison.scenario, []
-    ends = [*scenario.first_ticks[1:], trace.ticks]
-    problems = chart.problems(name)
-    for problem, first, last in zip(problems, scenario.first_ticks, ends, strict=True):
-        count = min(last - first + 1, MOST_INSTANTS)
-        rows = np.unique(np.linspace(first, last, count).round().astype(int))
-        t = trace.t[rows]
-        legs.append((t, singular_values(problem, t - trace.t[first], trace.q[rows])))
-    return legs
+    trace = chart.traces[name]
+    instants = chart.instants(trace, MOST_INSTANTS)
+    return [
+        (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
+        for problem, rows in zip(chart.problems(name), instants, strict=True)
+    ]
 
 
 def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
@@ -129,25 +126,6 @@ def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tup
     for name, parts in legs.items():
         known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
         if known:
-            lines[name] = (
-                np.concatenate([t for t, _ in known]),
-                np.concatenate([y for _, y in known]),
-            )
+            t, y = (np.concatenate(part) for part in zip(*known, strict=True))
+            lines[name] = t, y
     return lines
-
-
-def _figure(
-    chart: Chart,
-    title: str,
-    unit: str,
-    lines: dict[str, tuple[Array, Array]],
-    axis: curves.Json,
-    notes: tuple[str, ...],
-) -> Figure:
-    return Figure(
-        title=title,
-        unit=unit,
-        data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in lines.items()],
-        layout=chart.layout(axis),
-        notes=notes,
-    )

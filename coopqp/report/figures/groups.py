@@ -10,25 +10,27 @@ from coopqp.report import audit
 from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.errors import loop_errors, task_errors
+from coopqp.report.figures.forces import (
+    forces,
+    hands,
+    load_shares,
+    squeeze_of_fastened,
+    torques,
+)
 from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.hands import hands, load_shares, squeeze_of_fastened
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures
 from coopqp.report.figures.limits import limit_figures
 from coopqp.report.figures.object import object_figures
 from coopqp.report.figures.times import tick_times
-from coopqp.report.figures.torques import forces, torques
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Figures that belong together.
+    """Figures that belong together, with a hint how to read them, and words explained.
 
     Attributes:
-        title: of the section.
-        hint: how to read them.
-        words: those that need it, explained.
-        figures: shown at once.
         folded: shown on demand, and on paper. more: what those are.
+        leads: whether it stands directly below the result.
     """
 
     title: str
@@ -37,16 +39,19 @@ class Group:
     figures: list[Figure] = field(default_factory=list)
     folded: list[Figure] = field(default_factory=list)
     more: str = ""
+    leads: bool = False
 
 
 def groups(comparison: Comparison) -> list[Group]:
     """Those that have figures, in the order of the page."""
     chart = Chart(comparison)
+    decisive, joints = _joints(chart)
     found = [
+        decisive,
         _object(chart),
         _errors(chart),
         _limits(chart),
-        _joints(chart),
+        joints,
         _freedom(chart),
         _hands(chart),
         _torques(chart),
@@ -98,18 +103,26 @@ def _limits(chart: Chart) -> Group:
     )
 
 
-def _joints(chart: Chart) -> Group:
-    first, others = joint_figures(chart)
+def _joints(chart: Chart) -> tuple[Group, Group]:
+    decisive, first, others = joint_figures(chart)
     paper = (
         " The paper's figures 4 to 8 are q1 to q5 of the right arm: its pseudo is pseudoinverse "
         "here, its joint limit motion pseudoinverse_null_space."
         if chart.comparison.scenario.robot_model.name == PAPER_ROBOT
         else ""
     )
-    return Group(
+    nearest = Group(
+        title="The joint nearest to a limit",
+        hint="The one that comes nearest to a limit or goes farthest beyond it, with the same "
+        "joint of the other arm. Hatched: beyond a limit. A cross marks where a joint leaves its "
+        "limits.",
+        figures=decisive,
+        leads=True,
+    )
+    others_near = "others that come near" if decisive else "ones that come nearest to"
+    return nearest, Group(
         title="Joints",
-        hint="Those that come nearest to a limit, with the same joint of the other arm. A cross "
-        f"marks where a joint leaves its limits.{paper}",
+        hint=f"The {others_near} a limit, with the same joint of the other arm.{paper}",
         figures=first,
         folded=others,
         more=f"The other {len(others)} joints",
@@ -168,7 +181,7 @@ def _torques(chart: Chart) -> Group:
 
 
 def _rest(chart: Chart) -> Group:
-    others = audit.timeline(chart.traces, chart.styles), tick_times(chart)
+    active = audit.timeline(chart.traces, chart.styles)
     return Group(
         title="Loops, active limits and computing time",
         hint="",
@@ -177,6 +190,6 @@ def _rest(chart: Chart) -> Group:
             "pulls it back.",
             "Active": "a limit that the QP is at, which then decides with it what is done.",
         },
-        folded=[*loop_errors(chart), *(figure for figure in others if figure)],
+        folded=[*loop_errors(chart), *([active] if active else []), *tick_times(chart)],
         more="Loop errors, active limits, time of a tick",
     )

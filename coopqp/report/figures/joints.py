@@ -13,6 +13,7 @@ from coopqp.closed_chain import ClosedChain
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.figures.chart import Chart
+from coopqp.trace import Trace
 
 FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad or m]
 NEAR = 0.02  # of the range: a joint this near to a limit is shown first
@@ -23,26 +24,30 @@ PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in
 
 @dataclass(frozen=True)
 class JointRow:
-    """Joints that are shown side by side.
-
-    Attributes:
-        joints: their indices: one that arms share, or the same one of two arms of equal build.
-        about: what is said of each, such as "q2 of the right arm".
-    """
+    """Joints side by side: one that arms share, or the same one of two; what is said of each."""
 
     joints: tuple[int, ...]
     about: tuple[str, ...]
 
 
-def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
-    """The joints that come nearest to a limit with those beside them, and the others."""
+def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure]]:
+    """The joint that comes nearest to a limit, others that come near one, and the rest.
+
+    Each with those beside it; the nearest is the first of its row. Where none comes near, the first
+    list is empty and the second has the nearest.
+    """
     rows = joint_rows(chart.chain)
-    room = [min(_least_room(chart, i) for i in row.joints) for row in rows]
+    rooms = [[_least_room(chart, i) for i in row.joints] for row in rows]
+    room = [min(own) for own in rooms]
     nearest = np.argsort(room, kind="stable")[:MOST_FIRST].tolist()
-    shown = [n for n in nearest if room[n] < NEAR] or nearest[:1]
-    first = [row for n, row in enumerate(rows) if n in shown]
-    rest = [row for n, row in enumerate(rows) if n not in shown]
-    return _figures(chart, first), _figures(chart, rest)
+    near = [n for n in nearest if room[n] < NEAR]
+    decisive, others = near[:1], near[1:] or nearest[: not near]
+    rest = [n for n in range(len(rows)) if n not in (*decisive, *others)]
+    parts = (decisive, sorted(others), rest)
+    first, second, third = (_figures(chart, [rows[n] for n in part]) for part in parts)
+    for n in decisive:
+        first.insert(0, first.pop(int(np.argmin(rooms[n]))))
+    return first, second, third
 
 
 def joint_rows(chain: ClosedChain) -> list[JointRow]:
@@ -79,12 +84,9 @@ def joint_order(chain: ClosedChain) -> list[int]:
 
 def _least_room(chart: Chart, i: int) -> float:
     """Least distance of a joint to a limit under any controller, in its range; inf without one."""
-    joint, lower, upper = chart.any.joints[i], chart.any.lower[i], chart.any.upper[i]
-    least = np.inf
-    for trace in chart.traces.values():
-        if joint in trace.joints:
-            q = trace.q[:, trace.joints.index(joint)]
-            least = min(least, float(np.min(np.minimum(q - lower, upper - q))))
+    lower, upper = chart.any.lower[i], chart.any.upper[i]
+    ways = chart.lines(lambda trace: _way(trace, chart.any.joints[i])).values()
+    least = min((float(np.min(np.minimum(q - lower, upper - q))) for q in ways), default=np.inf)
     span = upper - lower
     return least / span if np.isfinite(span) and span > 0.0 else least
 
@@ -103,47 +105,45 @@ def _figures(chart: Chart, rows: list[JointRow]) -> list[Figure]:
 
 
 def _joint(chart: Chart, i: int, unit: str) -> Figure:
-    lower, upper = float(chart.any.lower[i]), float(chart.any.upper[i])
-    joint = chart.any.joints[i]
-    lines = {
-        name: chart.traces[name].q[:, chart.traces[name].joints.index(joint)]
-        for name in chart.names
-        if joint in chart.traces[name].joints
-    }
+    lower, upper = limits = float(chart.any.lower[i]), float(chart.any.upper[i])
+    lines = chart.lines(lambda trace: _way(trace, chart.any.joints[i]))
     shown = joint_window(lower, upper, list(lines.values()))
-    data = chart.beyond_limits(shown, lower, upper) + chart.curves(lines)
-    for name, y in lines.items():
-        data += _marks(chart, name, y, (lower, upper), shown)
     levels = []
     if np.isfinite(lower):
         levels.append(curves.level(lower, f"lower limit {lower:.3g}", above=False))
     if np.isfinite(upper):
         levels.append(curves.level(upper, f"upper limit {upper:.3g}"))
-    return Figure(
-        title=joint,
-        unit=unit if levels else f"{unit}, no limits",
-        data=data,
-        layout=chart.layout(curves.linear(shown), *levels),
+    return chart.figure(
+        chart.any.joints[i],
+        unit if levels else f"{unit}, no limits",
+        lines,
+        shown,
+        *levels,
+        allowed=limits,
+        extra=joined(*(_marks(chart, name, y, limits, shown) for name, y in lines.items())),
         notes=curves.off_chart(shown, lines, unit),
     )
+
+
+def _way(trace: Trace, joint: str) -> Array | None:
+    """Of a joint, shape (T + 1,); None where the trace does not have it."""
+    return trace.q[:, trace.joints.index(joint)] if joint in trace.joints else None
 
 
 def _marks(
     chart: Chart, name: str, y: Array, limits: tuple[float, float], shown: Window
 ) -> list[Json]:
     """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
-    t, style, marks, (lower, upper) = chart.any.t, chart.styles[name], [], limits
-    beyond = np.flatnonzero((y < lower - OUTSIDE) | (y > upper + OUTSIDE))
-    if len(beyond):
-        k = beyond[0]
-        crossed = lower if y[k] < lower else upper
-        marks.append(curves.markers(name, style, [(float(t[k]), crossed)], "x"))
-    gone = np.flatnonzero((y < shown.bottom) | (y > shown.top))
-    if len(gone):
-        k = gone[0]
-        up = y[k] > shown.top
-        edge = (float(t[k]), shown.top if up else shown.bottom)
-        marks.append(curves.markers(name, style, [edge], "triangle-up" if up else "triangle-down"))
+    (lower, upper), marks = limits, []
+    bounds = (
+        (lower - OUTSIDE, upper + OUTSIDE, limits, ("x", "x")),
+        (shown.bottom, shown.top, (shown.bottom, shown.top), ("triangle-down", "triangle-up")),
+    )
+    for low, high, heights, symbols in bounds:
+        for k in np.flatnonzero((y < low) | (y > high))[:1]:
+            up = bool(y[k] > high)
+            place = [(float(chart.any.t[k]), heights[up])]
+            marks.append(curves.markers(name, chart.styles[name], place, symbols[up]))
     return marks
 
 

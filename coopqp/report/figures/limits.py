@@ -22,17 +22,14 @@ MOST_CRITERION = 3.0  # times the calmest line's largest value, beyond which lin
 
 def limit_figures(chart: Chart) -> list[Figure]:
     """Margin by unit, criterion, speed and acceleration."""
-    figures = [_margin(chart, unit) for unit in joint_units(chart.traces.values())]
     speed, acceleration = chart.lines(speed_share), chart.lines(acceleration_share)
+    what = "what the loop for robots allows"
     return [
-        *figures,
+        *(_margin(chart, unit) for unit in joint_units(chart.traces.values())),
         *_criterion(chart),
         _shares(chart, "Speed of the fastest joint", "its limit", speed, "speed limit"),
-        _shares(
-            chart, "Largest acceleration of a joint", "what the loop for robots allows",
-            acceleration, "allowed",
-        ),
-    ]  # fmt: skip
+        _shares(chart, "Largest acceleration of a joint", what, acceleration, "allowed"),
+    ]
 
 
 def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
@@ -41,12 +38,7 @@ def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
 
 
 def margin(trace: Trace, unit: str) -> Array:
-    """Distance of the joint nearest to its limit, at each instant, shape (T + 1,) [unit].
-
-    Args:
-        trace: with one joint at least that has this unit.
-        unit: "rad" or "m"; joints with another one do not count.
-    """
+    """Distance of the joint nearest to its limit, of those with a unit, shape (T + 1,) [unit]."""
     counts = np.array(trace.units) == unit
     least: Array = 0.0 - beyond(trace)[:, counts].max(axis=1)
     return least
@@ -63,21 +55,24 @@ def speed_share(trace: Trace) -> Array:
     return share
 
 
+def acceleration_share(trace: Trace) -> Array:
+    """Largest acceleration of a joint over what the loop for robots allows, shape (T,)."""
+    share: Array = accelerations(trace).share.max(axis=1, initial=0.0)
+    return share
+
+
 def _margin(chart: Chart, unit: str) -> Figure:
-    lines = {
-        name: margin(chart.traces[name], unit)
-        for name in chart.names
-        if unit in chart.traces[name].units
-    }
-    nearest = "sliding joint" if unit == "m" else "joint"
+    lines = chart.lines(lambda trace: margin(trace, unit) if unit in trace.units else None)
     best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
     shown = curves.window(0.0, best, list(lines.values()), best)
     shown = Window(min(shown.bottom, -0.15 * best), shown.top)
-    return Figure(
-        title=f"Margin of the {nearest} nearest to its limit",
-        unit=f"{unit}, negative beyond the limit",
-        data=chart.beyond_limits(shown, 0.0, np.inf) + chart.curves(lines),
-        layout=chart.layout(curves.linear(shown), curves.level(0.0, "limit", above=False)),
+    return chart.figure(
+        f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit",
+        f"{unit}, negative beyond the limit",
+        lines,
+        shown,
+        curves.level(0.0, "limit", above=False),
+        allowed=(0.0, np.inf),
         notes=curves.off_chart(shown, lines, unit),
     )
 
@@ -88,37 +83,21 @@ def _criterion(chart: Chart) -> list[Figure]:
     if not any(y.any() for y in lines.values()):
         return []
     top = MOST_CRITERION * min(float(y.max()) for y in lines.values())
-    shown = curves.window(0.0, top / MOST_CRITERION, list(lines.values()), top)
-    shown = Window(0.0, shown.top)
-    return [
-        Figure(
-            title="Joint-limit criterion φ",
-            unit="1, smaller is farther from limits on the whole",
-            data=chart.curves(lines),
-            layout=chart.layout(curves.linear(shown)),
-            notes=curves.off_chart(shown, lines, ""),
-        )
-    ]
-
-
-def acceleration_share(trace: Trace) -> Array:
-    """Largest acceleration of a joint over what the loop for robots allows, shape (T,)."""
-    share: Array = accelerations(trace).share.max(axis=1, initial=0.0)
-    return share
+    shown = Window(0.0, curves.window(0.0, top / MOST_CRITERION, list(lines.values()), top).top)
+    unit, notes = (
+        "1, smaller is farther from limits on the whole",
+        curves.off_chart(shown, lines, ""),
+    )
+    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, notes=notes)]
 
 
 def _shares(chart: Chart, title: str, what: str, lines: dict[str, Array], bound: str) -> Figure:
     """Shares of a bound at each tick; on a log scale where some are far beyond it."""
     most = max(float(y.max(initial=0.0)) for y in lines.values())
     log = most > MOST_SHARE
-    shown = Window(0.0, max(1.25, 1.1 * most))
-    if log:
-        shown = Window(SMALL, 3.0 * most)
-        lines = {name: np.maximum(y, SMALL) for name, y in lines.items()}
-    axis = curves.logarithmic(shown) if log else curves.linear(shown)
-    return Figure(
-        title=title,
-        unit=f"share of {what}{', log scale' if log else ''}",
-        data=chart.beyond_limits(shown, -np.inf, 1.0) + chart.curves(lines, steps=True),
-        layout=chart.layout(axis, curves.level(1.0, bound, log=log)),
+    shown = Window(SMALL, 3.0 * most) if log else Window(0.0, max(1.25, 1.1 * most))
+    lines = {name: np.maximum(y, SMALL) for name, y in lines.items()} if log else lines
+    level, allowed = curves.level(1.0, bound, log=log), (-np.inf, 1.0)
+    return chart.figure(
+        title, f"share of {what}", lines, shown, level, allowed=allowed, log=log, steps=True
     )

@@ -11,7 +11,6 @@ Letters: i instants.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -47,44 +46,12 @@ REFERENCE = {"color": "#000000", "dash": "1.5px,2.5px", "width": 1.5}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity(ABC):
-    """One number that follows from the object's pose."""
-
-    unit: ClassVar[str]
-    least: ClassVar[float]
-    """Smallest height of its figure [unit]."""
-    floor: ClassVar[float] = -np.inf
-    """Nothing is below [unit]."""
-
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """Of the figure."""
-
-    @abstractmethod
-    def of(self, position: Array, rotation: Array) -> Array:
-        """Its values, shape (i,), of poses, shapes (i, 3) and (i, 3, 3)."""
-
-    @abstractmethod
-    def goal(self, marks: Sequence[Mark]) -> float:
-        """What the marks want of it; NaN where they leave it free."""
-
-    @abstractmethod
-    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
-        """On the way from a pose to where the marks are, shape (i,)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coordinate(Quantity):
-    """Of a point of the object.
-
-    Attributes:
-        axis: 0, 1, 2 for the world's x, y, z.
-        point: in the object frame [m].
-    """
+class Coordinate:
+    """Of a point in the object frame [m]; axis 0, 1, 2 for the world's x, y, z."""
 
     unit: ClassVar[str] = "m"
-    least: ClassVar[float] = 0.02
+    least: ClassVar[float] = 0.02  # height of its figure [m]
+    floor: ClassVar[float] = -np.inf
     axis: int
     point: tuple[float, float, float] = ORIGIN
 
@@ -134,17 +101,14 @@ class Coordinate(Quantity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tilt(Quantity):
+class Tilt:
     """Angle between the object's z axis and the world's [degrees]."""
 
     unit: ClassVar[str] = "degrees"
     least: ClassVar[float] = 2.0
     floor: ClassVar[float] = 0.0
 
-    @property
-    def title(self) -> str:
-        """Of the figure."""
-        return "Tilt of the object"
+    title: ClassVar[str] = "Tilt of the object"
 
     def of(self, position: Array, rotation: Array) -> Array:
         """By both sine and cosine, so that it is exact near 0 [degrees]."""
@@ -167,6 +131,10 @@ class Tilt(Quantity):
         return self.of(np.zeros((len(share), 3)), turned)
 
 
+#: One number that follows from the object's pose.
+Quantity = Coordinate | Tilt
+
+
 @dataclass(frozen=True)
 class Target:
     """What a task wants of a quantity while its phase lasts.
@@ -187,20 +155,22 @@ class Target:
 def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
     """Coordinates and tilt of the object, and the coordinates of other points that tasks steer."""
     first, *others = _points(chart)
-    quantities = [[Coordinate(axis=i, point=p) for i in range(3)] for p in (first, *others)]
-    shown = [_figure(chart, quantity) for quantity in (*quantities[0], Tilt())]
-    return shown, [_figure(chart, quantity) for of in quantities[1:] for quantity in of]
+    shown: list[Quantity] = [*_coordinates(first), Tilt()]
+    hidden = [quantity for point in others for quantity in _coordinates(point)]
+    return [_figure(chart, of) for of in shown], [_figure(chart, of) for of in hidden]
+
+
+def _coordinates(point: tuple[float, float, float]) -> list[Coordinate]:
+    return [Coordinate(axis=i, point=point) for i in range(3)]
 
 
 def targets(chart: Chart, quantity: Quantity) -> list[Target]:
     """What each task of each phase wants of a quantity."""
     scenario, trace, found = chart.comparison.scenario, chart.any, []
     t = trace.t
-    ends = [*scenario.first_ticks[1:], chart.any.ticks]
-    for number, (phase, last) in enumerate(zip(scenario.schedule, ends, strict=True)):
-        first = scenario.first_ticks[number]
-        count = min(last - first + 1, MOST_INSTANTS)
-        rows = np.unique(np.linspace(first, last, count).round().astype(int))
+    instants = chart.instants(trace, MOST_INSTANTS)
+    for number, (phase, rows) in enumerate(zip(scenario.schedule, instants, strict=True)):
+        first = int(rows[0])
         for task in phase.tasks:
             nows = [trace.moment(k, float(t[k] - t[first])) for k in rows.tolist()]
             marks = [asked(task.name, partial(task.marks, now), []) for now in nows]
@@ -248,13 +218,9 @@ def _figure(chart: Chart, quantity: Quantity) -> Figure:
     low = max(low - 0.5 * room, quantity.floor)
     high = max(high + 0.5 * room, low + quantity.least)
     shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
-    return Figure(
-        title=quantity.title,
-        unit=quantity.unit,
-        data=chart.curves(lines) + [line for target in wanted for line in _drawn(chart, target)],
-        layout=chart.layout(curves.linear(shown)),
-        notes=curves.off_chart(shown, lines, quantity.unit),
-    )
+    extra = [line for target in wanted for line in _drawn(chart, target)]
+    notes = curves.off_chart(shown, lines, quantity.unit)
+    return chart.figure(quantity.title, quantity.unit, lines, shown, extra=extra, notes=notes)
 
 
 def _drawn(chart: Chart, target: Target) -> list[Json]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,15 +19,16 @@ from numpy.typing import NDArray
 
 from coopqp.errors import InvalidValueError
 from coopqp.mark import SolidMark
-from coopqp.report.scene.thinning import count_thinned, thinned
 from coopqp.report.scene.triangles import (
     NOTHING,
     Triangles,
+    count_thinned,
     joined,
     moved,
     of_capsule,
     of_mesh,
     of_shape,
+    thinned,
 )
 from coopqp.robot import Capsule, RobotModel, Shape
 from coopqp.robot_files.meshes import version
@@ -41,12 +43,11 @@ SHORT = 1e-3  # links below are not drawn, in lengths of the longest arm
 
 @dataclass(frozen=True)
 class Body:
-    """What a joint carries.
+    """What a joint carries, in its frame.
 
     Attributes:
         joint: its index in the robot's model; 0 is the base.
         arm: number of the arm that alone is moved by it; None for the base and what arms share.
-        surface: in the joint's frame.
     """
 
     joint: int
@@ -89,17 +90,7 @@ def solid_body(solid: SolidMark) -> Body:
 def body_places(
     robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: NDArray[np.int64]
 ) -> list[list[pin.SE3]]:
-    """Pose of each body's joint in the world.
-
-    Args:
-        robot: whose bodies they are.
-        bodies: as many as wanted.
-        trace: of a chain with this robot.
-        rows: of the trace, shape (r,).
-
-    Returns:
-        r times one pose a body.
-    """
+    """Pose of each body's joint in the world, for each of the rows of a trace, shape (r,)."""
     model, data = robot.model, robot.model.createData()
     # The joints of grasps come after the hands and move no body of the robot.
     columns = [trace.joints.index(name) for name in robot.joint_names]
@@ -169,18 +160,13 @@ def _links(robot: RobotModel) -> list[Capsule]:
         places = [model.jointPlacements[j] for j in joints[1:]] + [tip.placement]
         ends.append([(j, X.translation.copy()) for j, X in zip(joints, places, strict=True)])
     reach = max(sum(float(np.linalg.norm(end)) for _, end in arm) for arm in ends)
-    links = [
-        Capsule(
-            name="link",
-            joint=model.names[joint],
-            start=(0.0, 0.0, 0.0),
-            end=tuple(end.tolist()),
-            radius=THICKNESS * reach,
-        )
+    look: Any = {"name": "link", "start": (0.0, 0.0, 0.0), "radius": THICKNESS * reach}
+    links = (
+        Capsule(joint=model.names[joint], end=tuple(end.tolist()), **look)
         for arm in ends
         for joint, end in arm
         if np.linalg.norm(end) > SHORT * reach
-    ]
+    )
     return list(dict.fromkeys(links))  # arms share those of a torso
 
 

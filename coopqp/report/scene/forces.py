@@ -40,12 +40,7 @@ def squeeze_words(found: list[float]) -> str:
 
 
 def told(trace: Trace, k: int) -> tuple[Array, Array] | None:
-    """Points and wrenches of the hands at an instant; None where nobody tells them.
-
-    Args:
-        trace: of a run.
-        k: which instant; there are none at the first.
-    """
+    """Points and wrenches of the hands at an instant; None at the first, or if nobody tells."""
     signals = trace.signals
     if k == 0 or "hand_wrench" not in signals:
         return None
@@ -53,13 +48,7 @@ def told(trace: Trace, k: int) -> tuple[Array, Array] | None:
 
 
 def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:
-    """Start and way of each arrow in each frame, for ``playback.js``; None without forces.
-
-    Args:
-        trace: of a run.
-        scenario: with the object.
-        frames: the tick of each frame.
-    """
+    """Start and way of each arrow in each frame, for ``playback.js``; None without forces."""
     if "hand_wrench" not in trace.signals or not trace.ticks:
         return None
     points = trace.signals["hand_point"].reshape(trace.ticks, -1, 3)
@@ -73,14 +62,10 @@ def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json 
     starts = np.where((ways != 0.0).any(axis=2, keepdims=True), points[before] - ways, 0.0)
     hands = np.zeros((len(frames), points.shape[1], 6))
     hands[frames > 0] = np.concatenate([starts, ways], axis=2)
-    com = trace.position[frames] + trace.rotation[frames] @ np.array(_com(scenario))
+    own = np.array(scenario.held.com) + scenario.disturbance.object_com  # of the real object [m]
+    com = trace.position[frames] + trace.rotation[frames] @ own
     falls = np.tile([0.0, 0.0, -scale * down], (len(frames), 1))
     return {"hands": short(hands), "weight": short(np.concatenate([com, falls], axis=1))}
-
-
-def _com(scenario: Scenario) -> Array:
-    """Of the real object, in the object [m]."""
-    return np.array(scenario.held.com) + scenario.disturbance.object_com
 
 
 def _cut(forces: Array, longest: float) -> Array:

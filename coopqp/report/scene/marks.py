@@ -1,6 +1,6 @@
 """What the playback draws of tasks and limits: their marks, frame by frame.
 
-Letters: f frames in which a mark is seen.
+Those that move with the robot differ between controllers. Letters: f frames of a mark.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
+from coopqp.instants import arm_points
 from coopqp.mark import (
     CircleMark,
     LineMark,
@@ -30,6 +33,7 @@ from coopqp.mark import (
 )
 from coopqp.report.cells import plugin_name
 from coopqp.scenario.scenario import Scenario
+from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
 
 Json = dict[str, Any]
@@ -41,6 +45,11 @@ PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 KINDS = (
     "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
 )  # fmt: skip
+#: Which of its values say where it is.
+PLACES = {
+    "goals": "at", "poses": "at", "circles": "center", "spheres": "center", "planes": "corners",
+    "lines": "ends",
+}  # fmt: skip
 #: What moves with the robot, and so differs between controllers.
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
 #: What stands still, and is drawn as the robot is.
@@ -53,10 +62,7 @@ class Shown:
 
     Attributes:
         kind: one of KINDS, one of those that move with the robot, or SOLID.
-        name: of the task or limit.
-        limit: whether it is a limit.
-        first: frame.
-        values: what is drawn, in each frame.
+        name: of the task or limit. values: what is drawn, in each frame from the first on.
     """
 
     kind: str
@@ -88,14 +94,9 @@ class Shown:
 def shown_marks(
     scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
 ) -> list[Shown]:
-    """The marks of the tasks of all phases, and those of the limits.
+    """The marks of the tasks of all phases, and those of the limits; ``frames`` are ticks.
 
-    Args:
-        scenario: whose they are.
-        frames: the tick of each frame.
-        trace: of a run.
-        faults: to which a sentence is added for every task and limit that shows what is no mark,
-            or raises an error; it is then left out.
+    What shows no mark or raises an error is left out, and a sentence added to the faults.
     """
     place, found = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
@@ -103,9 +104,9 @@ def shown_marks(
         own = np.flatnonzero(phases == i).tolist()
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         for task in phase.tasks:
-            nows = {k: trace.moment(int(frames[k]), t) for k, t in times.items()}
             marks = {
-                k: asked(task.name, partial(task.marks, now), faults) for k, now in nows.items()
+                k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
+                for k, t in times.items()
             }
             found += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
@@ -133,11 +134,7 @@ def _through_time(
 
 
 class Place:
-    """Where what has no end is cut off: near the object's start.
-
-    Args:
-        scenario: with the object.
-    """
+    """Where what has no end is cut off: near the object's start."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
@@ -159,18 +156,20 @@ class Place:
             case SolidMark():
                 return SOLID, {"solid": mark}
             case PoseMark():
-                return self._axes(mark)
+                axes = {"axes": self._axes(mark.rotation)}
+                where = mark.position
+                return ("orientations", axes) if where is None else ("poses", {"at": where} | axes)
             case TrackedMark() | PostureMark() | RelativeMark():
                 return self._carried(mark)
 
     def _carried(self, mark: TrackedMark | PostureMark | RelativeMark) -> tuple[str, Json]:
-        """What :mod:`coopqp.report.scene.carried` needs."""
+        """What moves with the robot."""
         match mark:
             case TrackedMark():
                 return TRACKED, {"point": mark.point}
             case PostureMark():
                 return POSTURE, {"goal": mark.goal}
-        return RELATIVE, {"at": mark.position, "axes": self._shown_axes(mark.rotation)}
+        return RELATIVE, {"at": mark.position, "axes": self._axes(mark.rotation)}
 
     def _line(self, line: LineMark) -> tuple[str, Json]:
         """Ends of a piece of it, or the way from the object."""
@@ -181,14 +180,8 @@ class Place:
         middle = line.through + d * (d @ (self._start - line.through))
         return "lines", {"ends": [middle - way, middle + way]}
 
-    def _axes(self, pose: PoseMark) -> tuple[str, Json]:
-        """The axes as rows, and the origin where there is one."""
-        axes = self._shown_axes(pose.rotation)
-        if pose.position is None:
-            return "orientations", {"axes": axes}
-        return "poses", {"at": pose.position, "axes": axes}
-
-    def _shown_axes(self, rotation: Array) -> Array:
+    def _axes(self, rotation: Array) -> Array:
+        """The axes as rows."""
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 
@@ -212,19 +205,75 @@ def as_json(marks: Sequence[Shown]) -> dict[str, list[Json]]:
 
 def in_view(marks: Sequence[Shown]) -> Array:
     """Points that a picture must not leave out, shape (p, 3) [m]."""
-    keys = {
-        "goals": "at",
-        "poses": "at",
-        "circles": "center",
-        "spheres": "center",
-        "planes": "corners",
-        "lines": "ends",
-    }
-    shown = [mark for mark in marks if mark.kind in keys and not mark.limit]
-    points = [mark.stacked(keys[mark.kind]).reshape(-1, 3) for mark in shown]
+    shown = [mark for mark in marks if mark.kind in PLACES and not mark.limit]
+    points = [mark.stacked(PLACES[mark.kind]).reshape(-1, 3) for mark in shown]
     return np.concatenate([*points, np.zeros((0, 3))])
 
 
 def short(values: Array) -> Any:
     """Tenths of a millimetre are enough to look at."""
     return np.nan_to_num(values, posinf=0.0, neginf=0.0).round(4).tolist()
+
+
+def carried(
+    marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
+) -> dict[str, list[Json]]:
+    """By kind, for ``playback.js``."""
+    found: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
+    for mark in marks:
+        own = frames[mark.first : mark.last + 1]
+        if mark.kind == TRACKED:
+            found["tracked"].append(mark.frames | {"points": _way(trace, mark, own)})
+        elif mark.kind == POSTURE:
+            arms = _posture(scenario, trace, mark, own)
+            found["postures"] += [mark.frames | {"points": points} for points in arms]
+        elif mark.kind == RELATIVE:
+            found["relatives"].append(mark.frames | _relative(scenario, trace, mark, own))
+    return found
+
+
+def _way(trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Any:
+    """Of the point of the object that a task steers, f points."""
+    turned = np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
+    return short(trace.position[own] + turned)
+
+
+def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> list[Any]:
+    """Of each arm with a joint that has a goal, f times its joints and its hand."""
+    chain = scenario.chain
+    goals = np.array([posture(values["goal"], chain) for values in mark.values])
+    asked = {
+        name: values
+        for name, values in zip(chain.joint_names, goals.T, strict=True)
+        if np.isfinite(values).all()
+    }
+    q = trace.q[own].copy()
+    for name, values in asked.items():
+        q[:, trace.joints.index(name)] = values
+    points = arm_points(chain, q)
+    return [
+        short(points[arm.name])
+        for arm in chain.arms
+        if set(asked) & set(chain.robot.arm_joints(arm))
+    ]
+
+
+def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Json:
+    """Origin and axes in the world, f each."""
+    problems = list(scenario.problems(lambda first: np.asarray(trace.commanded[first])))
+    phase = int(np.searchsorted(scenario.first_ticks, own[0], side="right")) - 1
+    first = _object_of_first_arm(problems[phase].chain, trace.q[own])
+    at, axes = mark.stacked("at"), mark.stacked("axes")
+    return {
+        "at": short(np.array([X.act(p) for X, p in zip(first, at, strict=True)])),
+        "axes": short(np.array([A @ X.rotation.T for X, A in zip(first, axes, strict=True)])),
+    }
+
+
+def _object_of_first_arm(chain: ClosedChain, q: Array) -> list[pin.SE3]:
+    """The object's pose as the first arm carries it."""
+    data, poses = chain.model.createData(), []
+    for row in q:
+        pin.framesForwardKinematics(chain.model, data, row)
+        poses.append(data.oMf[chain.frames[0]].copy())
+    return poses

@@ -1,12 +1,12 @@
 """What the playback of the page draws: robot, object and marks in some tens of frames.
 
-Letters: f frames in which a mark is seen.
+Letters: f frames in which a mark is seen, m points, r rims.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,9 @@ from coopqp.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
-from coopqp.report.scene.carried import carried
 from coopqp.report.scene.forces import arrows, squeeze_words, told
-from coopqp.report.scene.marks import SOLID, as_json, in_view, short, shown_marks
-from coopqp.report.scene.view import view
+from coopqp.report.scene.marks import SOLID, as_json, carried, in_view, short, shown_marks
+from coopqp.report.scene.triangles import joined, moved
 from coopqp.report.style import styles
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
@@ -34,6 +33,9 @@ Json = dict[str, Any]
 
 MOST_FRAMES = 80
 INSIDE, AT, BEYOND = 0, 1, 2
+WIDEST = 0.5  # times the size at the start; further out the view does not follow
+SLICES = 8  # of what is shown, to find the largest scale at which it fits
+DECIMALS = 4  # tenths of a millimetre
 
 
 def scene(comparison: Comparison) -> Json:
@@ -91,21 +93,19 @@ def _body(body: Body) -> Json:
 
 def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json:
     state, robot = joint_state(trace), scenario.chain.robot
-    places, arms = label_places(robot, trace.points), []
-    middle = _middle(trace.points)
-    for arm in robot.arms:  # as the bodies number them
-        columns = [trace.joints.index(joint) for joint in robot.arm_joints(arm)]
-        arms.append(
-            {
-                "name": arm.name,
-                "points": short(trace.points[arm.name][frames]),
-                "state": state[frames][:, columns].tolist(),
-                "label": places[arm.name],
-                "middle": short(middle),
-            }
-        )
+    places, middle = label_places(robot, trace.points), short(_middle(trace.points))
+    columns = {a.name: [trace.joints.index(j) for j in robot.arm_joints(a)] for a in robot.arms}
     return {
-        "arms": arms,
+        "arms": [
+            {
+                "name": name,
+                "points": short(trace.points[name][frames]),
+                "state": state[frames][:, joints].tolist(),
+                "label": places[name],
+                "middle": middle,
+            }
+            for name, joints in columns.items()  # as the bodies number them
+        ],
         "position": short(trace.position[frames]),
         "rotation": short(trace.rotation[frames].reshape(-1, 9)),
         "readout": _readout(trace, frames),
@@ -116,11 +116,8 @@ def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, in
     """At which of its points each arm's name stands.
 
     Of the joints that no other arm has it is the one that is farthest from the middle of all arms
-    at the start; the hand where an arm shares all its joints.
-
-    Args:
-        robot: with the arms.
-        points: by arm, joints base first and then the hand, shape (T + 1, p, 3) [m].
+    at the start; the hand where an arm shares all its joints. Points by arm, joints base first and
+    then the hand, shape (T + 1, p, 3) [m].
     """
     middle = _middle(points)
     joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
@@ -166,3 +163,47 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
             lines.append(words)
         texts.append(lines)
     return texts
+
+
+def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[str, Any]:
+    """Lowest and highest corner of what is shown, and its rims.
+
+    Shown is all there is, but nothing that flies away or stands far from what moves.
+    """
+    traces, half = comparison.traces.values(), 0.5 * max(comparison.scenario.held.size)
+    moving = [points for trace in traces for points in trace.points.values()]
+    for trace in traces:
+        moving += [trace.position[:, None] - half, trace.position[:, None] + half]
+    starts = np.concatenate([points[0] for points in moving])
+    reach = WIDEST * np.ptp(starts, axis=0).max()
+    surfaces = [_vertices(comparison.scenario.chain.robot, bodies, trace) for trace in traces]
+    everything = np.concatenate([*(points.reshape(-1, 3) for points in moving), *surfaces])
+    everything = everything[np.isfinite(everything).all(axis=1)]
+    near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
+    shown = np.concatenate([near, goals])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    found = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
+    return {name: values.round(DECIMALS).tolist() for name, values in found.items()}
+
+
+def _rims(points: Array, middle: Array) -> Array:
+    """What the points reach when turned about z: heights and radii, shape (r, 2)."""
+    x, y, z = (points - middle).T
+    radius, half = np.hypot(x, y), np.ptp(z) / (2 * SLICES)
+    rims = []
+    for height in np.linspace(z.min(), z.max(), SLICES + 1):
+        near = np.abs(z - height) <= half
+        if near.any():
+            rims += [(end, radius[near].max()) for end in (z[near].min(), z[near].max())]
+    return np.array(rims)
+
+
+def _vertices(robot: RobotModel, bodies: Sequence[Body], trace: Trace) -> Array:
+    """Of all bodies at the start and at the end, shape (m, 3) [m]."""
+    ends = np.array([0, len(trace.t) - 1])
+    surfaces = [
+        moved(body.surface, X)
+        for places in body_places(robot, bodies, trace, ends)
+        for body, X in zip(bodies, places, strict=True)
+    ]
+    return joined(surfaces).vertices

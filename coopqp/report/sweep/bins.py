@@ -25,16 +25,14 @@ OTHER = "others"
 NULL = "left out"  # what a scenario does with a key that is null
 
 Codes = NDArray[np.int64]
+WORST = 10
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Something that is varied, in bins.
+    """Something that is varied, in bins that have labels or edges, one more than there are.
 
     Attributes:
-        name: of its column.
-        labels: of the bins; empty where the edges say it.
-        edges: of the bins, one more than there are; empty where each has a label.
         log: whether the edges are even in their logarithm.
         code: bin of each row, shape (rows,).
     """
@@ -136,12 +134,7 @@ def _texts(columns: Columns, name: str) -> Axis:
 class Binned:
     """Rows that are done, by what the page asks of them.
 
-    Attributes:
-        axes: what is varied.
-        controllers: names.
-        controller: of each row, shape (rows,).
-        done: which rows count, shape (rows,).
-        success: 1, 0 or NaN, shape (rows,).
+    Of each row, shape (rows,): the controller, whether it counts, success 1, 0 or NaN.
     """
 
     axes: Sequence[Axis]
@@ -212,3 +205,22 @@ class Binned:
 def short(value: float) -> float:
     """Five digits are enough for a picture."""
     return float(f"{value:.5g}")
+
+
+def worst_error(columns: Columns) -> Array:
+    """Each row's error of the task that is worst, in medians of that task, shape (rows,)."""
+    worst = np.full(len(columns), -np.inf)
+    for name in columns.kinds:
+        if name.startswith("task_error."):
+            error = columns.numbers(name)
+            known = error[np.isfinite(error)]
+            scale = float(np.median(known)) if len(known) else 1.0
+            worst = np.fmax(worst, error / (scale or 1.0))
+    return worst
+
+
+def worst_rows(binned: Binned, error: Array, controller: int) -> list[int]:
+    """Those of a controller that do not succeed and end farthest from their goals; a NaN is far."""
+    rows = np.flatnonzero(binned.done & (binned.controller == controller) & ~(binned.success > 0.0))
+    far = np.where(np.isfinite(error[rows]), error[rows], np.inf)
+    return [int(row) for row in rows[np.argsort(-far, kind="stable")[:WORST]]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,10 +24,8 @@ from coopqp.report.style import (
     VERMILION,
     Style,
 )
-from coopqp.report.sweep.bins import Binned
+from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, points
-from coopqp.report.sweep.worst import worst_error, worst_rows
-from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.columns import Columns
 from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
@@ -45,33 +42,19 @@ WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
     """Write ``report.html``, and the scenarios that it links to.
 
-    Args:
-        study: whose page it is.
-        columns: its results.
-        summary: of them.
-        folder: of the study.
-
-    Returns:
-        The page.
-
     Raises:
         CoopqpError: it cannot be written.
     """
     binned, error = Binned.of(study, columns), worst_error(columns)
     worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
-    places = _places(columns, worst)
+    numbers = columns.numbers("row")
+    places = {row: int(numbers[row]) for rows in worst for row in rows}
     for place in places.values():
         path = folder / ROWS / f"{place}.yaml"
         if not path.exists():
             write_one(path, scenario_of_row(study, place)[0])
     write_one(folder / NAME, render(study, columns, summary, binned, worst, places))
     return folder / NAME
-
-
-def _places(columns: Columns, worst: Sequence[Sequence[int]]) -> dict[int, int]:
-    """Numbers of the rows of the study at some places in the file."""
-    numbers = columns.numbers("row")
-    return {row: int(numbers[row]) for rows in worst for row in rows}
 
 
 def render(
@@ -82,40 +65,31 @@ def render(
     worst: Sequence[Sequence[int]],
     places: dict[int, int],
 ) -> str:
-    """The page as text.
-
-    Args:
-        study: whose page it is.
-        columns: its results.
-        summary: of them.
-        binned: the same by what is varied.
-        worst: places of each controller's worst rows in the columns.
-        places: their numbers in the study.
-    """
+    """The page as text; ``places`` are the study's numbers of the worst rows in the columns."""
+    styles = [_style(k) for k in range(len(binned.controllers))]
     measures = [name for name in columns.kinds if name.startswith("task_error.")]
     data = {
         "controllers": list(binned.controllers),
-        "colors": [COLORS[k % len(COLORS)] for k in range(len(binned.controllers))],
-        "dashes": [_style(k).dash for k in range(len(binned.controllers))],
-        "widths": [_style(k).width for k in range(len(binned.controllers))],
+        "colors": [style.color for style in styles],
+        "dashes": [style.dash for style in styles],
+        "widths": [style.width for style in styles],
         "axes": [axis.as_json() for axis in binned.axes],
         "maps": list(binned.maps()),
         "bands": {name: binned.bands(columns.numbers(name)) for name in (*measures, MARGIN)},
         "margin": MARGIN,
         "flows": binned.flows(),
     }
-    missing = study.rows - summary.rows
     return Template(_read("page.html")).substitute(
         title=text(study.name),
         version=text(coopqp.__version__),
-        facts=_facts(study, summary, missing),
+        facts=_facts(study, summary),
         summary=_summary(summary),
         reasons=_reasons(summary),
         paired=_paired(summary.pairs),
         blocked="".join(_limits(line) for line in summary.lines),
         legend="".join(
-            f"<span>{_style(k).swatch()} {breakable(name)}</span>"
-            for k, name in enumerate(binned.controllers)
+            f"<span>{style.swatch()} {breakable(name)}</span>"
+            for style, name in zip(styles, binned.controllers, strict=True)
         ),
         worst="".join(
             _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
@@ -138,7 +112,8 @@ def _style(k: int) -> Style:
     return Style(color, dashes[k % len(dashes)], widths[min(k, len(widths) - 1)])
 
 
-def _facts(study: Study, summary: Summary, missing: int) -> str:
+def _facts(study: Study, summary: Summary) -> str:
+    missing = study.rows - summary.rows
     facts = {
         "scenario": study.scenario.path.stem,
         "variants": f"{study.points.count:,}",
@@ -217,15 +192,11 @@ def _paired(found: Sequence[Pair]) -> str:
         "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
         *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in found[0].numbers),
     ]  # fmt: skip
-    rows = [
-        [
-            breakable(p.controller),
-            *(f"{n:,}" for n in _counts(p.success)),
-            _unbroken(points(p.success.difference)),
-            *(_unbroken(difference(x)) for x in p.numbers.values()),
-        ]
-        for p in found
-    ]
+    rows = []
+    for p in found:
+        counts = (p.success.both, p.success.only_one, p.success.only_reference, p.success.neither)
+        values = [points(p.success.difference), *map(difference, p.numbers.values())]
+        rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *map(_unbroken, values)])
     hint = (
         '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
         "median of the differences, with order statistics as its interval, and the sign test.</p>"
@@ -238,17 +209,11 @@ def _unbroken(lines: str) -> str:
     return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
 
 
-def _counts(found: Success) -> tuple[int, ...]:
-    return found.both, found.only_one, found.only_reference, found.neither
-
-
 def _limits(line: Line) -> str:
     """Bars: how often a limit was in the way, or was broken."""
-    parts = [
-        _bars("ends at it, short of the goal", line.blocked_by, line.success.of),
-        _bars("goes beyond it", line.broken, line.success.of),
-    ]
-    bars = "".join(parts) or '<p class="hint">No limit in the way, none broken.</p>'
+    short = _bars("ends at it, short of the goal", line.blocked_by, line.success.of)
+    beyond = _bars("goes beyond it", line.broken, line.success.of)
+    bars = short + beyond or '<p class="hint">No limit in the way, none broken.</p>'
     return f"<div><h3>{breakable(line.controller)}</h3>{bars}</div>"
 
 
@@ -267,10 +232,9 @@ def _bars(title: str, counts: dict[str, int], of: int) -> str:
 def _worst(
     name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
 ) -> str:
+    head = f"<h3>{breakable(name)}</h3>"
     if not rows:
-        return (
-            f"<h3>{breakable(name)}</h3><p class='hint'>No row is done that does not succeed.</p>"
-        )
+        return f"{head}<p class='hint'>No row is done that does not succeed.</p>"
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
@@ -278,17 +242,12 @@ def _worst(
         [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
         for k, row in enumerate(rows)
     ]
-    heads = ["row", *(_head(column) for column in shown)]
-    return f'<h3>{breakable(name)}</h3><div class="worst">{_table(heads, table)}</div>'
-
-
-def _head(name: str) -> str:
-    """A column's name, which may be broken after dots and underscores."""
-    return html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
+    heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
+    return f'{head}<div class="worst">{_table(heads, table)}</div>'
 
 
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
-    if columns.kinds[name] in ("string",):
+    if columns.kinds[name] == "string":
         codes, texts = columns.codes(name)
         return [text(texts[codes[row]]) if codes[row] >= 0 else "" for row in rows]
     numbers = columns.numbers(name)

@@ -1,37 +1,40 @@
-"""A study in the terminal; fits 100 columns."""
+"""A study in the terminal: how far it is, and its results; fits 100 columns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
+import click
 from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
 from coopqp.errors import one_line
 from coopqp.study.statistics.paired import Difference
+from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.sweep import Progress as State
 
 MOST_NAMES, MOST_REASONS = 3, 5
+EVERY = 30.0  # s between two lines
 
 
 def table(name: str, summary: Summary) -> Table:
     """One row a controller."""
-    found = Table(
-        title=Text(one_line(f"{name}: {summary.rows:,} rows"), style="bold"),
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1),
-        show_edge=False,
-    )
-    names = [len(one_line(line.controller)) for line in summary.lines]
-    found.add_column("controller", overflow="fold", min_width=min(24, max(names, default=0)))
-    for heading in ("done,\ninvalid,\nfailed", "success\n%, 95 % interval", "reached\n%"):
-        found.add_column(heading, justify="right", no_wrap=True)
-    found.add_column("error, median\n95 % (m, rad)", justify="right", no_wrap=True)
+    lines = [line.controller for line in summary.lines]
+    found = _framed(
+        f"{name}: {summary.rows:,} rows",
+        lines,
+        ("done,\ninvalid,\nfailed", "success\n%, 95 % interval", "reached\n%",
+         "error, median\n95 % (m, rad)"),
+    )  # fmt: skip
     for heading in ("blocked by,\nhow often", "broken,\nhow often"):
         found.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
@@ -43,22 +46,28 @@ def paired(summary: Summary) -> Table | None:
     """What differs from the reference on the same variants, one row a controller; None if alone."""
     if not summary.pairs:
         return None
-    title = f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval"
-    found = Table(
-        title=Text(one_line(title), style="bold"),
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1),
-        show_edge=False,
+    found = _framed(
+        f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval",
+        [pair.controller for pair in summary.pairs],
+        ("success, points", "error, median (m, rad)", "margin, median (m, rad)"),
     )
-    names = [len(one_line(pair.controller)) for pair in summary.pairs]
-    found.add_column("controller", overflow="fold", min_width=min(24, max(names)))
-    for heading in ("success, points", "error, median (m, rad)", "margin, median (m, rad)"):
-        found.add_column(heading, justify="right", no_wrap=True)
     for pair in summary.pairs:
         *errors, margin = pair.numbers.values()
         cells = (points(pair.success.difference), "\n".join(map(difference, errors)))
         found.add_row(Text(one_line(pair.controller), style="bold"), *cells, difference(margin))
+    return found
+
+
+def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> Table:
+    """A table with a column of controllers and some of numbers."""
+    found = Table(
+        title=Text(one_line(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD,
+        padding=(0, 1), show_edge=False,
+    )  # fmt: skip
+    longest = max((len(one_line(name)) for name in controllers), default=0)
+    found.add_column("controller", overflow="fold", min_width=min(24, longest))
+    for heading in headings:
+        found.add_column(heading, justify="right", no_wrap=True)
     return found
 
 
@@ -111,3 +120,49 @@ def named(counts: Mapping[str, int]) -> str:
 
 def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2g}"
+
+
+@contextmanager
+def shown(study: Study) -> Iterator[Callable[[State], None]]:
+    """A function that is told of each batch."""
+    errors = Console(stderr=True)
+    if not errors.is_terminal:
+        yield _Lines(study).tell
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"))
+    with Progress(*columns, console=errors, transient=True) as bars:
+        bar = bars.add_task(study.name, total=None, said="begins")
+
+        def tell(state: State) -> None:
+            bars.update(bar, total=state.total, completed=state.done, said=words(state))
+
+        yield tell
+
+
+class _Lines:
+    """A line now and then."""
+
+    def __init__(self, study: Study) -> None:
+        self._name, self._next = study.name, time.monotonic() + EVERY
+
+    def tell(self, state: State) -> None:
+        """Say how far it is if it is time."""
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + EVERY
+            click.echo(f"{self._name}: {words(state)}", err=True)
+
+
+def words(state: State) -> str:
+    """Such as "120/2,048 variants, 35.2 a second, 1 min left, 3 rows invalid, 0 failed"."""
+    left = f"{span(state.left)} left" if math.isfinite(state.left) else "time left unknown"
+    return (
+        f"{state.done:,}/{state.total:,} variants, {state.rate:.3g} a second, {left}, "
+        f"{state.states['invalid']:,} rows invalid, {state.states['failed']:,} failed"
+    )
+
+
+def span(seconds: float) -> str:
+    """A time for people."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"

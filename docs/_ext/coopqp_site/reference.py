@@ -11,7 +11,7 @@ from typing import Any
 from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.checked import told
-from coopqp.report.names import help_lines
+from coopqp.report.terminal import help_lines
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
