@@ -30,7 +30,7 @@ from coopqp.report.sweep.table import difference, percent, points
 from coopqp.report.sweep.worst import worst_error, worst_rows
 from coopqp.study.statistics.paired import Success
 from coopqp.study.sweep import Study, scenario_of_row
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
 from coopqp.study.sweep.variant import DONE
 

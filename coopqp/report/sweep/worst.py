@@ -6,7 +6,7 @@ import numpy as np
 
 from coopqp.checked import Array
 from coopqp.report.sweep.bins import Binned
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 
 WORST = 10
 

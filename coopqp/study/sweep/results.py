@@ -1,20 +1,34 @@
-"""The journals as one Parquet file: a row a variant and controller, in order."""
+"""The results of a study: from the journals to one Parquet file, and its columns.
+
+The file has a row for each variant and controller, in order. It is read a column at a time, so that
+few of them are in memory.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from heapq import merge
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import coopqp
+from coopqp.checked import Array
 from coopqp.errors import CoopqpError, MissingDependencyError
-from coopqp.study.sweep.index import Index, kind_of, wider
+from coopqp.study.sweep.journal import journals, records
 from coopqp.study.sweep.space import Box, Listed, Normal
 from coopqp.study.sweep.study import SEED, Study, Varied
+from coopqp.study.sweep.variant import Row
 
 NAME = "results.parquet"
 LOCK = ".results.lock"
@@ -23,6 +37,100 @@ GROUP = 20_000  # rows
 FIRST = {"row": "int", "variant": "int", "controller": "text", "state": "text", "reason": "text"}
 LAST = {"success": "bool", "blocked_by": "text", "broken": "text"}
 OWN_SEED = "variant_seed"
+
+KINDS: dict[str, type] = {"bool": bool, "int": int, "float": float, "text": str}
+#: The same of the types themselves, which most values have.
+PLAIN: dict[type, str] = {**{cls: kind for kind, cls in KINDS.items()}, type(None): ""}
+
+
+class Index:
+    """What the journals of a folder hold; a bit a variant, whatever the rows hold.
+
+    Args:
+        folder: of the study.
+        study: whose it is.
+
+    Attributes:
+        damaged: how many records are not as they were written; what they said is not there.
+        states: how many rows are in each state.
+        columns: kind of each column that is not fixed, "bool", "int", "float" or "text", in the
+            order of the first variant that has it.
+
+    Raises:
+        CoopqpError: a record is none of this study's.
+    """
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        self._paths, self._controllers = journals(folder), len(study.controllers)
+        self._there = np.zeros(study.points.count, bool)
+        self.damaged, self.states = 0, Counter[str]()
+        found: dict[str, tuple[tuple[int, int], str]] = {}
+        for variant, rows in self._records():
+            if rows is None:
+                self.damaged += 1
+                continue
+            self._there[variant] = True
+            for row in rows:
+                self.states[row["state"]] += 1
+                for place, (name, value) in enumerate(row.items()):
+                    first, kind = found.get(name, ((variant, place), ""))
+                    found[name] = min(first, (variant, place)), wider(kind, kind_of(value))
+        ordered = sorted(found.items(), key=lambda item: item[1][0])
+        self.columns = {name: kind or "float" for name, (_, kind) in ordered}
+
+    def _records(self) -> Iterator[tuple[int, list[Row] | None]]:
+        """Each variant once, in order, with its rows; what is damaged besides, with None."""
+        last = -1  # two shares may have done the same, and have found the same
+        for variant, path, record in merge(*map(_by_variant, self._paths), key=itemgetter(0)):
+            if record is None:
+                yield variant, None
+            elif not self._fits(variant, record):
+                words = f"holds a record that is none of this study's, number {variant}"
+                raise CoopqpError(f"'{path}' {words}; remove the record, or the folder")
+            elif variant > last:
+                last = variant
+                yield variant, record["rows"]
+
+    def _fits(self, variant: int, record: dict[str, Any]) -> bool:
+        rows = record.get("rows")
+        known = variant < len(self._there) and record.get("variant") == variant
+        return known and isinstance(rows, list) and len(rows) == self._controllers
+
+    @property
+    def done(self) -> int:
+        """Number of variants."""
+        return int(self._there.sum())
+
+    def missing(self, among: Sequence[int]) -> NDArray[np.int64]:
+        """Those of some variants that are not there."""
+        asked = np.asarray(among, dtype=np.int64)
+        return asked[~self._there[asked]]
+
+    def rows(self) -> Iterator[tuple[int, list[Row]]]:
+        """Each variant that is there, in order, with its rows."""
+        found = ((variant, rows) for variant, rows in self._records() if rows is not None)
+        return (one for one in found if self._there[one[0]])
+
+
+def _by_variant(path: Path) -> Iterator[tuple[int, Path, dict[str, Any] | None]]:
+    return ((variant, path, record) for variant, record in records(path))
+
+
+def kind_of(value: Any) -> str:
+    """What a column must be to hold a value; empty for None."""
+    if (known := PLAIN.get(type(value))) is not None:
+        return known
+    for kind, cls in KINDS.items():
+        if isinstance(value, cls):
+            return kind
+    return "" if value is None else "text"
+
+
+def wider(one: str, other: str) -> str:
+    """What a column must be to hold both."""
+    if not one or not other or one == other:
+        return one or other
+    return "float" if {one, other} == {"int", "float"} else "text"
 
 
 def needs_arrow() -> None:
@@ -137,3 +245,61 @@ def _seed_at(study: Study) -> int:
 
 def _text(value: Any) -> Any:
     return value if value is None or isinstance(value, str) else str(value)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Results on disk.
+
+    Attributes:
+        path: of the Parquet file.
+    """
+
+    path: Path
+
+    @classmethod
+    def of(cls, folder: Path) -> Columns:
+        """Those in the folder of a study.
+
+        Raises:
+            CoopqpError: there are none.
+        """
+        if not (folder / NAME).is_file():
+            raise CoopqpError(f"'{folder}' has no {NAME} yet")
+        return cls(folder / NAME)
+
+    @cached_property
+    def kinds(self) -> Mapping[str, str]:
+        """By name, what is in a column: "bool", "int64", "double" or "string"."""
+        from pyarrow import parquet as pq
+
+        return {field.name: str(field.type) for field in pq.read_schema(self.path)}
+
+    def __len__(self) -> int:
+        from pyarrow import parquet as pq
+
+        return int(pq.read_metadata(self.path).num_rows)
+
+    def _column(self, name: str) -> Any:
+        from pyarrow import parquet as pq
+
+        return pq.read_table(self.path, columns=[name]).column(0).combine_chunks()
+
+    def numbers(self, name: str) -> Array:
+        """A column of numbers or truths, shape (rows,); NaN where there is none.
+
+        What only rows that are done have is no column before one is.
+        """
+        if name not in self.kinds:
+            return np.full(len(self), np.nan)
+        import pyarrow as pa
+
+        column = self._column(name).cast(pa.float64())
+        found: Array = column.to_numpy(zero_copy_only=False)
+        return found
+
+    def codes(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
+        """A column of texts: the number of each row's text, -1 for none, and the texts."""
+        column = self._column(name).dictionary_encode()
+        codes = column.indices.fill_null(-1).to_numpy(zero_copy_only=False)
+        return codes.astype(np.int64), [str(text) for text in column.dictionary.to_pylist()]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coopqp.study.statistics.paired import Difference, Success, median
 from coopqp.study.statistics.paired import success as paired
 from coopqp.study.statistics.summary import Share, wilson
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.variant import DONE
 
 MARGIN = "limit_margin_min"
