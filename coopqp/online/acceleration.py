@@ -20,14 +20,7 @@ PASSIVE = 1e4
 def with_acceleration(
     limits: Sequence[Limit], chain: ClosedChain, speed_up: float | None
 ) -> tuple[Limit, ...]:
-    """The limits, with one on accelerations if there is none among them.
-
-    Args:
-        limits: of the scenario.
-        chain: whose joints.
-        speed_up: time in which a joint may go from rest to its velocity limit [s]; None for no
-            limit.
-    """
+    """The limits, with one on accelerations if there is none among them."""
     if speed_up is None or any(isinstance(limit, JointAcceleration) for limit in limits):
         return tuple(limits)
     most = allowed_acceleration(chain.velocity, speed_up)

@@ -108,10 +108,6 @@ def in_columns(kind: Kind, value: Any) -> Any:
     """A value as the columns of a file have it, so that who reads them takes the same for it.
 
     What cannot be one is left as it is, for the input to refuse.
-
-    Args:
-        kind: of the input.
-        value: as :meth:`coopqp.signal.Kind.read` takes it.
     """
     try:
         found = real(value)

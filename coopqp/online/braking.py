@@ -36,12 +36,7 @@ class _Kept:
 
 
 class Braking:
-    """The law that brings a problem's joints to rest.
-
-    Args:
-        problem: what is controlled.
-        squeezer: of the law that is stopped, if hands squeeze by admittance.
-    """
+    """The law that brings a problem's joints to rest."""
 
     def __init__(self, problem: ControlProblem, squeezer: Squeezer | None = None) -> None:
         still = replace(problem, tasks=(), wrenches=(), secondary=())

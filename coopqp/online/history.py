@@ -58,16 +58,7 @@ class Ticks:
 
 
 class History:
-    """A bounded ring of ticks.
-
-    Args:
-        chain: whose joints.
-        capacity: how many ticks it holds.
-
-    Attributes:
-        count: how many ticks there have been.
-        capacity: as given.
-    """
+    """A bounded ring of ticks."""
 
     def __init__(self, chain: ClosedChain, capacity: int) -> None:
         self.capacity, self.count = capacity, 0
@@ -91,15 +82,7 @@ class History:
         )
 
     def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
-        """Take down a tick.
-
-        Args:
-            clock: when it began [s].
-            state: as the tick left it.
-            measured: what the robot said, NaN where it did not, shape (n,).
-            command: of the tick.
-            us: how long it took [us].
-        """
+        """Take down a tick."""
         kept, i = self._all, self.count % self.capacity
         kept.number[i], kept.clock[i], kept.t[i], kept.us[i] = self.count, clock, state.t, us
         kept.q[i], kept.v[i], kept.measured[i] = state.q, command.v, measured

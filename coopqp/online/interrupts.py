@@ -13,11 +13,7 @@ NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 
 class Interrupts:
-    """The signals that end a loop while it runs, in the main thread; in others they stay as is.
-
-    Args:
-        end: told why.
-    """
+    """The signals that end a loop while it runs, in the main thread; in others they stay as is."""
 
     def __init__(self, end: Callable[[str], None]) -> None:
         self._end, self._depth, self._caught = end, 0, False

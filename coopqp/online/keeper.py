@@ -47,11 +47,6 @@ class Kept(Protocol):
 class Keeper:
     """Session and recording of a loop.
 
-    Args:
-        loop: whose.
-        out: folder of the session; None for none.
-        record: makes a recording; None for none.
-
     Attributes:
         session: the files; None where there are none.
         fault: why nothing is kept any more; empty while all is well.
@@ -66,9 +61,6 @@ class Keeper:
 
     def begin(self, given: Scenario) -> None:
         """The loop has begun.
-
-        Args:
-            given: the scenario as it was before.
 
         Raises:
             CoopqpError: it cannot be written.

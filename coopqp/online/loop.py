@@ -372,11 +372,7 @@ class OnlineLoop(Seen):
         return command
 
     def _hold(self, left: float) -> Command:
-        """Go on as the last command says: who ticks too often must not move faster.
-
-        Args:
-            left: of the period [s].
-        """
+        """Go on as the last command says: who ticks too often must not move faster."""
         held = self._holding
         held.v[:] = 0.0 if self.watch.stands else self._led.v  # else it might never end
         held.say(Status.EARLY)

@@ -49,10 +49,6 @@ class Phases:
     def begin(self, q: Array, *, held: bool) -> None:
         """Begin the first phase.
 
-        Args:
-            q: as measured, shape (n,).
-            held: whether the object is where the hands have it there.
-
         Raises:
             CoopqpError: it cannot be held so.
         """
@@ -86,9 +82,6 @@ class Phases:
     def hand_over(self, q: Array) -> bool:
         """Begin the next phase, if the arms can stop in a tick, with the speed that they have.
 
-        Args:
-            q: as measured, shape (n,).
-
         Returns:
             Whether it was tried; :attr:`fault` says if it was in vain.
         """
@@ -104,26 +97,14 @@ class Phases:
         return True
 
     def take_up(self, q: Array) -> None:
-        """Go on from where the robot is, at rest, at the time where the phase has stopped.
-
-        Args:
-            q: as measured, shape (n,).
-        """
+        """Go on from where the robot is, at rest, at the time where the phase has stopped."""
         now, before = self.now, self.now.state
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
     def take(self, inputs: Any, now: float) -> list[Arrival]:
-        """Let what has come since the last tick arrive.
-
-        Args:
-            inputs: by name.
-            now: by the loop's clock [s].
-
-        Returns:
-            What has arrived.
-        """
+        """Let what has come since the last tick arrive."""
         state = self.now.state
         arrivals = self.arrivals.read(self._feel(inputs), state.t, now)
         self.now.inputs.step(state, arrivals)

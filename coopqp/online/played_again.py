@@ -20,13 +20,7 @@ from coopqp.scenario.yaml import parsed
 def played_again(
     scenario: Scenario, runs: Sequence[PhaseRun], feeds: Mapping[str, Path]
 ) -> Scenario:
-    """The scenario of a session, in Python.
-
-    Args:
-        scenario: as begun.
-        runs: the phases so far; as the scenario has them where there are none yet.
-        feeds: files with what was sent, by input.
-    """
+    """The scenario of a session, in Python."""
     inputs = {
         name: replace(settings, feed=None, feed_file=feeds.get(name))
         for name, settings in scenario.inputs.items()
@@ -56,14 +50,6 @@ def scenario_text(
 
     A reference must arrive before the end of its phase, so a phase that was cut short is written
     with the time that its references take.
-
-    Args:
-        scenario: as begun.
-        given: as it was before.
-        controller: the law's name.
-        runs: the phases so far; as the scenario has them where there are none yet.
-        feeds: files with what was sent, by input.
-        folder: where the file will be.
     """
     data = dict(parsed(Path(given.name), given.source).data)
     for key in ("start_deg", "start_near"):
@@ -86,13 +72,7 @@ def scenario_text(
 
 
 def text_of_begun(scenario: Scenario, given: Scenario, controller: str) -> str:
-    """The text of a scenario as begun, not fed; empty where it has none.
-
-    Args:
-        scenario: as begun.
-        given: as it was before.
-        controller: the law's name.
-    """
+    """The text of a scenario as begun, not fed; empty where it has none."""
     if not scenario.source:
         return ""
     return scenario_text(scenario, given, controller, (), {}, Path())

@@ -111,11 +111,7 @@ def real_time(
 
 
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
-    """Refuse what cannot be run.
-
-    Raises:
-        InvalidValueError: with what is wrong.
-    """
+    """Refuse what cannot be run."""
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
     for name in ("read", "write"):
@@ -133,11 +129,7 @@ def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
 
 
 class _Run:
-    """A loop on a robot.
-
-    Attributes:
-        fault: what the robot's read, or the inputs, have raised.
-    """
+    """A loop on a robot."""
 
     def __init__(
         self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float

@@ -200,11 +200,7 @@ _word = cache(written)
 
 
 def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -> None:
-    """Refuse what could be written and not be read.
-
-    Raises:
-        InvalidValueError: with what is wrong.
-    """
+    """Refuse what could be written and not be read."""
     if path.suffix != SUFFIX:
         raise InvalidValueError(f"'{path}': needs a name that ends with {SUFFIX}")
     if not text:

@@ -35,14 +35,6 @@ MEASURED: dict[str, Callable[[State, Command], Any]] = {
 class TickRing:
     """The last ticks of a loop that have not been written yet.
 
-    Args:
-        law: whose ticks.
-        start: the state before the first tick. Where it has measured joints, all ticks have.
-        also: names of further columns.
-        capacity: how many ticks it holds.
-        memory: room for what is remembered, where a law to come remembers more than this one.
-        inputs: what is followed in any phase, by name.
-
     Attributes:
         names: of the columns that are numbers, C of them; NaN is an empty cell.
         numbers: shape (C, capacity).
@@ -101,10 +93,6 @@ class TickRing:
 
         A tick is done again from the velocity of the one before. Where that is not the state's, as
         after a stop, a number is left out between them.
-
-        Args:
-            state: with which the loop goes on.
-            since: when the state's own time began, as in a later phase [s].
         """
         self._remember(state)
         self._since = since

@@ -11,11 +11,7 @@ from coopqp.state import State
 
 
 class Seen:
-    """A loop, to be looked at.
-
-    Attributes:
-        controller: the law's name in the scenario.
-    """
+    """A loop, to be looked at."""
 
     controller: str
     _given: Scenario

@@ -25,12 +25,7 @@ from coopqp.signal import Kind
 
 
 class _File(Sent):
-    """A file that grows.
-
-    Args:
-        path: of the file.
-        kind: of the values.
-    """
+    """A file that grows."""
 
     def __init__(self, path: Path, kind: Kind) -> None:
         super().__init__(kind)
@@ -54,12 +49,6 @@ class _File(Sent):
 class Session:
     """The files of a session.
 
-    Args:
-        folder: made if it does not exist.
-        scenario: as begun.
-        given: as it was before it was begun where the robot is.
-        controller: its law's name.
-
     Raises:
         CoopqpError: there is a session already, or it cannot be written.
     """
@@ -77,15 +66,7 @@ class Session:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
 
     def add(self, name: str, kind: Kind, t: float, sent: float, value: Array) -> None:
-        """Keep what arrived at an input.
-
-        Args:
-            name: of the input.
-            kind: of the value.
-            t: of the tick for which it arrived, since the session began [s].
-            sent: when it was sent [s].
-            value: in the kind's columns.
-        """
+        """Keep what arrived at an input."""
         if name not in self._sent:
             file = file_name(name, {sent.path.name for sent in self._sent.values()})
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
@@ -93,10 +74,6 @@ class Session:
 
     def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
         """Write what is new.
-
-        Args:
-            now: since the session began [s].
-            phases: the phases so far.
 
         Raises:
             OSError: the disk is full, or gone.
@@ -117,11 +94,7 @@ class Session:
         self._write_scenario(phases)
 
     def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
-        """The scenario that plays what is on disk again.
-
-        Args:
-            phases: the phases so far.
-        """
+        """The scenario that plays what is on disk again."""
         return played_again(self._scenario, phases, self._feeds())
 
     def _feeds(self) -> dict[str, Path]:

@@ -30,10 +30,6 @@ LEAST = 1e-30
 def as_held(scenario: Scenario, q: Array) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
 
-    Args:
-        scenario: that of one controller, :meth:`Scenario.held_by`.
-        q: configuration, passive joints included, shape (n,) [rad, m].
-
     Raises:
         GraspError: the hands are so far from how the scenario says they hold the object that it
             cannot be the model's error.

@@ -15,9 +15,6 @@ from coopqp.solver import Status
 class Stops:
     """Stops and their reasons.
 
-    Args:
-        patience: time without a usable measurement, or without a tick, after which it stops [s].
-
     Attributes:
         why: for this tick, why it stands still until :meth:`resume`; empty while it goes on.
         goes_on_again: whether it was stopped and has not gone on yet.
@@ -103,12 +100,7 @@ _WORDS = {
 
 
 def reason(why: Any, otherwise: str) -> str:
-    """A reason in words, whatever was given: a robot must stop for any, and for none.
-
-    Args:
-        why: as given.
-        otherwise: where nothing was.
-    """
+    """A reason in words, whatever was given: a robot must stop for any, and for none."""
     try:
         return ("" if why is None else str(why).strip()) or otherwise
     except Exception:  # noqa: BLE001 - an object of a user's may not say what it is

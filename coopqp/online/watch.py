@@ -18,9 +18,6 @@ class Watch:
     The time before which no tick can be goes on by a period with each of them, so that ticks which
     come a little early again and again do not sum up.
 
-    Args:
-        dt: control period [s].
-
     Attributes:
         late: how many ticks were late.
         early: how many came before their time.
@@ -57,12 +54,7 @@ class Watch:
         return self.began + self._dt - now
 
     def tick(self, k: int, now: float) -> bool:
-        """A tick begins; whether it is late.
-
-        Args:
-            k: its number.
-            now: by a clock that never goes back [s].
-        """
+        """A tick begins; whether it is late."""
         self.elapsed, self._last, self.began = now - self._last, now, now
         # The earliest time of the next one.
         behind = now - (SHARE - FASTER) * self._dt

@@ -102,10 +102,6 @@ class Instant:
 def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
     """The rows of a run.
 
-    Args:
-        run: of one controller.
-        scenario: as the controller holds it.
-
     Raises:
         CoopqpError: a damaged row.
     """

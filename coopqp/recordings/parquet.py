@@ -91,14 +91,7 @@ class ArrowStream(Format):
 
 
 def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterable[str]) -> Any:
-    """The columns' types and units, and the scenario.
-
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        source: the scenario's text.
-        names: of the columns.
-    """
+    """The columns' types and units, and the scenario."""
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string()}

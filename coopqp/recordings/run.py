@@ -124,13 +124,7 @@ class Run:
 
 
 def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:
-    """A run from rows, as messages have them.
-
-    Args:
-        path: of the file.
-        at: the file, and what its rows are.
-        rows: by column; None is empty.
-    """
+    """A run from rows, as messages have them."""
     lists, count = dict[str, list[Any]](), 0
     for row in rows:
         for name, value in row.items():
@@ -162,12 +156,6 @@ def run_of(
 
 def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[Any]:
     """A column as the table has it.
-
-    Args:
-        name: of the column.
-        values: of any types; an array of numbers, or a list in which None and "" are empty.
-        at: the file, and what its rows are.
-        rows: what each row is called there.
 
     Raises:
         InvalidValueError: a value is of another type.

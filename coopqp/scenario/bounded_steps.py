@@ -52,12 +52,7 @@ class Stop:
 
 
 class BoundedSteps:
-    """Steps in n variables with p inequalities.
-
-    Args:
-        n: number of variables.
-        p: number of inequalities.
-    """
+    """Steps in n variables with p inequalities."""
 
     def __init__(self, n: int, p: int = 0) -> None:
         variables = tuple(Row(name=f"x[{i}]", kind="joint") for i in range(n))

@@ -71,11 +71,7 @@ class Catalog:
         return hash(tuple(frozenset(known.values()) for known in self._collections.values()))
 
     def entries(self, kind: str) -> dict[str, Entry]:
-        """The plug-ins of one collection by name.
-
-        Args:
-            kind: a collection, such as "tasks".
-        """
+        """The plug-ins of one collection by name."""
         return self._collections[kind]
 
 

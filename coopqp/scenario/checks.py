@@ -67,13 +67,7 @@ def at(place: Location) -> Iterator[None]:
 def contradictions(
     given: Mapping[str, Any], scenario: Scenario, *, needs_start: bool
 ) -> Iterator[Wrong]:
-    """What only shows with all keys together, and nothing is built for.
-
-    Args:
-        given: by key of the file.
-        scenario: made of it.
-        needs_start: whether the file must say where it begins.
-    """
+    """What only shows with all keys together, and nothing is built for."""
     if given.get("grasp") and given.get("grasps"):
         yield Wrong(["grasps"], "give grasp (all arms) or grasps (by arm), not both")
     starts = [key for key in ("start", "start_deg") if key in given]
@@ -145,13 +139,7 @@ def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
 
 
 def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
-    """Build what can fail and refuse a start outside the limits.
-
-    Args:
-        data: of the scenario's file.
-        scenario: as read.
-        known: what is the same as before is not tried again; written.
-    """
+    """Build what can fail and refuse a start outside the limits."""
     key = "start" if "start" in data else "start_deg"
     allowed = data.get("start_outside", False)
     with at(["robot"]):

@@ -132,11 +132,7 @@ class FileKeys:
 
 @functools.lru_cache(maxsize=8)
 def file_model(catalog: Catalog) -> type[BaseModel]:
-    """The model of a scenario file; kept, because pydantic takes longer over it than over a file.
-
-    Args:
-        catalog: what the file can name; equal ones share a model.
-    """
+    """The model of a scenario file; kept, because making it takes longer than reading a file."""
     needed: Any = {"anyOf": [{"required": list(WITHOUT_PHASES)}, {"required": ["phases"]}]}
     keys = {**dict(_keys(Scenario, catalog)), **dict(_keys(FileKeys, catalog))}
     config = ConfigDict(**STRICT, json_schema_extra=needed)

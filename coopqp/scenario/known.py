@@ -24,13 +24,7 @@ INERTIAL = ("mass", "com", "inertia")
 
 @dataclass(frozen=True)
 class Checked:
-    """A scenario that has passed all checks.
-
-    Attributes:
-        data: of its file.
-        scenario: built.
-        places: where its tasks and limits were tried, by phase.
-    """
+    """A scenario that has passed all checks."""
 
     data: Mapping[str, Any]
     scenario: Scenario
@@ -38,11 +32,7 @@ class Checked:
 
 
 class Known:
-    """The scenario before, for who reads one variant of a file after the other.
-
-    Attributes:
-        last: that passed; None before the first.
-    """
+    """The scenario before, for who reads one variant of a file after the other."""
 
     def __init__(self) -> None:
         self.last: Checked | None = None

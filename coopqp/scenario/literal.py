@@ -13,12 +13,7 @@ from coopqp.wording import Location, shown
 
 
 def mistaken(given: Any, read: Any) -> Iterator[tuple[Location, str]]:
-    """Values that were made numbers or truths and are none, with what is wrong.
-
-    Args:
-        given: mappings, lists and values, as in a file.
-        read: what was built of it. What has another form there has been read by itself.
-    """
+    """Values that were made numbers or truths and are none, with what is wrong."""
     if isinstance(given, dict):
         for key, value in given.items():
             inside = read.get(key) if isinstance(read, dict) else getattr(read, key, None)

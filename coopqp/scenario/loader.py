@@ -43,11 +43,6 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
     """The same from the text of a scenario that stands in another file.
 
-    Args:
-        path: of that file, for faults.
-        text: of the scenario.
-        catalog: what it can name.
-
     Raises:
         ScenarioError: as :func:`load`.
     """
@@ -183,10 +178,6 @@ def find(path: str | Path) -> Path:
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
     """The scenario with another QP solver.
-
-    Args:
-        scenario: as read.
-        name: a solver of its catalogue, or an installed backend of qpsolvers.
 
     Raises:
         UnknownNameError: no such solver; names the nearest.

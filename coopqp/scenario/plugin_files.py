@@ -35,13 +35,7 @@ GROUP = "coopqp.plugins"
 
 @dataclass(frozen=True)
 class Shelf:
-    """One collection's folder.
-
-    Attributes:
-        kind: which collection.
-        folder: with the files.
-        package: whose modules they are.
-    """
+    """One collection's folder."""
 
     kind: str
     folder: Path

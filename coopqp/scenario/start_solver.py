@@ -258,11 +258,6 @@ def _tightest(names: Sequence[str], room: Array) -> str:
 class _Search:
     """Tries of a group of arms.
 
-    Args:
-        problem: the robot and the object.
-        arms: the group.
-        rng: of the random configurations.
-
     Attributes:
         columns: the joints that are searched.
         best: the best closed configuration, :meth:`StartProblem.worth`; None so far.

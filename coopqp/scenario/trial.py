@@ -108,11 +108,6 @@ def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
 def try_task(task: Task, places: Places, duration: float) -> None:
     """Evaluate a task.
 
-    Args:
-        task: any.
-        places: where its phase begins.
-        duration: of its phase [s].
-
     Raises:
         CoopqpError: it cannot be bound, raises, or does not write what a task must.
     """
@@ -226,11 +221,6 @@ def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
     """Evaluate a limit.
 
-    Args:
-        limit: any.
-        places: where the run begins.
-        dt: control period [s].
-
     Raises:
         CoopqpError: it cannot be bound, raises, or does not write what a limit must.
     """
@@ -299,10 +289,6 @@ class _PromiseError(Exception):
 @contextmanager
 def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
     """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
-
-    Args:
-        plugin: whose code runs.
-        method: of its own, by which its file is found.
 
     Raises:
         CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that

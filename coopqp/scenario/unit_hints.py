@@ -38,12 +38,7 @@ LARGE = 20.0
 
 
 def like_degrees(robot: RobotModel, q: Array) -> bool:
-    """Whether joints are outside their limits by more than a turn, and inside them in degrees.
-
-    Args:
-        robot: whose.
-        q: shape (n,) [rad, m].
-    """
+    """Whether joints are outside their limits by more than a turn, and inside them in degrees."""
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     turns = np.array([unit == "rad" for unit in robot.joint_units])
     outside = turns & ((q < lower) | (q > upper))

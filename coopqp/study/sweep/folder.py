@@ -30,11 +30,6 @@ AWAY = "give another --out, or move the folder away"
 def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
     """Refuse what is not the folder of this study.
 
-    Args:
-        folder: in which its results are to be; need not exist.
-        study: whose.
-        identity: of the study.
-
     Raises:
         CoopqpError: it is a file, or holds a comparison, results without their journal, or another
             study, saying what differs.
@@ -109,13 +104,6 @@ def kept_study(folder: Path, catalog: Catalog | None = None) -> Study:
 def check_plugins(folder: Path, study: Study) -> list[str]:
     """Refuse to run a row without the plug-ins that the study was run with.
 
-    Args:
-        folder: of the study.
-        study: as it was opened, with its catalogue.
-
-    Returns:
-        What is odd.
-
     Raises:
         CoopqpError: it was run with plug-ins of the user's own, and none are given.
     """
@@ -148,10 +136,6 @@ def _head(folder: Path) -> dict[str, Any]:
 
 def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
     """A scenario file for one row, and the name of its controller.
-
-    Args:
-        study: of the row.
-        row: its number, as in the results.
 
     Raises:
         CoopqpError: there is no such row.

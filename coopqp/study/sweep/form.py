@@ -147,12 +147,7 @@ class StudyFile(BaseModel):
 
 
 def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None, list[Wrong]]:
-    """What a file says, and what is wrong with that.
-
-    Args:
-        file: of the study.
-        catalog: what its metrics must be in; None if they need not.
-    """
+    """What a file says, and what is wrong with that."""
     context = {"metrics": catalog.entries("metrics")} if catalog else None
     try:
         return StudyFile.model_validate_json(json.dumps(file.data), context=context), []
@@ -161,11 +156,7 @@ def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None
 
 
 def schema(catalog: Catalog) -> dict[str, Any]:
-    """The JSON Schema, for editors.
-
-    Args:
-        catalog: what the study's scenario can name.
-    """
+    """The JSON Schema, for editors."""
     found = StudyFile.model_json_schema()
     found["properties"]["metrics"]["items"] = {"enum": list(catalog.entries("metrics"))}
     vary = found["properties"]["vary"]

@@ -119,12 +119,7 @@ def _connected(path: Path, patience: float) -> sqlite3.Connection:
 
 
 class Journal:
-    """A journal that is written to.
-
-    Args:
-        path: of the file.
-        database: open, in a transaction that keeps other writers out.
-    """
+    """A journal that is written to."""
 
     def __init__(self, path: Path, database: sqlite3.Connection) -> None:
         self._path, self._database = path, database

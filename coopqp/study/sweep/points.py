@@ -62,14 +62,7 @@ def grid(levels: Sequence[int]) -> Points:
 
 
 def drawn(method: str, count: int, dimensions: int, seed: int) -> Points:
-    """Points of one of the other methods.
-
-    Args:
-        method: its name.
-        count: how many.
-        dimensions: of the cube; 0 where nothing is varied.
-        seed: the same for the same points.
-    """
+    """Points of one of the other methods."""
     rng = np.random.default_rng([seed, SAMPLES])
     if dimensions == 0:
         return Points(count, (), np.zeros((count, 0)))

@@ -52,12 +52,6 @@ def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catal
 
     What its scenario names is not looked up, so that the plug-ins need not be there.
 
-    Args:
-        path: of the study's file.
-        text: what it held.
-        scenario: path and text of its scenario.
-        catalog: what the scenario can name, for who runs it.
-
     Raises:
         ScenarioError: as :func:`read_study`.
     """

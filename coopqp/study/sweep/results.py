@@ -46,10 +46,6 @@ PLAIN: dict[type, str] = {**{cls: kind for kind, cls in KINDS.items()}, type(Non
 class Index:
     """What the journals of a folder hold; a bit a variant, whatever the rows hold.
 
-    Args:
-        folder: of the study.
-        study: whose it is.
-
     Attributes:
         damaged: how many records are not as they were written; what they said is not there.
         states: how many rows are in each state.
@@ -148,10 +144,6 @@ def needs_arrow() -> None:
 def compact(study: Study, folder: Path) -> Index:
     """Write what the journals hold by now; the old file stays until the new one is whole.
 
-    Args:
-        study: whose journals they are.
-        folder: with them.
-
     Raises:
         CoopqpError: it cannot be written.
     """
@@ -249,11 +241,7 @@ def _text(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Columns:
-    """Results on disk.
-
-    Attributes:
-        path: of the Parquet file.
-    """
+    """Results on disk."""
 
     path: Path
 
