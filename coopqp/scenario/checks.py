@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from coopqp.checked import Array, taken_names
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.admittance import unstated
@@ -26,7 +28,6 @@ from coopqp.row import names_of
 from coopqp.scenario.known import Checked, Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
-from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import MisplacedError, Wrong
 from coopqp.state import State
 from coopqp.task import Task
@@ -37,6 +38,8 @@ Placed = tuple[Location, Task, Phase]
 
 #: A control period that no robot has; with it, dt is what makes a run too long [s].
 SHORT = 1e-4
+#: An object whose longest edge is this many times the arms' reach cannot be meant [-].
+LARGE = 20.0
 
 
 def refuse(found: Iterable[Wrong]) -> None:
@@ -157,7 +160,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         scenario.check_size()
     alike, schedule = known.lend_chain(data, scenario), scenario.schedule
     chain = _closed(data, scenario, key)
-    if wrong := too_large(chain):
+    if wrong := _too_large(chain):
         refuse([Wrong(["object", "size"], wrong)])
     if not allowed:
         refuse(_passive_outside(chain, passive, key))
@@ -320,7 +323,7 @@ def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str)
 
 def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
     """Where a start leaves the position limits, and by how much."""
-    if key == "start" and like_degrees(robot, q):
+    if key == "start" and _like_degrees(robot, q):
         words = "found angles of more than a turn, which are inside the limits in degrees"
         yield Wrong([key], f"{words}; did you mean start_deg?")
         return
@@ -348,4 +351,24 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
         f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
+    )
+
+
+def _like_degrees(robot: RobotModel, q: Array) -> bool:
+    """Whether joints are outside their limits by more than a turn, and inside them in degrees."""
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    turns = np.array([unit == "rad" for unit in robot.joint_units])
+    outside = turns & ((q < lower) | (q > upper))
+    inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
+    return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
+
+
+def _too_large(chain: ClosedChain) -> str:
+    """What is wrong with an object that no such arms hold; empty if nothing is."""
+    longest = max(chain.held.size)
+    if longest <= LARGE * chain.reach:
+        return ""
+    return (
+        f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m; "
+        "lengths are metres"
     )

@@ -31,12 +31,33 @@ from coopqp.errors import CoopqpError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.literal import mistaken
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
 from coopqp.solvers import qpsolvers as qpsolvers_backends
+from coopqp.wording import Location, shown
+
+
+def mistaken(given: Any, read: Any) -> Iterator[tuple[Location, str]]:
+    """Values that were made numbers or truths and are none, with what is wrong.
+
+    Inside a slot pydantic reads values of Python, either strictly, when no list is a tuple, or so
+    that true is 1.0. Slots are therefore not read strictly, and what came of them is looked at.
+    """
+    if isinstance(given, dict):
+        for key, value in given.items():
+            inside = read.get(key) if isinstance(read, dict) else getattr(read, key, None)
+            yield from (((key, *place), words) for place, words in mistaken(value, inside))
+    elif isinstance(given, list):
+        if isinstance(read, list | tuple) and len(read) == len(given):
+            for i, (value, inside) in enumerate(zip(given, read, strict=True)):
+                yield from (((i, *place), words) for place, words in mistaken(value, inside))
+    elif type(read) in (int, float) and isinstance(given, bool | str):
+        yield (), f"found {shown(given)}; needs a number"
+    elif type(read) is bool and not isinstance(given, bool):
+        yield (), f"found {shown(given)}; needs true or false"
+
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 #: What a file says instead of joint values to have the start solved for.

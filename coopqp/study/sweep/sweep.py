@@ -13,8 +13,7 @@ from typing import Any, overload
 import numpy as np
 
 from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.sweep.folder import check_folder
-from coopqp.study.sweep.identity import identity
+from coopqp.study.sweep.folder import check_folder, identity
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
 from coopqp.study.sweep.study import Study, Variant
