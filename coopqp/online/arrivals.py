@@ -24,7 +24,6 @@ class Arrivals:
     """From a mapping of the user's to arrivals.
 
     Args:
-        inputs: of the phase.
         names: of all inputs of the scenario; what no task of this phase follows is let pass.
         since: when the phase began, in the time of the whole session [s].
 

@@ -62,23 +62,15 @@ class History:
 
     def __init__(self, chain: ClosedChain, capacity: int) -> None:
         self.capacity, self.count = capacity, 0
-        n = chain.n
-        number, causes = np.zeros((2, capacity), np.int64)
-        clock, t, apart, turned, us = np.zeros((5, capacity))
-        q, v, measured = np.zeros((3, capacity, n))
+        rows, joints = (capacity,), (capacity, chain.n)
         self._all = Ticks(
-            number=number,
-            clock=clock,
-            t=t,
-            q=q,
-            v=v,
-            measured=measured,
+            number=np.zeros(rows, np.int64),
+            **{name: np.zeros(rows) for name in ("clock", "t", "us")},
+            **{name: np.zeros(joints) for name in ("q", "v", "measured")},
             position=np.zeros((capacity, 3)),
             rotation=np.zeros((capacity, 3, 3)),
-            loop_position=apart,
-            loop_orientation=turned,
-            us=us,
-            causes=causes,
+            **{name: np.zeros(rows) for name in ("loop_position", "loop_orientation")},
+            causes=np.zeros(rows, np.int64),
         )
 
     def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:

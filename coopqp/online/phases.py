@@ -38,7 +38,6 @@ class Phases:
 
     Args:
         given: the scenario as it is written.
-        controller: which law.
         observed: whether what is measured stays a measurement, from which commands may differ.
         by_time: whether a phase ends by itself.
 

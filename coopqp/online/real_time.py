@@ -70,8 +70,6 @@ class Ended:
     """How a loop came to its end.
 
     Attributes:
-        why: the reason.
-        ticks: how many there were.
         late: how many of them came late.
         longest: the longest time between two ticks [s].
         longest_tick: the number of the tick after it.

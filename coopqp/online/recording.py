@@ -67,7 +67,6 @@ class TickRing:
         causes: what became of it, by row.
         filled, emptied: how many rows have gone in and out.
         dropped: how many ticks found no room.
-        capacity: as given.
     """
 
     def __init__(
@@ -182,7 +181,6 @@ class LiveRecording:
         every: seconds between pieces; 0 without a thread: whoever ticks calls :meth:`flush`.
 
     Attributes:
-        path: of the file.
         fault: why it could not be written on, as a sentence; empty while all is well.
 
     Raises:

@@ -22,8 +22,6 @@ class Watch:
     come a little early again and again do not sum up.
 
     Attributes:
-        late: how many ticks were late.
-        early: how many came before their time.
         longest: the longest time between two ticks [s].
         longest_tick: the number of the tick before which it was; -1 before the second tick.
         elapsed: from the tick before to the last one [s]; NaN for a first one.

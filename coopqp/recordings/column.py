@@ -207,7 +207,6 @@ class Field:
         per: what it has a row of; there is an instant more than ticks.
         of: its values in a trace, shape (rows, columns), or None where it has none; the attribute
             or the plant's signal of its name if omitted.
-        kind: of its values.
         beside: whether its columns stand beside those of the line before, key by key.
     """
 

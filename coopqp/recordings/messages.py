@@ -53,7 +53,6 @@ class Placed:
     """A frame in the world.
 
     Attributes:
-        name: of the frame.
         p: its origin [m]. q: its orientation as a quaternion (x, y, z, w).
     """
 

@@ -36,8 +36,6 @@ class Run:
     """A recorded run; in ``trace.csv``, those of all controllers.
 
     Attributes:
-        path: of the file.
-        columns: by name.
         rows: what each row is called in the file, behind ``at``.
         at: the file, and what its rows are.
         header: where the names of the columns stand.

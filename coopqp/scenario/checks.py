@@ -25,7 +25,7 @@ from coopqp.input import Feed, Inputs, wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
-from coopqp.scenario.known import Checked, Known
+from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
@@ -158,7 +158,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     refuse([*_released(scenario), *outside])
     with at(_longest(scenario)):
         scenario.check_size()
-    alike, schedule = known.lend_chain(data, scenario), scenario.schedule
+    known.lend_chain(scenario)
     chain = _closed(data, scenario, key)
     if wrong := _too_large(chain):
         refuse([Wrong(["object", "size"], wrong)])
@@ -167,12 +167,12 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     problems = scenario.problems(lambda _: chain.q_start)
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
-        phase.name: Places(problem.chain, alike.place(phase.name))
-        for phase, problem in zip(schedule, problems, strict=True)
+        phase.name: Places(problem.chain, known.place(phase.name))
+        for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
-    tasks = [placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])]
-    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not alike.limits
+    tasks = [placed for placed in placed_tasks(scenario) if not known.task(*placed[:2])]
+    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not known.limits
     if new_limits:
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
     refuse(wrong_plugins)
@@ -182,7 +182,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
             wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
     refuse(wrong_starts)
     _check_plant(scenario)
-    known.last = Checked(data, scenario, places)
+    known.keep(data, scenario, places)
 
 
 def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:

@@ -50,8 +50,6 @@ class Entry:
 
     Attributes:
         name: in YAML, and of its file.
-        cls: its class.
-        help: one line.
     """
 
     name: str

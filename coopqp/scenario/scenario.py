@@ -102,7 +102,6 @@ class Scenario:
         name: of its file.
         start: where it begins, by arm, joint or passive joint [rad, m].
         grasps: how the arms hold the object; one for all, or by arm.
-        solver_name: of the solver.
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.

@@ -72,7 +72,6 @@ class Places:
     """Where tasks and limits are tried: the start of a chain and configurations near it.
 
     Args:
-        chain: the closed chain.
         like: places of another chain that moves alike, which are then the same.
     """
 

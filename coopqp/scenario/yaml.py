@@ -59,7 +59,6 @@ class _Node:
     """A value and where it is.
 
     Attributes:
-        value: plain.
         size: number of values in it, itself included.
         inside: of a mapping or list, by key or index: line and node.
     """
@@ -96,8 +95,6 @@ class YamlFile:
     """A mapping read from a file.
 
     Attributes:
-        path: of the file, as given.
-        text: what the file holds.
         data: plain dicts, lists, strings, numbers, booleans and None.
     """
 

@@ -41,8 +41,6 @@ class Job:
     Attributes:
         path, text: of the scenario's file, for faults.
         data: of the scenario, as JSON.
-        places: of what is varied.
-        controllers, metrics: names.
         folders: with the user's own tasks, and plug-ins.
     """
 
