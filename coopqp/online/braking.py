@@ -83,12 +83,7 @@ class Braking:
         return bool((np.abs(state.v) <= self._step).all())
 
     def tick(self, state: State) -> Command:
-        """The next command on the way to rest; the state's kinematics are up to date after it.
-
-        Args:
-            state: as the last tick left it; its memory is that of the law that was stopped and
-                stays as it is.
-        """
+        """The next command on the way to rest; the state's kinematics are up to date after it."""
         if self.can_stop(state):
             return self._stand(state)
         memory, state.memory = state.memory, self._memory

@@ -27,13 +27,12 @@ from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.online.arrivals import Readings
 from coopqp.online.braking import with_acceleration
 from coopqp.online.history import History
-from coopqp.online.keeper import Keeper, Record
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases
-from coopqp.online.readings import Readings
-from coopqp.online.session import text_of_begun
+from coopqp.online.session import Keeper, Record, text_of_begun
 from coopqp.online.stops import Interrupts, Stops
 from coopqp.online.watch import Waiting, Watch
 from coopqp.phase_run import PhaseRun

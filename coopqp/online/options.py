@@ -22,11 +22,7 @@ MOST_KEPT = 3600.0
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Refuse what a loop cannot be asked for.
-
-    Raises:
-        InvalidValueError: with everything that is wrong.
-    """
+    """Refuse what a loop cannot be asked for."""
     found = [f"{name}: {words}" for name, words in _faults(options)]
     if found:
         raise InvalidValueError("\n".join(found))

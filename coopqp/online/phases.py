@@ -58,11 +58,7 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        """Begin the first phase.
-
-        Raises:
-            CoopqpError: it cannot be held so.
-        """
+        """Begin the first phase."""
         if held and not np.array_equal(q, self._given.chain.q_start):
             self.scenario = as_held(self._given, q)
         self._enter(None, q)
@@ -76,11 +72,7 @@ class Phases:
         self.braking = Braking(now.problem, now.law.squeezer)
 
     def ask(self) -> None:
-        """Let the phase end.
-
-        Raises:
-            InvalidValueError: it is the last.
-        """
+        """Let the phase end."""
         if self.now.is_last:
             raise InvalidValueError(f"phase '{self.now.phase.name}' is the last")
         self._asked = True

@@ -134,7 +134,6 @@ def real_time(
 
 
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
-    """Refuse what cannot be run."""
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
     for name in ("read", "write"):
@@ -164,11 +163,7 @@ class _Run:
         self._flushed = self._collected = 0.0
 
     def begin(self) -> None:
-        """Wait until the robot says where it is, and begin there.
-
-        Raises:
-            CoopqpError: it says nothing, or the loop cannot begin there.
-        """
+        """Wait until the robot says where it is, and begin there."""
         if self._loop.begun:
             return
         until = self._loop.now + self._loop.patience

@@ -79,13 +79,7 @@ class Stops:
         self.why = self.told
 
     def heard(self, wrong: Status | None, now: float, elapsed: float) -> None:
-        """Lose patience where that is due.
-
-        Args:
-            wrong: what is wrong with the measurement.
-            now: [s].
-            elapsed: since the tick before [s]; NaN for a first one.
-        """
+        """Lose patience where that is due."""
         if elapsed > self._patience:
             self.halt(f"no tick came for {elapsed:.3g} s")
         if wrong is None:

@@ -48,11 +48,7 @@ def read(path: Path | Run) -> Run:
 
 
 def controllers_of(path: Path | Run) -> list[str]:
-    """Names of the controllers of a recorded run, in their order.
-
-    Raises:
-        CoopqpError: as :func:`read`.
-    """
+    """Names of the controllers of a recorded run, in their order."""
     return read(path).controllers
 
 

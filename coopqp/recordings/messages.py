@@ -99,11 +99,7 @@ class Instant:
 
 
 def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
-    """The rows of a run.
-
-    Raises:
-        CoopqpError: a damaged row.
-    """
+    """The rows of a run."""
     chain = scenario.chain
     data, frames = chain.model.createData(), _frames(chain)
     t, q = run.numbers(["t"])[:, 0].tolist(), run.joints("q", chain.joint_names)

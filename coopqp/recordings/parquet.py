@@ -136,11 +136,7 @@ def _whole(reader: Any) -> Iterator[Any]:
 
 
 def _scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
-    """The scenario in a schema's metadata.
-
-    Raises:
-        CoopqpError: there is none, or it cannot be loaded.
-    """
+    """The scenario in a schema's metadata."""
     if SCENARIO not in (kept or {}):
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")
     assert kept

@@ -156,7 +156,6 @@ def _place(error: BaseException, file: Path) -> str:
 
 
 def _said(error: BaseException) -> str:
-    """An error in one line."""
     words = error.msg if isinstance(error, SyntaxError) else said(error)
     if isinstance(error, PydanticUserError):
         words = words.partition(". ")[0]  # what follows is about pydantic's settings

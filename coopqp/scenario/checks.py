@@ -43,22 +43,14 @@ LARGE = 20.0
 
 
 def refuse(found: Iterable[Wrong]) -> None:
-    """Raise all that is wrong; nothing if there is nothing.
-
-    Raises:
-        MisplacedError: with all of it.
-    """
+    """Raise all that is wrong; nothing if there is nothing."""
     if listed := list(found):
         raise MisplacedError(listed)
 
 
 @contextmanager
 def at(place: Location) -> Iterator[None]:
-    """Give an error of what is built meanwhile the place of what it is built from.
-
-    Raises:
-        MisplacedError: with it alone.
-    """
+    """Give an error of what is built meanwhile the place of what it is built from."""
     try:
         yield
     except ScenarioError:
@@ -341,7 +333,6 @@ def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Itera
 
 
 def _unit(unit: str, key: str) -> str:
-    """The unit in which the file gives a joint's start."""
     return "degrees" if unit == "rad" and key == "start_deg" else unit
 
 

@@ -204,11 +204,7 @@ def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
 
 
 def check(file: YamlFile, catalog: Catalog) -> BaseModel:
-    """Check a file against the form that a catalogue gives it.
-
-    Raises:
-        ScenarioError: with every fault and its line.
-    """
+    """Check a file against the form that a catalogue gives it."""
     model = file_model(catalog)
     robot, signal_slot = _adapters(catalog)
 
@@ -303,5 +299,4 @@ def _adapters(catalog: Catalog) -> tuple[TypeAdapter[Any], TypeAdapter[Any]]:
 
 
 def _slot(model: type[BaseModel], key: str) -> Any:
-    """Type of a key of the file."""
     return typing.get_type_hints(model, include_extras=True)[key]

@@ -41,11 +41,7 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 
 
 def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
-    """The same from the text of a scenario that stands in another file.
-
-    Raises:
-        ScenarioError: as :func:`load`.
-    """
+    """The same from the text of a scenario that stands in another file."""
     return load_file(parsed(path, text), catalog)
 
 
@@ -57,9 +53,6 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         catalog: what it can name.
         known: the same for all variants of one file, so that each only builds and tries what is
             different from the one before.
-
-    Raises:
-        ScenarioError: as :func:`load`.
     """
     known = known or Known()
     with file.lines():

@@ -99,7 +99,6 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
 
 
 def _hidden(chain: ClosedChain) -> Iterator[str]:
-    """The freedom that rounded values hide."""
     if found := hidden_freedom(chain):
         yield found.words()
 

@@ -56,12 +56,7 @@ MERGE = "<<"
 
 @dataclass(frozen=True)
 class _Node:
-    """A value and where it is.
-
-    Attributes:
-        size: number of values in it, itself included.
-        inside: of a mapping or list, by key or index: line and node.
-    """
+    """A value and where it is."""
 
     value: Any
     size: int = 1
@@ -129,11 +124,7 @@ class YamlFile:
 
 @dataclass(frozen=True)
 class FaultLines:
-    """Where places become lines: checks below it do not know the file.
-
-    Raises:
-        ScenarioError: with all that checks found, each of it once.
-    """
+    """Where places become lines: checks below it do not know the file."""
 
     file: YamlFile
 
@@ -160,11 +151,7 @@ def read_yaml(path: Path) -> YamlFile:
 
 
 def parsed(path: Path, text: str) -> YamlFile:
-    """The same from what a file holds.
-
-    Raises:
-        ScenarioError: as :func:`read_yaml`.
-    """
+    """The same from what a file holds."""
     lines = _Lines(text)
     builder = _Builder(path, text, lines)
     try:

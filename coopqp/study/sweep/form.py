@@ -36,7 +36,6 @@ assert set(SAMPLES) == {*METHODS, GRID}
 
 
 def _variation(value: Any) -> Any:
-    """One variation by name."""
     if not isinstance(value, dict) or len(value) != 1:
         found = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
         raise ValueError(f"{found}; needs one of {', '.join(space.KINDS)}, such as range: [0, 1]")
@@ -53,7 +52,6 @@ def _scenario(value: Any) -> Any:
 
 
 def _paths(value: Any) -> Any:
-    """What is varied, by its path."""
     if not isinstance(value, dict) or not value:
         raise ValueError("is empty; needs a path of the scenario: what to vary it over")
     return value
@@ -81,7 +79,6 @@ def _count(value: Any) -> Any:
 
 
 def _metric(name: str, info: ValidationInfo) -> str:
-    """A metric of the catalogue, where one is given."""
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
         raise ValueError(unknown_name("metric", name, known))

@@ -77,11 +77,7 @@ def _head(path: Path, database: sqlite3.Connection) -> dict[str, Any] | None:
 
 
 def records(path: Path) -> Iterator[tuple[int, dict[str, Any] | None]]:
-    """Each record after the head, by its number; None where it is not as it was written.
-
-    Raises:
-        CoopqpError: it cannot be read.
-    """
+    """Each record after the head, by its number; None where it is not as it was written."""
     ask = "SELECT id, said, crc FROM records WHERE id > ? ORDER BY id LIMIT ?"
     with _reading(path) as database:
         last = HEAD

@@ -51,9 +51,6 @@ class Index:
         states: how many rows are in each state.
         columns: kind of each column that is not fixed, "bool", "int", "float" or "text", in the
             order of the first variant that has it.
-
-    Raises:
-        CoopqpError: a record is none of this study's.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
@@ -130,11 +127,7 @@ def wider(one: str, other: str) -> str:
 
 
 def needs_arrow() -> None:
-    """Refuse to begin where results could not be written.
-
-    Raises:
-        MissingDependencyError: pyarrow is not installed.
-    """
+    """Refuse to begin where results could not be written."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:
@@ -142,11 +135,7 @@ def needs_arrow() -> None:
 
 
 def compact(study: Study, folder: Path) -> Index:
-    """Write what the journals hold by now; the old file stays until the new one is whole.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write what the journals hold by now; the old file stays until the new one is whole."""
     aside = folder / f".{NAME}.{os.getpid()}"
     try:
         with _alone(folder):
@@ -192,7 +181,6 @@ def _write(study: Study, index: Index, path: Path) -> None:
 
 
 def _kinds(study: Study, index: Index) -> dict[str, str]:
-    """The kind of each column, in order."""
     varied = {name: kind for one in study.varied for name, kind in _varied_kinds(one)}
     fixed = {**FIRST, OWN_SEED: "int", **varied, **LAST}
     return {**fixed, **{k: v for k, v in index.columns.items() if k not in fixed}}
@@ -247,11 +235,7 @@ class Columns:
 
     @classmethod
     def of(cls, folder: Path) -> Columns:
-        """Those in the folder of a study.
-
-        Raises:
-            CoopqpError: there are none.
-        """
+        """Those in the folder of a study."""
         if not (folder / NAME).is_file():
             raise CoopqpError(f"'{folder}' has no {NAME} yet")
         return cls(folder / NAME)
