@@ -32,7 +32,7 @@ from coopqp.online.braking import with_acceleration
 from coopqp.online.history import History
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases
-from coopqp.online.session import Keeper, Record, text_of_begun
+from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Interrupts, Stops
 from coopqp.online.watch import Waiting, Watch
 from coopqp.phase_run import PhaseRun
@@ -142,7 +142,10 @@ class OnlineLoop:
     @property
     def source(self) -> str:
         """Its text, with what the loop has changed; empty where it was made in Python."""
-        return text_of_begun(self.scenario, self._given, self.controller)
+        begun = self.scenario
+        if not begun.source:
+            return ""
+        return scenario_text(begun, self._given, self.controller, (), {}, Path())
 
     @property
     def phases(self) -> tuple[PhaseRun, ...]:

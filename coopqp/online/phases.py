@@ -19,7 +19,6 @@ from coopqp.checked import Array, Pose, finite, vector
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller
 from coopqp.errors import CoopqpError, GraspError, InvalidValueError
-from coopqp.grasp import Grasp
 from coopqp.hold import grasp_of_each
 from coopqp.input import Arrival
 from coopqp.loop_observer import MOST_ORIENTATION, MOST_POSITION
@@ -153,15 +152,8 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
         return replace(scenario, start=start)
     _check(chain, q)
     held = replace(scenario.held, pose=_pose(chain.object_pose(q)))
-    return replace(scenario, start=start, held=held, grasps=without_places(grasps, holders))
-
-
-def without_places(grasps: Mapping[str, Grasp], holders: tuple[str, ...]) -> dict[str, Grasp]:
-    """The grasps, those of holding arms without where the object is in the hand."""
-    return {
-        arm: replace(grasp, object_in_hand=None) if arm in holders else grasp
-        for arm, grasp in grasps.items()
-    }
+    without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
+    return replace(scenario, start=start, held=held, grasps={**grasps, **without_places})
 
 
 def _plain(numbers: Array) -> Array:

@@ -32,6 +32,9 @@ from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
 from coopqp.state import State
 
+#: So much of a session is kept in memory before it is written by a tick itself [s].
+AT_MOST = 1.0
+
 
 class _File(Sent):
     def __init__(self, path: Path, kind: Kind) -> None:
@@ -94,7 +97,18 @@ class Session:
 
     def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
         """The scenario that plays what is on disk again."""
-        return played_again(self._scenario, phases, self._feeds())
+        begun, feeds = self._scenario, self._feeds()
+        inputs = {
+            name: replace(settings, feed=None, feed_file=feeds.get(name))
+            for name, settings in begun.inputs.items()
+        }
+        found = replace(begun, inputs=inputs)
+        lasted = tuple(replace(run.phase, duration=_duration(run)) for run in phases)
+        if not lasted:
+            return found
+        if found.phases:
+            return replace(found, phases=lasted)
+        return replace(found, duration=lasted[0].duration)
 
     def _feeds(self) -> dict[str, Path]:
         return {name: sent.path for name, sent in self._sent.items() if sent.written}
@@ -111,23 +125,6 @@ class Session:
         fresh.replace(path)
 
 
-def played_again(
-    scenario: Scenario, runs: Sequence[PhaseRun], feeds: Mapping[str, Path]
-) -> Scenario:
-    """The scenario of a session, in Python."""
-    inputs = {
-        name: replace(settings, feed=None, feed_file=feeds.get(name))
-        for name, settings in scenario.inputs.items()
-    }
-    found = replace(scenario, inputs=inputs)
-    if not runs:
-        return found
-    phases = tuple(replace(run.phase, duration=_duration(run)) for run in runs)
-    if scenario.phases:
-        return replace(found, phases=phases)
-    return replace(found, duration=phases[0].duration)
-
-
 def _duration(run: PhaseRun) -> float:
     return run.ticks * run.problem.dt
 
@@ -140,7 +137,7 @@ def scenario_text(
     feeds: Mapping[str, Path],
     folder: Path,
 ) -> str:
-    """The same as the text of a scenario file.
+    """The scenario of a session as the text of a file.
 
     A reference must arrive before the end of its phase, so a phase that was cut short is written
     with the time that its references take.
@@ -163,13 +160,6 @@ def scenario_text(
         data["folder"] = str(scenario.folder)
     _set_durations(data, runs)
     return json.dumps(data, indent=2) + "\n"
-
-
-def text_of_begun(scenario: Scenario, given: Scenario, controller: str) -> str:
-    """The text of a scenario as begun, not fed; empty where it has none."""
-    if not scenario.source:
-        return ""
-    return scenario_text(scenario, given, controller, (), {}, Path())
 
 
 def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
@@ -218,10 +208,6 @@ def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
         data["duration"] = lasted[0]
 
 
-#: So much of a session is kept in memory before it is written by a tick itself [s].
-AT_MOST = 1.0
-
-
 class Record(Protocol):
     """Takes down ticks; raises nothing and waits for nothing."""
 
@@ -237,17 +223,6 @@ class Record(Protocol):
         """Write the rest and the end."""
 
 
-class Kept(Protocol):
-    """A loop, as it is seen from here."""
-
-    controller: str
-
-    @property
-    def scenario(self) -> Scenario: ...
-    @property
-    def phases(self) -> tuple[PhaseRun, ...]: ...
-
-
 class Keeper:
     """Session and recording of a loop.
 
@@ -257,7 +232,7 @@ class Keeper:
     """
 
     def __init__(self, loop: Any, out: Path | None, record: Callable[[Any], Record] | None) -> None:
-        self._loop: Kept = loop
+        self._loop = loop
         self._out, self._make = out, record
         self.session: Session | None = None
         self._record: Record | None = None

@@ -47,11 +47,6 @@ def read(path: Path | Run) -> Run:
     return run
 
 
-def controllers_of(path: Path | Run) -> list[str]:
-    """Names of the controllers of a recorded run, in their order."""
-    return read(path).controllers
-
-
 def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) -> None:
     """Write one controller's run in another format.
 

@@ -110,13 +110,7 @@ class BoundedSteps:
     ) -> Array:
         """Where the step goes that is best for the quadratic model; x where there is none.
 
-        Args:
-            x: from where, shape (n,).
-            curvature: of the model, shape (n, n).
-            slope: of the model, shape (n,).
-            damping: added to the diagonal, shape (n,).
-            bounds: lower and upper, shape (n,).
-            most: farthest that a variable goes; as :meth:`descend` has set it when omitted.
+        ``most`` is the farthest that a variable goes; as :meth:`descend` has set it when omitted.
         """
         qp = self._qp
         if most is not None:

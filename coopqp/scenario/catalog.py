@@ -181,8 +181,9 @@ class Catalog:
     ) -> None:
         self.folders = tuple(tuple(map(absolute, kind)) for kind in (task_folders, plugin_folders))
         self._collections: dict[str, dict[str, Entry]] = {kind: {} for kind in COLLECTIONS}
-        faults: list[Fault] = []
-        for shelf in dict.fromkeys(_shelves(task_folders, plugin_folders)):
+        faults, users = list[Fault](), map(in_folder, plugin_folders)
+        shelves = chain(shipped(), installed(), *users, map(of_tasks, task_folders))
+        for shelf in dict.fromkeys(shelves):
             if isinstance(shelf, Fault):
                 faults.append(shelf)
             else:
@@ -217,11 +218,3 @@ class Catalog:
     def entries(self, kind: str) -> dict[str, Entry]:
         """The plug-ins of one collection by name."""
         return self._collections[kind]
-
-
-def _shelves(
-    task_folders: tuple[Path, ...], plugin_folders: tuple[Path, ...]
-) -> Iterator[Shelf | Fault]:
-    return chain(
-        shipped(), installed(), *map(in_folder, plugin_folders), map(of_tasks, task_folders)
-    )

@@ -1,4 +1,4 @@
-"""What of a scenario has no effect on some of its controllers, in words."""
+"""What of a scenario is odd but no fault, in words: what has no effect, or a likely wrong unit."""
 
 from __future__ import annotations
 
@@ -74,6 +74,7 @@ def notes(
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
+    hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
         *deaf_to,
@@ -81,7 +82,7 @@ def notes(
         *of_limits,
         *contact_notes(scenario.chain),
         *_far_hands(scenario.chain),
-        *_hidden(scenario.chain),
+        *([hidden.words()] if hidden else []),
         *_coarse_steps(scenario),
         *_far_goals(scenario),
         *_far_inputs(scenario),
@@ -96,11 +97,6 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
     """One line where ticks could be compiled, but are not."""
     asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
     return [native.MISSING] if asked and native.module() is None else []
-
-
-def _hidden(chain: ClosedChain) -> Iterator[str]:
-    if found := hidden_freedom(chain):
-        yield found.words()
 
 
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:

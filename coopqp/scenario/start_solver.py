@@ -251,7 +251,8 @@ def solve_start(
         report(TRIES)
     if failed:
         raise GraspError("; ".join([*failed, _cure(off)]))
-    return _solution(problem, q, tries, min(found))
+    room = np.minimum(q - problem.lower, problem.upper - q)
+    return _solution(robot, list(problem.model.names)[1:], q, room, tries, min(found))
 
 
 def close_start(
@@ -282,22 +283,13 @@ def close_start(
             "no start near this one closes the loops exactly: the lengths and angles of the robot "
             "or of object_in_hand are rounded; give more digits"
         )
-    values = dict(zip(chain.joint_names, q.tolist(), strict=True))
     room = np.minimum(q - chain.lower, chain.upper - q)
     if room.min() < 0.0:
         raise GraspError(
             f"the start near this one that closes the loops has {chain.joint_names[room.argmin()]} "
             "outside its limits; change the start"
         )
-    return StartSolution(
-        q=np.array([values[name] for name in robot.joint_names]),
-        passive={name: x for name, x in values.items() if name not in robot.joint_names},
-        start=by_arm(robot, values),
-        margin=float(room.min()),
-        tries=0,
-        found=1,
-        tightest=_tightest(chain.joint_names, room),
-    )
+    return _solution(robot, chain.joint_names, q, room)
 
 
 def yaml_text(solution: StartSolution) -> str:
@@ -345,25 +337,20 @@ def _without_object(grasps: Mapping[str, Grasp]) -> str:
     return f"object_in_hand in the grasp of {' and '.join(unknown)}" if unknown else ""
 
 
-def _solution(problem: StartProblem, q: Array, tries: int, found: int) -> StartSolution:
-    """The answer in the robot's own terms."""
-    model, robot = problem.model, problem.robot
-    value = {name: float(q[model.idx_qs[model.getJointId(name)]]) for name in model.names[1:]}
-    passive = {name: x for name, x in value.items() if name not in robot.joint_names}
+def _solution(
+    robot: RobotModel, names: Sequence[str], q: Array, room: Array, tries: int = 0, found: int = 1
+) -> StartSolution:
+    """The answer in the robot's own terms, with the room of each joint to its limits."""
+    values = dict(zip(names, q.tolist(), strict=True))
     return StartSolution(
-        q=np.array([value[name] for name in robot.joint_names]),
-        passive=passive,
-        start=by_arm(robot, value),
-        margin=problem.margin(q, range(len(q))),
+        q=np.array([values[name] for name in robot.joint_names]),
+        passive={name: x for name, x in values.items() if name not in robot.joint_names},
+        start=by_arm(robot, values),
+        margin=float(room.min(initial=np.inf)),
         tries=tries,
         found=found,
-        tightest=_tightest(model.names[1:], np.minimum(q - problem.lower, problem.upper - q)),
+        tightest=str(names[int(room.argmin())]) if np.isfinite(room).any() else "",
     )
-
-
-def _tightest(names: Sequence[str], room: Array) -> str:
-    """The joint with the least distance to a limit; empty without limits."""
-    return str(names[int(room.argmin())]) if np.isfinite(room).any() else ""
 
 
 class _Search:

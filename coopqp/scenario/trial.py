@@ -193,28 +193,21 @@ class _Seen:
 
 
 def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
-    for s in seen:
-        J, n = s.rows.J, s.rows.J.shape[1]
-        if len(J) != n:
-            raise _PromiseError(f"joint_space needs a row a joint, {n}; found {len(J)}")
-        asked = np.diag(np.diag(J).astype(bool)).astype(float)
-        wrong = (asked != J).any(axis=1)
+    for J in (s.rows.J for s in seen):
+        if len(J) != J.shape[1]:
+            raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
+        wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
         if wrong.any():
-            name = look.names[int(np.argmax(wrong))]
-            raise _PromiseError(
-                f"row {name}: joint_space needs J to be the identity, or zero where nothing is "
-                "asked"
-            )
+            words = "joint_space needs J to be the identity, or zero where nothing is asked"
+            raise _PromiseError(f"row {look.names[int(np.argmax(wrong))]}: {words}")
 
 
 def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
-    for s in seen:
-        if s.rows.e.any():
-            row = int(np.argmax(s.rows.e != 0.0))
-            raise _PromiseError(
-                f"row {look.names[row]}: e is {s.rows.e[row]:.4g}, but a task that asks_velocity "
-                "has e = 0"
-            )
+    for e in (s.rows.e for s in seen):
+        if e.any():
+            row = int(np.argmax(e != 0.0))
+            words = "but a task that asks_velocity has e = 0"
+            raise _PromiseError(f"row {look.names[row]}: e is {e[row]:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:

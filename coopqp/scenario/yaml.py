@@ -56,7 +56,7 @@ MERGE = "<<"
 
 @dataclass(frozen=True)
 class _Node:
-    """A value and where it is."""
+    """A value, how many are in it, and by key or index the line and node of what is inside."""
 
     value: Any
     size: int = 1

@@ -205,22 +205,17 @@ def _varied_kinds(one: Varied) -> Iterator[tuple[str, str]]:
 def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[Any]]:
     rest = list(kinds)[len(FIRST) + 1 + len(study.columns) :]
     texts = {name for name, kind in kinds.items() if kind == "text"}
-    columns = study.columns
+    columns, places = study.columns, [one.location for one in study.varied]
+    seed_at = places.index((SEED,)) if (SEED,) in places else None
     for number, rows in index.rows():
         variant = study.variant(number)
-        seed = variant.values[_seed_at(study)] if _seed_at(study) >= 0 else variant.seed
+        seed = variant.seed if seed_at is None else variant.values[seed_at]
         values = [_text(x) if name in texts else x
                   for name, x in zip(columns, study.parts(variant), strict=True)]  # fmt: skip
         for k, (controller, row) in enumerate(zip(study.controllers, rows, strict=True)):
             own = [_text(row.get(name)) if name in texts else row.get(name) for name in rest]
             place = number * len(study.controllers) + k
             yield [place, number, controller, row["state"], row["reason"], seed, *values, *own]
-
-
-def _seed_at(study: Study) -> int:
-    """Where among what is varied the seed is; -1 nowhere."""
-    places: Sequence[tuple[Any, ...]] = [one.location for one in study.varied]
-    return places.index((SEED,)) if (SEED,) in places else -1
 
 
 def _text(value: Any) -> Any:

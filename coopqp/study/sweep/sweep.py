@@ -82,7 +82,13 @@ def sweep(
     own = identity(study)
     check_folder(folder, study, own)
     job = job_of(study, folders)
-    head = _head(study, own, folders)
+    head = {
+        "name": study.name,
+        "identity": own,
+        "study": [str(study.file.path), study.file.text],
+        "scenario": list(map(str, study.scenario_text)),
+        "folders": [[str(one) for one in kind] for kind in folders],
+    }
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = Index(folder, study)
@@ -102,17 +108,6 @@ def sweep(
                 progress(state)
     compact(study, folder)
     return state
-
-
-def _head(study: Study, own: dict[str, str], folders: Folders) -> dict[str, Any]:
-    path, text = study.scenario_text
-    return {
-        "name": study.name,
-        "identity": own,
-        "study": [str(study.file.path), study.file.text],
-        "scenario": [str(path), text],
-        "folders": [[str(one) for one in kind] for kind in folders],
-    }
 
 
 class _Variants(Sequence[Variant]):
