@@ -11,6 +11,7 @@ SQLite's rollback journal also works on the file systems of clusters; its WAL do
 
 from __future__ import annotations
 
+import fcntl
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -29,8 +30,8 @@ OLDER = "journal*.jsonl"
 FORM = 3  # of the database; others are refused
 HEAD = -1
 CHUNK = 500  # records that are read at a time, so that nobody waits for who reads
-#: How long others are waited for, and who else writes [s].
-PATIENCE, ONE_WRITER = 60.0, 0.1
+#: How long who reads and who writes wait for each other [s].
+PATIENCE = 60.0
 
 
 def path_of(folder: Path, share: Share) -> Path:
@@ -97,7 +98,7 @@ def _read(said: Any, crc: Any) -> dict[str, Any] | None:
 def _reading(path: Path) -> Iterator[sqlite3.Connection]:
     check_plain(path)
     try:
-        with closing(_connected(path, PATIENCE)) as database:
+        with closing(_connected(path, "rw")) as database:
             yield database
     except sqlite3.OperationalError as error:
         raise CoopqpError(f"'{path}' cannot be read: {error}") from None
@@ -106,10 +107,10 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
         raise CoopqpError(f"'{path}' is no journal, or is damaged ({error}); {words}") from None
 
 
-def _connected(path: Path, patience: float) -> sqlite3.Connection:
-    """A connection to a file that is there; texts come as bytes, which need not be UTF-8."""
-    uri = f"{path.absolute().as_uri()}?mode=rw"
-    database = sqlite3.connect(uri, patience, isolation_level=None, uri=True)
+def _connected(path: Path, mode: str) -> sqlite3.Connection:
+    """A connection; texts come as bytes, which need not be UTF-8."""
+    uri = f"{path.absolute().as_uri()}?mode={mode}"
+    database = sqlite3.connect(uri, PATIENCE, isolation_level=None, uri=True)
     database.text_factory = bytes
     return database
 
@@ -133,29 +134,30 @@ class Journal:
         except OSError as error:
             raise CoopqpError(f"'{path.parent}' cannot be made: {error.strerror}") from None
         try:
-            path.touch()
+            lock = open(path.with_name(f".{path.name}.lock"), "w")  # noqa: SIM115 - closed below
         except OSError as error:
             raise _unwritten(path, error.strerror) from None
-        check_plain(path)
-        with closing(_connected(path, ONE_WRITER)) as database:
-            journal = cls(path, database)
-            journal._begin(head)
-            yield journal
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                words = "another process is at work on it; wait for it, or take another --shard"
+                raise CoopqpError(f"'{path}': {words}") from None
+            if path.exists():
+                check_plain(path)
+            with closing(_connected(path, "rwc")) as database:
+                journal = cls(path, database)
+                journal._begin(head)
+                yield journal
 
     def _begin(self, head: dict[str, Any]) -> None:
-        """Keep others from writing; a new file gets its head."""
-        try:
-            self._database.execute("BEGIN IMMEDIATE")
-        except sqlite3.DatabaseError as error:
-            if "locked" not in str(error):
-                raise _unwritten(self._path, error) from None
-            words = "another process is at work on it; wait for it, or take another --shard"
-            raise CoopqpError(f"'{self._path}': {words}") from None
-        self._database.execute(f"PRAGMA busy_timeout = {int(1e3 * PATIENCE)}")
-        if _head(self._path, self._database) is None:
-            self._database.execute("CREATE TABLE records (id INTEGER PRIMARY KEY, said, crc)")
-            self._database.execute(f"PRAGMA user_version = {FORM}")
-            self.append([(HEAD, head)])
+        """A new file gets its head."""
+        with self._written():
+            if _head(self._path, self._database) is None:
+                create = "CREATE TABLE records (id INTEGER PRIMARY KEY, said, crc)"
+                self._database.execute(create)
+                self._database.execute(f"PRAGMA user_version = {FORM}")
+                self._insert([(HEAD, head)])
 
     def append(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
         """Write records, and see them on the disk.
@@ -166,12 +168,21 @@ class Journal:
         Raises:
             CoopqpError: the disk is full, or gone; what was written before is kept.
         """
+        with self._written():
+            self._insert(said)
+
+    def _insert(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
         texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in said]
         rows = [(number, text, crc32(text.encode())) for number, text in texts]
+        self._database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
+
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        """A transaction; all of it is on the disk at its end, or nothing."""
         try:
-            self._database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
-            self._database.execute("COMMIT")
             self._database.execute("BEGIN IMMEDIATE")
+            yield
+            self._database.execute("COMMIT")
         except sqlite3.DatabaseError as error:
             raise _unwritten(self._path, error) from None
 
