@@ -44,14 +44,7 @@ class Arrivals:
         self.refused: list[str] = []
 
     def read(self, given: Any, t: float, now: float) -> list[Arrival]:
-        """The arrivals of a tick.
-
-        Args:
-            given: by name a value, or a value and when it was sent by the loop's clock [s]; or
-                nothing.
-            t: the loop's time [s].
-            now: by its clock [s].
-        """
+        """The arrivals of a tick, at the loop's time t and ``now`` by its clock [s]."""
         self.refused = []
         if given is None:
             return []

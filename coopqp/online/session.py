@@ -224,12 +224,7 @@ class Record(Protocol):
 
 
 class Keeper:
-    """Session and recording of a loop.
-
-    Attributes:
-        session: the files; None where there are none.
-        fault: why nothing is kept any more; empty while all is well.
-    """
+    """Session and recording of a loop."""
 
     def __init__(self, loop: Any, out: Path | None, record: Callable[[Any], Record] | None) -> None:
         self._loop = loop

@@ -5,8 +5,8 @@ With r(x) the residual, J its Jacobian and mu the damping, a step d solves
     minimise    |r + J d|^2 + mu |d|^2
     subject to  lower <= x + d <= upper,   |d_i| <= most,   G d <= h
 
-and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does. scipy's trf has no
-rows G, stays strictly inside the bounds, and closes fewer starts of redundant arms in more time.
+and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does.
+scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
 """
 
 from __future__ import annotations

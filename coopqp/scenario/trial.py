@@ -54,25 +54,18 @@ RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
 @dataclass(frozen=True)
 class _Nearby:
-    """A configuration with the loops closed, and a motion through it.
-
-    Attributes:
-        here: the state there.
-        ahead, behind: states half a difference ahead of and behind it.
-        v: velocity along the loops, of length 1, shape (n,); zero where nothing can move.
-    """
+    """A configuration with the loops closed, and a motion through it."""
 
     here: State
-    ahead: State
+    ahead: State  # by half a difference
     behind: State
-    v: Array
+    v: Array  # along the loops, of length 1, shape (n,); zero where nothing can move
 
 
 class Places:
     """Where tasks and limits are tried: the start of a chain and configurations near it.
 
-    Args:
-        like: places of another chain that moves alike, which are then the same.
+    Those near it are the same for a chain that moves alike.
     """
 
     def __init__(self, chain: ClosedChain, like: Places | None = None) -> None:
