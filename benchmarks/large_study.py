@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.studies import written
-from coopqp.study.sweep.journal import line_of, records
+from coopqp.study.sweep.journal import Journal, head_of, records
 
 LEFT = 100  # variants that are run after the others were copied
 LIMIT = 2048  # MB
@@ -55,8 +55,8 @@ def resident(pid: int) -> float:
 
 def lines(out: Path) -> int:
     """Variants in the journal."""
-    path = out / "journal.jsonl"
-    return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
+    path = out / "journal.sqlite3"
+    return sum(1 for _ in records(path)) if path.exists() and head_of(path) else 0
 
 
 def watched(study: Path, out: Path, jobs: int, seconds: float) -> float:
@@ -88,15 +88,14 @@ def watched(study: Path, out: Path, jobs: int, seconds: float) -> float:
 
 
 def fill(out: Path, variants: int) -> int:
-    """Copy journal lines until few variants are left; how many were copied."""
-    path = out / "journal.jsonl"
+    """Copy records until few variants are left; how many were copied."""
+    path = out / "journal.sqlite3"
     known = [record for _, record in records(path) if record]
     rows = [record["rows"] for record in known]
     there = {record["variant"] for record in known}
     missing = [k for k in range(variants) if k not in there][:-LEFT]
-    with open(path, "ab") as stream:
-        for k in missing:
-            stream.write(line_of({"variant": k, "rows": rows[k % len(rows)]}))
+    with Journal.opened(path, {}) as journal:
+        journal.append((k, {"variant": k, "rows": rows[k % len(rows)]}) for k in missing)
     return len(missing)
 
 
@@ -130,7 +129,7 @@ def main() -> None:
         study, out = written(folder, given.variants), folder / "results"
         most = watched(study, out, given.jobs, given.seconds)
         if lines(out) < given.variants:
-            print(f"{fill(out, given.variants)} lines copied")
+            print(f"{fill(out, given.variants)} records copied")
             most = max(most, watched(study, out, given.jobs, float("inf")))
         page = out / "report.html"
         size = page.stat().st_size / 1e6

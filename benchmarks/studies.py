@@ -37,6 +37,7 @@ from pyarrow import parquet as pq
 from coopqp.scenario.loader import shipped
 from coopqp.study.engine import Engine
 from coopqp.study.sweep import Progress, Study, read_study, sweep
+from coopqp.study.sweep.journal import head_of, records
 from coopqp.study.sweep.variant import job_of, run_variants
 
 STUDY = """scenario: short.yaml
@@ -177,8 +178,8 @@ def killed(folder: Path, kills: int, seed: int) -> None:
 
 
 def _lines(folder: Path) -> int:
-    path = folder / "journal.jsonl"
-    return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
+    path = folder / "journal.sqlite3"
+    return sum(1 for _ in records(path)) if path.exists() and head_of(path) else 0
 
 
 def _workers(pid: int) -> list[int]:

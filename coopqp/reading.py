@@ -40,17 +40,32 @@ def open_bytes(path: Path) -> Iterator[BinaryIO]:
     except ValueError as error:  # a name that no file can have
         raise UnreadableFileError(repr(str(path)), f"cannot be read: {error}") from None
     try:
-        mode = os.fstat(descriptor).st_mode
-        if stat.S_ISDIR(mode):
-            raise UnreadableFileError(path, "cannot be read: is a folder, needs a file")
-        if not stat.S_ISREG(mode):
-            raise UnreadableFileError(path, "cannot be read: is a pipe or a device, needs a file")
+        _check_kind(path, os.fstat(descriptor).st_mode)
         with open(descriptor, "rb", closefd=False) as stream:
             yield stream
     except OSError as error:
         raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
     finally:
         os.close(descriptor)
+
+
+def check_plain(path: Path) -> None:
+    """Refuse what :func:`open_bytes` does, without opening it.
+
+    Raises:
+        UnreadableFileError: no such file, or no plain file.
+    """
+    try:
+        _check_kind(path, path.stat().st_mode)
+    except OSError as error:
+        raise UnreadableFileError(path, f"cannot be read: {error.strerror}") from None
+
+
+def _check_kind(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise UnreadableFileError(path, "cannot be read: is a folder, needs a file")
+    if not stat.S_ISREG(mode):
+        raise UnreadableFileError(path, "cannot be read: is a pipe or a device, needs a file")
 
 
 def read_bytes(path: Path, most: int) -> bytes:

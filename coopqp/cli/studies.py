@@ -216,16 +216,16 @@ def _kept_goals(path: Path | None) -> Iterator[tuple[list[Any], Callable[[Any], 
 
     from coopqp import __version__
     from coopqp.study.statistics import kept
-    from coopqp.study.sweep.journal import FORM, Journal, head_of, records
+    from coopqp.study.sweep.journal import Journal, head_of, records
 
     if path is None:
         yield [], None
         return
-    head = {"form": FORM, "statistics": __version__}
+    head = {"statistics": __version__}
     before = head_of(path) if path.exists() else None
     if before is not None and before.get("statistics") != __version__:
         words = "has no goals of this version of coopqp; give another --out"
         raise CoopqpError(f"'{path}' {words}")
     with Journal.opened(path, head) as journal:
-        known = [kept(line["goal"]) for _, line in records(path) if line]
-        yield known, lambda goal: journal.append([{"goal": asdict(goal)}])
+        known = [kept(found["goal"]) for _, found in records(path) if found]
+        yield known, lambda goal: journal.append([(None, {"goal": asdict(goal)})])

@@ -75,7 +75,7 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
 
         done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
     if done.damaged:
-        say(f"warning: {_lines(done.damaged)} damaged; what stood there has been done again")
+        say(f"warning: {_records(done.damaged)} damaged; what stood there has been done again")
     _print(study, out, as_json=as_json)
 
 
@@ -91,7 +91,7 @@ def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json:
     needs_arrow()
     index = compact(study, folder)
     if index.damaged:
-        say(f"warning: {_lines(index.damaged)} damaged; what stands there does not count")
+        say(f"warning: {_records(index.damaged)} damaged; what stands there does not count")
     while watch and index.done < study.points.count:
         _print(study, folder, as_json=as_json)
         time.sleep(_Drawn.EVERY)
@@ -99,8 +99,8 @@ def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json:
     _print(study, folder, as_json=as_json)
 
 
-def _lines(count: int) -> str:
-    return "a line of the journal is" if count == 1 else f"{count:,} lines of the journal are"
+def _records(count: int) -> str:
+    return "a record of the journal is" if count == 1 else f"{count:,} records of the journal are"
 
 
 def _print(study: Any, folder: Path, *, as_json: bool) -> None:
@@ -109,7 +109,7 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
     from coopqp.report.sweep import table
     from coopqp.report.sweep.page import write
     from coopqp.report.terminal import console
-    from coopqp.study.sweep.columns import Columns
+    from coopqp.study.sweep.results import Columns
     from coopqp.study.sweep.summary import summarize
 
     columns = Columns.of(folder)
@@ -135,7 +135,7 @@ def _show(study: Any, folder: Path, row: int) -> None:
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS
     from coopqp.study.sweep import scenario_of_row
-    from coopqp.study.sweep.kept import check_plugins
+    from coopqp.study.sweep.folder import check_plugins
 
     for odd in check_plugins(folder, study):
         say(f"warning: {odd}")
@@ -165,8 +165,7 @@ class _Drawn:
     def perhaps(self) -> None:
         """Draw it if it is time."""
         from coopqp.report.sweep.page import write
-        from coopqp.study.sweep.columns import Columns
-        from coopqp.study.sweep.results import compact
+        from coopqp.study.sweep.results import Columns, compact
         from coopqp.study.sweep.summary import summarize
 
         begun = time.monotonic()

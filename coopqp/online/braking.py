@@ -8,18 +8,50 @@ Without acceleration limits that is at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from coopqp.assessment.assessment import allowed_acceleration
+from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
+from coopqp.checked import Array
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import QPController
+from coopqp.limit import Limit
+from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.memory import Memory
-from coopqp.online.acceleration import acceleration_of
 from coopqp.solver import Status
 from coopqp.squeezer import Squeezer
 from coopqp.state import State
+
+#: For joints without a motor, which bound nothing [rad/s2].
+PASSIVE = 1e4
+
+
+def with_acceleration(
+    limits: Sequence[Limit], chain: ClosedChain, speed_up: float | None
+) -> tuple[Limit, ...]:
+    """The limits, with one on accelerations if there is none among them."""
+    if speed_up is None or any(isinstance(limit, JointAcceleration) for limit in limits):
+        return tuple(limits)
+    most = allowed_acceleration(chain.velocity, speed_up)
+    most[chain.passive] = PASSIVE
+    by_joint = dict(zip(chain.joint_names, most.tolist(), strict=True))
+    margin = max((x.margin for x in limits if isinstance(x, JointPosition)), default=0.0)
+    rest = float(ACCELERATION_UNLIMITED)
+    return *limits, JointAcceleration(max=rest, joints=by_joint, margin=margin)
+
+
+def acceleration_of(limits: Sequence[Limit], chain: ClosedChain) -> Array:
+    """Each joint's acceleration limit, shape (n,) [rad/s2, m/s2]; infinite where there is none."""
+    found = np.full(chain.n, np.inf)
+    for limit in limits:
+        if isinstance(limit, JointAcceleration):
+            own = [limit.joints.get(name, limit.max) for name in chain.joint_names]
+            np.minimum(found, own, out=found)
+    return found
 
 
 class _Kept:
@@ -36,12 +68,7 @@ class _Kept:
 
 
 class Braking:
-    """The law that brings a problem's joints to rest.
-
-    Args:
-        problem: what is controlled.
-        squeezer: of the law that is stopped, if hands squeeze by admittance.
-    """
+    """The law that brings a problem's joints to rest."""
 
     def __init__(self, problem: ControlProblem, squeezer: Squeezer | None = None) -> None:
         still = replace(problem, tasks=(), wrenches=(), secondary=())
@@ -56,12 +83,7 @@ class Braking:
         return bool((np.abs(state.v) <= self._step).all())
 
     def tick(self, state: State) -> Command:
-        """The next command on the way to rest; the state's kinematics are up to date after it.
-
-        Args:
-            state: as the last tick left it; its memory is that of the law that was stopped and
-                stays as it is.
-        """
+        """The next command on the way to rest; the state's kinematics are up to date after it."""
         if self.can_stop(state):
             return self._stand(state)
         memory, state.memory = state.memory, self._memory

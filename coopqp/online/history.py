@@ -58,48 +58,23 @@ class Ticks:
 
 
 class History:
-    """A bounded ring of ticks.
-
-    Args:
-        chain: whose joints.
-        capacity: how many ticks it holds.
-
-    Attributes:
-        count: how many ticks there have been.
-        capacity: as given.
-    """
+    """A bounded ring of ticks."""
 
     def __init__(self, chain: ClosedChain, capacity: int) -> None:
         self.capacity, self.count = capacity, 0
-        n = chain.n
-        number, causes = np.zeros((2, capacity), np.int64)
-        clock, t, apart, turned, us = np.zeros((5, capacity))
-        q, v, measured = np.zeros((3, capacity, n))
+        rows, joints = (capacity,), (capacity, chain.n)
         self._all = Ticks(
-            number=number,
-            clock=clock,
-            t=t,
-            q=q,
-            v=v,
-            measured=measured,
+            number=np.zeros(rows, np.int64),
+            **{name: np.zeros(rows) for name in ("clock", "t", "us")},
+            **{name: np.zeros(joints) for name in ("q", "v", "measured")},
             position=np.zeros((capacity, 3)),
             rotation=np.zeros((capacity, 3, 3)),
-            loop_position=apart,
-            loop_orientation=turned,
-            us=us,
-            causes=causes,
+            **{name: np.zeros(rows) for name in ("loop_position", "loop_orientation")},
+            causes=np.zeros(rows, np.int64),
         )
 
     def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
-        """Take down a tick.
-
-        Args:
-            clock: when it began [s].
-            state: as the tick left it.
-            measured: what the robot said, NaN where it did not, shape (n,).
-            command: of the tick.
-            us: how long it took [us].
-        """
+        """Take down a tick."""
         kept, i = self._all, self.count % self.capacity
         kept.number[i], kept.clock[i], kept.t[i], kept.us[i] = self.count, clock, state.t, us
         kept.q[i], kept.v[i], kept.measured[i] = state.q, command.v, measured

@@ -24,29 +24,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coopqp.assessment.thresholds import SPEED_UP
-from coopqp.controller import Command
+from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controller_run import controller_of
 from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.online.acceleration import with_acceleration
+from coopqp.online.arrivals import Readings
+from coopqp.online.braking import with_acceleration
 from coopqp.online.history import History
-from coopqp.online.interrupts import Interrupts
-from coopqp.online.keeper import Keeper, Record
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases
-from coopqp.online.readings import Readings
-from coopqp.online.seen import Seen
-from coopqp.online.stops import Stops
-from coopqp.online.waiting import Waiting
-from coopqp.online.watch import Watch
-from coopqp.scenario.scenario import Scenario
+from coopqp.online.session import Keeper, Record, scenario_text
+from coopqp.online.stops import Interrupts, Stops
+from coopqp.online.watch import Waiting, Watch
+from coopqp.phase_run import PhaseRun
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.solver import Status
+from coopqp.state import State
 from coopqp.wording import raised
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""
 
 
-class OnlineLoop(Seen):
+class OnlineLoop:
     """One controller of a scenario, tick by tick, on whatever gives it measured joints.
 
     Args:
@@ -134,6 +133,44 @@ class OnlineLoop(Seen):
         self._moved = False
         self.setpoint[:] = self._phases.now.problem.chain.q_start
         self._say(self._refuse(Status.OPTIMAL, ""))
+
+    @property
+    def scenario(self) -> Scenario:
+        """As begun: its start is where the robot was."""
+        return self._phases.scenario
+
+    @property
+    def source(self) -> str:
+        """Its text, with what the loop has changed; empty where it was made in Python."""
+        begun = self.scenario
+        if not begun.source:
+            return ""
+        return scenario_text(begun, self._given, self.controller, (), {}, Path())
+
+    @property
+    def phases(self) -> tuple[PhaseRun, ...]:
+        """The phases so far, the last one that which runs; none before the beginning."""
+        return self._phases.done
+
+    @property
+    def state(self) -> State:
+        """What the last tick decided from: commanded joints, kinematics, inputs."""
+        return self._phases.now.state
+
+    @property
+    def law(self) -> Law:
+        """The controller, built for this phase."""
+        return self._phases.now.law
+
+    @property
+    def problem(self) -> ControlProblem:
+        """What it was built for."""
+        return self._phases.now.problem
+
+    @property
+    def phase(self) -> Phase:
+        """The phase that runs."""
+        return self._phases.now.phase
 
     @property
     def now(self) -> float:
@@ -372,11 +409,7 @@ class OnlineLoop(Seen):
         return command
 
     def _hold(self, left: float) -> Command:
-        """Go on as the last command says: who ticks too often must not move faster.
-
-        Args:
-            left: of the period [s].
-        """
+        """Go on as the last command says: who ticks too often must not move faster."""
         held = self._holding
         held.v[:] = 0.0 if self.watch.stands else self._led.v  # else it might never end
         held.say(Status.EARLY)

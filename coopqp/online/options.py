@@ -22,28 +22,14 @@ MOST_KEPT = 3600.0
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Refuse what a loop cannot be asked for.
-
-    Args:
-        options: what it was given, by the argument's name.
-
-    Raises:
-        InvalidValueError: with everything that is wrong.
-    """
+    """Refuse what a loop cannot be asked for."""
     found = [f"{name}: {words}" for name, words in _faults(options)]
     if found:
         raise InvalidValueError("\n".join(found))
 
 
 def time_fault(found: Any, *, none: bool = False, zero: bool = False, most: float = 0.0) -> str:
-    """What is wrong with a time [s]; empty if nothing is.
-
-    Args:
-        found: as given.
-        none: whether None may be.
-        zero: whether zero may be.
-        most: that it can be [s]; zero for no bound.
-    """
+    """What is wrong with a time [s]; empty if nothing is."""
     if found is None and none:
         return ""
     needs = "a finite time, " + ("at least 0" if zero else "more than 0")

@@ -1,21 +1,32 @@
-"""The phases of a loop, one after the other, each begun where the robot is then."""
+"""The phases of a loop, one after the other, each begun where the robot is then.
+
+A scenario says where the object is in the hands by ``object_in_hand`` or ``object.pose``, for its
+own start. The hands of the robot are not quite there: links, encoders and grasp are some
+millimetres off. The object is then where the hands have it in the mean, and each hand holds it
+there. Where the scenario says nothing, each hand holds it midway between the hands, as ever.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.checked import Array, Pose, finite, vector
+from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.errors import CoopqpError, GraspError, InvalidValueError
+from coopqp.hold import grasp_of_each
 from coopqp.input import Arrival
+from coopqp.loop_observer import MOST_ORIENTATION, MOST_POSITION
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.braking import Braking
-from coopqp.online.start import as_held
 from coopqp.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.scenario.scenario import Scenario
+from coopqp.state import State
 
 #: What force sensors say arrives as an input of this name with every tick; ``State.hand_wrench``.
 HAND_WRENCH = "hand_wrench"
@@ -26,7 +37,6 @@ class Phases:
 
     Args:
         given: the scenario as it is written.
-        controller: which law.
         observed: whether what is measured stays a measurement, from which commands may differ.
         by_time: whether a phase ends by itself.
 
@@ -47,15 +57,7 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        """Begin the first phase.
-
-        Args:
-            q: as measured, shape (n,).
-            held: whether the object is where the hands have it there.
-
-        Raises:
-            CoopqpError: it cannot be held so.
-        """
+        """Begin the first phase."""
         if held and not np.array_equal(q, self._given.chain.q_start):
             self.scenario = as_held(self._given, q)
         self._enter(None, q)
@@ -69,11 +71,7 @@ class Phases:
         self.braking = Braking(now.problem, now.law.squeezer)
 
     def ask(self) -> None:
-        """Let the phase end.
-
-        Raises:
-            InvalidValueError: it is the last.
-        """
+        """Let the phase end."""
         if self.now.is_last:
             raise InvalidValueError(f"phase '{self.now.phase.name}' is the last")
         self._asked = True
@@ -85,9 +83,6 @@ class Phases:
 
     def hand_over(self, q: Array) -> bool:
         """Begin the next phase, if the arms can stop in a tick, with the speed that they have.
-
-        Args:
-            q: as measured, shape (n,).
 
         Returns:
             Whether it was tried; :attr:`fault` says if it was in vain.
@@ -104,26 +99,14 @@ class Phases:
         return True
 
     def take_up(self, q: Array) -> None:
-        """Go on from where the robot is, at rest, at the time where the phase has stopped.
-
-        Args:
-            q: as measured, shape (n,).
-        """
+        """Go on from where the robot is, at rest, at the time where the phase has stopped."""
         now, before = self.now, self.now.state
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
     def take(self, inputs: Any, now: float) -> list[Arrival]:
-        """Let what has come since the last tick arrive.
-
-        Args:
-            inputs: by name.
-            now: by the loop's clock [s].
-
-        Returns:
-            What has arrived.
-        """
+        """Let what has come since the last tick arrive."""
         state = self.now.state
         arrivals = self.arrivals.read(self._feel(inputs), state.t, now)
         self.now.inputs.step(state, arrivals)
@@ -146,3 +129,48 @@ class Phases:
             channel.rate[:] = channel.acceleration[:] = 0.0
             if channel.kind.velocity:
                 channel.value[:] = 0.0
+
+
+#: Numbers of a scenario file are at least so large, or zero.
+LEAST = 1e-30
+
+
+def as_held(scenario: Scenario, q: Array) -> Scenario:
+    """The scenario with its start where the robot is, and the grasp as it is held there.
+
+    Raises:
+        GraspError: the hands are so far from how the scenario says they hold the object that it
+            cannot be the model's error.
+        InvalidValueError: q is no n finite numbers.
+    """
+    chain = scenario.chain
+    q = _plain(finite("q", vector("q", q, chain.n)))
+    start = dict(zip(chain.joint_names, q.tolist(), strict=True))
+    grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
+    holders = chain.hold.holders
+    if scenario.held.pose is None and not any(grasps[arm].object_in_hand for arm in holders):
+        return replace(scenario, start=start)
+    _check(chain, q)
+    held = replace(scenario.held, pose=_pose(chain.object_pose(q)))
+    without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
+    return replace(scenario, start=start, held=held, grasps={**grasps, **without_places})
+
+
+def _plain(numbers: Array) -> Array:
+    return np.where(np.abs(numbers) < LEAST, 0.0, numbers)
+
+
+def _pose(X: pin.SE3) -> Pose:
+    place, angles = _plain(X.translation), _plain(pin.rpy.matrixToRpy(X.rotation))
+    return Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+
+
+def _check(chain: ClosedChain, q: Array) -> None:
+    state = State(chain, q)
+    apart, turned = state.loop_position_error, state.loop_orientation_error
+    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
+        raise GraspError(
+            f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how the scenario "
+            "says they hold the object, more than a model's error; bring the robot near the "
+            "scenario's start, or leave out object_in_hand and object.pose to hold it as it is"
+        )

@@ -17,15 +17,40 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from coopqp.checked import Array
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.options import time_fault
-from coopqp.online.robot import Robot
 from coopqp.wording import raised
+
+
+class Robot(Protocol):
+    """A driver of a robot; any class with these two methods."""
+
+    def read(self) -> ArrayLike | None:
+        """Where the joints are now, shape (n,) [rad, m]; None where the robot says nothing.
+
+        In the order of the chain's joints; without the grasps' passive joints it is taken for the
+        robot's own. It returns what came last and does not wait. Where that came before the tick
+        before, None is the better answer, with ``silent_after`` of the loop: a joint may have gone
+        farther in many ticks than in one.
+        """
+
+    def write(self, q: Array, v: Array) -> None:
+        """Take a command.
+
+        Args:
+            q: where the joints shall be at the end of the period, shape (n,) [rad, m]; for robots
+                that take positions.
+            v: how fast they go there, shape (n,) [rad/s, m/s]; for robots that take velocities.
+                Zero tells it to stand still.
+        """
+
 
 #: The last part of a period, waited for awake [s].
 AWAKE = 1.5e-4
@@ -45,8 +70,6 @@ class Ended:
     """How a loop came to its end.
 
     Attributes:
-        why: the reason.
-        ticks: how many there were.
         late: how many of them came late.
         longest: the longest time between two ticks [s].
         longest_tick: the number of the tick after it.
@@ -111,11 +134,6 @@ def real_time(
 
 
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
-    """Refuse what cannot be run.
-
-    Raises:
-        InvalidValueError: with what is wrong.
-    """
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
     for name in ("read", "write"):
@@ -133,11 +151,7 @@ def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
 
 
 class _Run:
-    """A loop on a robot.
-
-    Attributes:
-        fault: what the robot's read, or the inputs, have raised.
-    """
+    """A loop on a robot."""
 
     def __init__(
         self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
@@ -149,11 +163,7 @@ class _Run:
         self._flushed = self._collected = 0.0
 
     def begin(self) -> None:
-        """Wait until the robot says where it is, and begin there.
-
-        Raises:
-            CoopqpError: it says nothing, or the loop cannot begin there.
-        """
+        """Wait until the robot says where it is, and begin there."""
         if self._loop.begun:
             return
         until = self._loop.now + self._loop.patience

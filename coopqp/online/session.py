@@ -1,4 +1,4 @@
-"""A session on disk, so that it can be played again: its scenario, and what arrived at its inputs.
+"""What is kept of a loop: its recording, and the session on disk, so that it can be played again.
 
     OUT/scenario.yaml        the scenario, begun where the robot was, fed from the files
     OUT/inputs/NAME.csv      t: of the tick for which it arrived; sent: when; the value's columns
@@ -10,28 +10,33 @@ silence.
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
 
 from coopqp.checked import Array
+from coopqp.controller import Command
 from coopqp.errors import CoopqpError
-from coopqp.online.played_again import played_again, scenario_text
+from coopqp.input import Arrival
+from coopqp.limits import JointAcceleration
 from coopqp.phase_run import PhaseRun
-from coopqp.recordings.sent import FOLDER, Sent, file_name
+from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
+from coopqp.state import State
+
+#: So much of a session is kept in memory before it is written by a tick itself [s].
+AT_MOST = 1.0
 
 
 class _File(Sent):
-    """A file that grows.
-
-    Args:
-        path: of the file.
-        kind: of the values.
-    """
-
     def __init__(self, path: Path, kind: Kind) -> None:
         super().__init__(kind)
         self.path, self.written = path, False
@@ -54,12 +59,6 @@ class _File(Sent):
 class Session:
     """The files of a session.
 
-    Args:
-        folder: made if it does not exist.
-        scenario: as begun.
-        given: as it was before it was begun where the robot is.
-        controller: its law's name.
-
     Raises:
         CoopqpError: there is a session already, or it cannot be written.
     """
@@ -77,30 +76,14 @@ class Session:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
 
     def add(self, name: str, kind: Kind, t: float, sent: float, value: Array) -> None:
-        """Keep what arrived at an input.
-
-        Args:
-            name: of the input.
-            kind: of the value.
-            t: of the tick for which it arrived, since the session began [s].
-            sent: when it was sent [s].
-            value: in the kind's columns.
-        """
+        """Keep what arrived at an input."""
         if name not in self._sent:
             file = file_name(name, {sent.path.name for sent in self._sent.values()})
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
     def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
-        """Write what is new.
-
-        Args:
-            now: since the session began [s].
-            phases: the phases so far.
-
-        Raises:
-            OSError: the disk is full, or gone.
-        """
+        """Write what is new."""
         before = {name for name, sent in self._sent.items() if sent.written}
         for sent in self._sent.values():
             sent.flush(now)
@@ -108,21 +91,24 @@ class Session:
             self._write_scenario(phases)
 
     def close(self, phases: Sequence[PhaseRun]) -> None:
-        """Write the rest, and how long the phases were.
-
-        Raises:
-            OSError: the disk is full, or gone.
-        """
+        """Write the rest, and how long the phases were."""
         self.flush(float("inf"), phases)
         self._write_scenario(phases)
 
     def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
-        """The scenario that plays what is on disk again.
-
-        Args:
-            phases: the phases so far.
-        """
-        return played_again(self._scenario, phases, self._feeds())
+        """The scenario that plays what is on disk again."""
+        begun, feeds = self._scenario, self._feeds()
+        inputs = {
+            name: replace(settings, feed=None, feed_file=feeds.get(name))
+            for name, settings in begun.inputs.items()
+        }
+        found = replace(begun, inputs=inputs)
+        lasted = tuple(replace(run.phase, duration=_duration(run)) for run in phases)
+        if not lasted:
+            return found
+        if found.phases:
+            return replace(found, phases=lasted)
+        return replace(found, duration=lasted[0].duration)
 
     def _feeds(self) -> dict[str, Path]:
         return {name: sent.path for name, sent in self._sent.items() if sent.written}
@@ -137,3 +123,169 @@ class Session:
         fresh = path.with_suffix(".new")
         fresh.write_text(text, encoding="utf-8")
         fresh.replace(path)
+
+
+def _duration(run: PhaseRun) -> float:
+    return run.ticks * run.problem.dt
+
+
+def scenario_text(
+    scenario: Scenario,
+    given: Scenario,
+    controller: str,
+    runs: Sequence[PhaseRun],
+    feeds: Mapping[str, Path],
+    folder: Path,
+) -> str:
+    """The scenario of a session as the text of a file.
+
+    A reference must arrive before the end of its phase, so a phase that was cut short is written
+    with the time that its references take.
+    """
+    data = dict(parsed(Path(given.name), given.source).data)
+    for key in ("start_deg", "start_near"):
+        data.pop(key, None)
+    data["start"] = {name: np.asarray(x, float).tolist() for name, x in scenario.start.items()}
+    if not scenario.chain.starts_inside:
+        data["start_outside"] = True
+    if controller in data.get("grasp_of", {}):
+        data["grasp"] = data.pop("grasp_of")[controller]
+        data.pop("grasps", None)
+    if scenario.held.pose != given.held.pose:
+        _place_object(data, scenario)
+    _add_limits(data, scenario)
+    if scenario.inputs:
+        data["inputs"] = fed(data["inputs"], _seen_from(None if scenario.folder else folder, feeds))
+    if scenario.folder:
+        data["folder"] = str(scenario.folder)
+    _set_durations(data, runs)
+    return json.dumps(data, indent=2) + "\n"
+
+
+def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
+    """Where the object is, instead of where it is in the hands that hold it."""
+    pose = scenario.held.pose
+    assert pose is not None
+    where = {"position": list(pose.position), "rpy": list(pose.angles)}
+    data["object"] = {**(data.get("object") or {}), "pose": where}
+    one, by_arm = data.pop("grasp", "rigid"), data.pop("grasps", None) or {}
+    holders, grasps = scenario.chain.hold.holders, {}
+    for arm in (arm.name for arm in scenario.robot_model.arms):
+        slot = by_arm.get(arm, one)
+        if arm in holders and isinstance(slot, dict):
+            ((name, keys),) = slot.items()
+            slot = {name: {k: v for k, v in (keys or {}).items() if k != "object_in_hand"}}
+        grasps[arm] = slot
+    data["grasps"] = grasps
+
+
+def _add_limits(data: dict[str, Any], scenario: Scenario) -> None:
+    """The acceleration limit, where the loop has added it."""
+    written = data.get("limits", ["joint_position", "joint_velocity"])
+    if len(written) < len(scenario.limits):
+        limit = scenario.limits[-1]
+        assert isinstance(limit, JointAcceleration)
+        keys = {"max": limit.max, "joints": limit.joints, "margin": limit.margin}
+        data["limits"] = [*written, {"joint_acceleration": keys}]
+
+
+def _seen_from(folder: Path | None, feeds: Mapping[str, Path]) -> dict[str, str]:
+    """Paths of what was sent, from a folder if one is given."""
+    return {
+        name: str(path.relative_to(folder) if folder else path.resolve())
+        for name, path in feeds.items()
+    }
+
+
+def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
+    if not runs:
+        return
+    lasted = [max(_duration(run), *(task.end for task in run.phase.tasks)) for run in runs]
+    if "phases" in data:
+        pairs = zip(data["phases"], lasted, strict=False)  # those that there were
+        data["phases"] = [{**phase, "duration": duration} for phase, duration in pairs]
+    else:
+        data["duration"] = lasted[0]
+
+
+class Record(Protocol):
+    """Takes down ticks; raises nothing and waits for nothing."""
+
+    def tick(
+        self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
+    ) -> None:
+        """Take down a tick, as :meth:`coopqp.online.recording.LiveRecording.tick`."""
+
+    def begin(self, state: State, since: float = 0.0) -> None:
+        """Say that the loop goes on from another state than the last tick's, as after a stop."""
+
+    def close(self) -> None:
+        """Write the rest and the end."""
+
+
+class Keeper:
+    """Session and recording of a loop."""
+
+    def __init__(self, loop: Any, out: Path | None, record: Callable[[Any], Record] | None) -> None:
+        self._loop = loop
+        self._out, self._make = out, record
+        self.session: Session | None = None
+        self._record: Record | None = None
+        self.fault, self._flushed = "", 0.0
+
+    def begin(self, given: Scenario) -> None:
+        """The loop has begun."""
+        if self._out is not None:
+            self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
+            self._out, self._flushed = None, 0.0
+        self._record = self._make(self._loop) if self._make else None
+
+    def go_on(self) -> None:
+        """The loop goes on from another state, as after a stop or in another phase."""
+        if self._record is not None:
+            now, record = self._loop.phases[-1], self._record
+            self._safely("_record", lambda: record.begin(now.state, now.since))
+
+    def arrived(self, arrivals: Sequence[Arrival]) -> None:
+        """Keep what arrived and was taken; write it when it is much."""
+        if self.session is None:
+            return
+        run = self._loop.phases[-1]
+        since, t = run.since, run.state.t
+        taken = run.state.inputs.arrived
+        for name, value, _ in arrivals:
+            if name in taken:
+                kind = run.inputs.channels[name].kind
+                self.session.add(name, kind, since + t, since + taken[name][0], value)
+        if since + t - self._flushed > AT_MOST:
+            self.flush()
+
+    def tick(self, state: State, command: Command, us: float) -> None:
+        """Hand a tick to the recording."""
+        record = self._record
+        if record is not None:
+            self._safely("_record", lambda: record.tick(state, command, us))
+
+    def flush(self) -> None:
+        """Write what is new of the session."""
+        if self.session is None or not self._loop.phases:
+            return
+        run, session = self._loop.phases[-1], self.session
+        now = self._flushed = run.since + run.state.t
+        self._safely("session", lambda: session.flush(now, self._loop.phases))
+
+    def close(self) -> None:
+        """Write the rest of all."""
+        if self._record is not None:
+            self._safely("_record", self._record.close)
+            self._record = None
+        if self.session is not None:
+            session, self.session = self.session, None
+            self._safely("session", lambda: session.close(self._loop.phases))
+
+    def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
+        try:
+            write()
+        except Exception as error:  # noqa: BLE001 - the robot comes before its record
+            self.fault = f"the record is not whole: {error}"
+            setattr(self, whose, None)

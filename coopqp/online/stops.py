@@ -2,11 +2,15 @@
 
 Signal handlers and other threads may tell it to stop, to end and to go on, in the midst of a tick.
 Each of them writes one reference, which Python does in one step, and needs no lock; a tick looks
-once, at its beginning.
+once, at its beginning. The first Ctrl-C or SIGTERM ends it at rest, the second at once.
 """
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType
 from typing import Any
 
 from coopqp.solver import Status
@@ -14,9 +18,6 @@ from coopqp.solver import Status
 
 class Stops:
     """Stops and their reasons.
-
-    Args:
-        patience: time without a usable measurement, or without a tick, after which it stops [s].
 
     Attributes:
         why: for this tick, why it stands still until :meth:`resume`; empty while it goes on.
@@ -78,13 +79,7 @@ class Stops:
         self.why = self.told
 
     def heard(self, wrong: Status | None, now: float, elapsed: float) -> None:
-        """Lose patience where that is due.
-
-        Args:
-            wrong: what is wrong with the measurement.
-            now: [s].
-            elapsed: since the tick before [s]; NaN for a first one.
-        """
+        """Lose patience where that is due."""
         if elapsed > self._patience:
             self.halt(f"no tick came for {elapsed:.3g} s")
         if wrong is None:
@@ -103,13 +98,41 @@ _WORDS = {
 
 
 def reason(why: Any, otherwise: str) -> str:
-    """A reason in words, whatever was given: a robot must stop for any, and for none.
-
-    Args:
-        why: as given.
-        otherwise: where nothing was.
-    """
+    """A reason in words, whatever was given: a robot must stop for any, and for none."""
     try:
         return ("" if why is None else str(why).strip()) or otherwise
     except Exception:  # noqa: BLE001 - an object of a user's may not say what it is
         return otherwise
+
+
+#: What ends a loop, and what it is called.
+NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
+
+
+class Interrupts:
+    """The signals that end a loop while it runs, in the main thread; in others they stay as is."""
+
+    def __init__(self, end: Callable[[str], None]) -> None:
+        self._end, self._depth, self._caught = end, 0, False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def take(self) -> None:
+        """Take them over."""
+        self._depth += 1
+        if self._depth == 1 and threading.current_thread() is threading.main_thread():
+            self._caught = False
+            self._before = {number: signal.signal(number, self._catch) for number in NAMES}
+
+    def give_back(self) -> None:
+        """Let them be what they were."""
+        self._depth -= 1
+        if self._depth == 0:
+            for number, before in self._before.items():
+                signal.signal(number, signal.SIG_DFL if before is None else before)
+            self._before = {}
+
+    def _catch(self, number: int, frame: FrameType | None) -> None:
+        if self._caught:  # comes out of the tick, so that who runs the loop can stop the robot
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+        self._caught = True
+        self._end(NAMES[signal.Signals(number)])

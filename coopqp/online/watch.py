@@ -1,8 +1,11 @@
-"""A watch on the time between ticks: which come late, and by how much; which before their time."""
+"""The time between ticks: which come late, and by how much; which before their time, and wait."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
 
 #: A tick is late when it comes more than this share of a period after its time, and early when it
 #: comes more than this before it.
@@ -18,12 +21,7 @@ class Watch:
     The time before which no tick can be goes on by a period with each of them, so that ticks which
     come a little early again and again do not sum up.
 
-    Args:
-        dt: control period [s].
-
     Attributes:
-        late: how many ticks were late.
-        early: how many came before their time.
         longest: the longest time between two ticks [s].
         longest_tick: the number of the tick before which it was; -1 before the second tick.
         elapsed: from the tick before to the last one [s]; NaN for a first one.
@@ -57,12 +55,7 @@ class Watch:
         return self.began + self._dt - now
 
     def tick(self, k: int, now: float) -> bool:
-        """A tick begins; whether it is late.
-
-        Args:
-            k: its number.
-            now: by a clock that never goes back [s].
-        """
+        """A tick begins; whether it is late."""
         self.elapsed, self._last, self.began = now - self._last, now, now
         # The earliest time of the next one.
         behind = now - (SHARE - FASTER) * self._dt
@@ -74,3 +67,33 @@ class Watch:
         self._held = False
         self.late += is_late
         return is_late
+
+
+class Waiting:
+    """A reading and inputs that wait; of several the last counts."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._q: Any = None
+        self._inputs: dict[Any, Any] = {}
+
+    def keep(self, q: Any, inputs: Any) -> None:
+        """Let them wait."""
+        if q is not None:
+            self._q = q
+        if isinstance(inputs, Mapping):
+            with suppress(Exception):  # a class of a user's may fail
+                self._inputs.update(inputs)
+
+    def take(self, q: Any, inputs: Any) -> tuple[Any, Any]:
+        """What a tick is given, with what has waited for it."""
+        waited, values = self._q, self._inputs
+        if waited is None and not values:
+            return q, inputs
+        self.forget()
+        if inputs is None or isinstance(inputs, Mapping):
+            inputs = {**values, **(inputs or {})}
+        return waited if q is None else q, inputs

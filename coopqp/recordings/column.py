@@ -207,7 +207,6 @@ class Field:
         per: what it has a row of; there is an instant more than ticks.
         of: its values in a trace, shape (rows, columns), or None where it has none; the attribute
             or the plant's signal of its name if omitted.
-        kind: of its values.
         beside: whether its columns stand beside those of the line before, key by key.
     """
 
@@ -297,12 +296,7 @@ NEEDED = ("controller", "tick", "t", "status", "tick_us")
 
 
 def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
-    """All columns in their order.
-
-    Args:
-        layout: what there is one column of each.
-        fields: only of these.
-    """
+    """All columns in their order."""
     found: list[list[list[str]]] = []
     for line in TABLE:
         if not line.beside:
@@ -382,11 +376,7 @@ def cells(values: NDArray[Any]) -> list[Any]:
 
 
 def unit_of(scenario: Scenario) -> UnitOf:
-    """A function from a column to its unit; "" where it has none, or nobody knows it.
-
-    Args:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-    """
+    """A function from a column to its unit; "" where it has none, or nobody knows it."""
     chain = scenario.chain
     units = dict(zip(chain.joint_names, chain.joint_units, strict=True)) | _asked(scenario)
 

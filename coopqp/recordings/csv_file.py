@@ -107,7 +107,6 @@ def _check_ticks(run: Run) -> None:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """The lines of a file, as text."""
     with open_bytes(path) as stream:
         number = 0
         while line := stream.readline(LONGEST):

@@ -100,11 +100,7 @@ class ExportFormat(Format):
 
 @contextmanager
 def needs(what: str) -> Iterator[None]:
-    """Name the extra where a package is missing.
-
-    Raises:
-        MissingDependencyError: with the line to type.
-    """
+    """Name the extra where a package is missing."""
     try:
         yield
     except ImportError:
@@ -113,11 +109,7 @@ def needs(what: str) -> Iterator[None]:
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """One line for whatever a library raises over a file that is damaged.
-
-    Raises:
-        CoopqpError: with what it says.
-    """
+    """One line for whatever a library raises over a file that is damaged."""
     try:
         yield
     except CoopqpError:

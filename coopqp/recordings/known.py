@@ -47,24 +47,8 @@ def read(path: Path | Run) -> Run:
     return run
 
 
-def controllers_of(path: Path | Run) -> list[str]:
-    """Names of the controllers of a recorded run, in their order.
-
-    Raises:
-        CoopqpError: as :func:`read`.
-    """
-    return read(path).controllers
-
-
 def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) -> None:
     """Write one controller's run in another format.
-
-    Args:
-        run: as read from any format.
-        scenario: of it.
-        to: the format's name.
-        controller: whose.
-        out: the file; one that is there is replaced.
 
     Raises:
         CoopqpError: no such format or controller; the run is damaged; the file cannot be written.

@@ -96,7 +96,6 @@ class _Messages:
         self._write_row(ns, instant.row)
 
     def _write(self, topic: str, ns: int, message: Any) -> None:
-        """Write a message of Foxglove's."""
         if topic not in self._channels:
             schema = type(message).get_schema()
             known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -104,7 +103,6 @@ class _Messages:
         self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
 
     def _write_row(self, ns: int, row: Mapping[str, Any]) -> None:
-        """Write all of it as JSON."""
         if TICK not in self._channels:
             schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
             known = self._writer.register_schema("coopqp.Tick", "jsonschema", schema)

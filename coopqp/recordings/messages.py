@@ -53,7 +53,6 @@ class Placed:
     """A frame in the world.
 
     Attributes:
-        name: of the frame.
         p: its origin [m]. q: its orientation as a quaternion (x, y, z, w).
     """
 
@@ -100,15 +99,7 @@ class Instant:
 
 
 def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
-    """The rows of a run.
-
-    Args:
-        run: of one controller.
-        scenario: as the controller holds it.
-
-    Raises:
-        CoopqpError: a damaged row.
-    """
+    """The rows of a run."""
     chain = scenario.chain
     data, frames = chain.model.createData(), _frames(chain)
     t, q = run.numbers(["t"])[:, 0].tolist(), run.joints("q", chain.joint_names)

@@ -91,14 +91,7 @@ class ArrowStream(Format):
 
 
 def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterable[str]) -> Any:
-    """The columns' types and units, and the scenario.
-
-    Args:
-        scenario: as the controller holds it.
-        controller: its name.
-        source: the scenario's text.
-        names: of the columns.
-    """
+    """The columns' types and units, and the scenario."""
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string()}
@@ -143,11 +136,7 @@ def _whole(reader: Any) -> Iterator[Any]:
 
 
 def _scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
-    """The scenario in a schema's metadata.
-
-    Raises:
-        CoopqpError: there is none, or it cannot be loaded.
-    """
+    """The scenario in a schema's metadata."""
     if SCENARIO not in (kept or {}):
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")
     assert kept

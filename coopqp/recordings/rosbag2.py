@@ -72,7 +72,6 @@ def _types() -> Any:
 
 
 def _strings(path: Path, topic: str) -> Iterator[str]:
-    """The texts of a topic."""
     with needs("rosbag2"):
         from rosbags.rosbag2 import Reader
     types = _types()
@@ -85,8 +84,6 @@ def _strings(path: Path, topic: str) -> Iterator[str]:
 
 
 class _Bag:
-    """An open bag and its topics."""
-
     def __init__(self, writer: Any, controller: str) -> None:
         self._writer, self._controller, self._store = writer, controller, _types()
         self._topics: dict[str, Any] = {}

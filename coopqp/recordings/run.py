@@ -36,8 +36,6 @@ class Run:
     """A recorded run; in ``trace.csv``, those of all controllers.
 
     Attributes:
-        path: of the file.
-        columns: by name.
         rows: what each row is called in the file, behind ``at``.
         at: the file, and what its rows are.
         header: where the names of the columns stand.
@@ -71,11 +69,7 @@ class Run:
         return replace(self, columns=kept, rows=self.rows[which])
 
     def of(self, controller: str) -> Run:
-        """The rows of one controller.
-
-        Raises:
-            UnknownNameError: there are none.
-        """
+        """The rows of one controller."""
         if controller not in self.controllers:
             raise UnknownNameError("controller", controller, self.controllers, f"{self.path}: ")
         return self.only(self.columns["controller"] == controller)
@@ -124,13 +118,7 @@ class Run:
 
 
 def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:
-    """A run from rows, as messages have them.
-
-    Args:
-        path: of the file.
-        at: the file, and what its rows are.
-        rows: by column; None is empty.
-    """
+    """A run from rows, as messages have them."""
     lists, count = dict[str, list[Any]](), 0
     for row in rows:
         for name, value in row.items():
@@ -146,11 +134,7 @@ def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:
 def run_of(
     path: Path, at: str, lists: Mapping[str, Any], rows: NDArray[np.int64], header: str
 ) -> Run:
-    """A run from its columns as a file has them: arrays of numbers, or lists of any values.
-
-    Raises:
-        CoopqpError: it is no recorded run, or a damaged one.
-    """
+    """A run from its columns as a file has them: arrays of numbers, or lists of any values."""
     missing = [name for name in column.NEEDED if name not in lists]
     if missing:
         raise CoopqpError(f"{header}: holds no run of coopqp: has no column '{missing[0]}'")
@@ -161,17 +145,7 @@ def run_of(
 
 
 def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[Any]:
-    """A column as the table has it.
-
-    Args:
-        name: of the column.
-        values: of any types; an array of numbers, or a list in which None and "" are empty.
-        at: the file, and what its rows are.
-        rows: what each row is called there.
-
-    Raises:
-        InvalidValueError: a value is of another type.
-    """
+    """A column as the table has it."""
     kind = column.kind_of(name)
     if kind == "text":
         return np.array(["" if x is None else str(x) for x in values], object)
@@ -204,11 +178,7 @@ def _is_number(value: Any) -> bool:
 
 
 def check(run: Run) -> None:
-    """Refuse a status that there is not, and time that goes back.
-
-    Raises:
-        InvalidValueError: with the place.
-    """
+    """Refuse a status that there is not, and time that goes back."""
     said = run.columns["status"]
     for word in dict.fromkeys(said.tolist()):
         for name in word.split("+") if word else ():

@@ -18,11 +18,7 @@ FOLDER = "inputs"
 
 
 class Sent:
-    """What arrived at one input, row by row.
-
-    Args:
-        kind: of the values.
-    """
+    """What arrived at one input, row by row."""
 
     def __init__(self, kind: Kind) -> None:
         self._columns = ("t", "sent", *kind.columns)
@@ -66,12 +62,7 @@ class Sent:
 
 
 def file_name(name: str, taken: Collection[str]) -> str:
-    """What an input's file is called, as ``hand.csv``.
-
-    Args:
-        name: of the input.
-        taken: names of the files that there are.
-    """
+    """What an input's file is called, as ``hand.csv``."""
     plain = re.sub(r"[^\w-]+", "_", name) or "_"
     while f"{plain}.csv" in taken:
         plain += "_"
@@ -79,12 +70,7 @@ def file_name(name: str, taken: Collection[str]) -> str:
 
 
 def fed(inputs: Mapping[str, Any], feeds: Mapping[str, str]) -> dict[str, Any]:
-    """The ``inputs`` of a scenario file, fed from files.
-
-    Args:
-        inputs: as the file has them.
-        feeds: the files' paths, by input; without a feed where there is none.
-    """
+    """The ``inputs`` of a scenario file, fed from files."""
     found = {}
     for name, given in inputs.items():
         keys = {k: v for k, v in (given or {}).items() if k not in ("feed", "feed_file")}

@@ -22,7 +22,7 @@ from coopqp.errors import CoopqpError, InternalError, one_line
 from coopqp.recordings import csv_file
 from coopqp.report import strict_json
 from coopqp.report.page import render
-from coopqp.study.sweep.journal import PATTERN as JOURNALS
+from coopqp.study.sweep.journal import OLDER, PATTERN
 from coopqp.wording import by_user, raised
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
@@ -81,7 +81,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         CoopqpError: with the reason.
     """
-    if next(folder.glob(JOURNALS), None):
+    if any(next(folder.glob(pattern), None) for pattern in (PATTERN, OLDER)):
         words = "holds a study, whose page a report would replace; give another --out"
         raise CoopqpError(f"'{folder}' {words}")
     _check_writable(folder, NAMES)

@@ -6,6 +6,7 @@ With r(x) the residual, J its Jacobian and mu the damping, a step d solves
     subject to  lower <= x + d <= upper,   |d_i| <= most,   G d <= h
 
 and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does.
+scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
 """
 
 from __future__ import annotations
@@ -52,12 +53,7 @@ class Stop:
 
 
 class BoundedSteps:
-    """Steps in n variables with p inequalities.
-
-    Args:
-        n: number of variables.
-        p: number of inequalities.
-    """
+    """Steps in n variables with p inequalities."""
 
     def __init__(self, n: int, p: int = 0) -> None:
         variables = tuple(Row(name=f"x[{i}]", kind="joint") for i in range(n))
@@ -115,13 +111,7 @@ class BoundedSteps:
     ) -> Array:
         """Where the step goes that is best for the quadratic model; x where there is none.
 
-        Args:
-            x: from where, shape (n,).
-            curvature: of the model, shape (n, n).
-            slope: of the model, shape (n,).
-            damping: added to the diagonal, shape (n,).
-            bounds: lower and upper, shape (n,).
-            most: farthest that a variable goes; as :meth:`descend` has set it when omitted.
+        ``most`` is the farthest that a variable goes; as :meth:`descend` has set it when omitted.
         """
         qp = self._qp
         if most is not None:

@@ -1,21 +1,165 @@
 """From a name to its class: what can be written in a scenario, and where it comes from.
 
-Nothing is registered: a file is found because it is there, in coopqp, in an installed package
-(:mod:`coopqp.scenario.plugin_files`) or in a folder of the user's.
+Nothing is registered: a file is found because it is there, in coopqp, in an installed package or in
+a folder of the user's. A folder of plug-ins has the collections' names as subfolders, with one file
+a plug-in. Names that begin with ``_`` are helpers; files of one subfolder import them by ``from
+._helper import x``.
+
+A package brings plug-ins along when an entry point of the group ``coopqp.plugins`` names a package
+of the same shape:
+
+    [project.entry-points."coopqp.plugins"]
+    my_lab = "my_lab.plugins"           # with my_lab/plugins/tasks/hold_height.py
 """
 
 from __future__ import annotations
 
+import importlib
 import inspect
+import keyword
+import sys
+import traceback
 from collections.abc import Iterator
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import metadata
 from itertools import chain
 from pathlib import Path
 
-from coopqp.errors import CoopqpError, Fault
+from pydantic import BaseModel, PydanticUserError
+
+from coopqp.errors import CoopqpError, Fault, unknown_name
 from coopqp.reading import absolute
-from coopqp.scenario.plugin import COLLECTIONS, Entry
-from coopqp.scenario.plugin_files import Shelf, in_folder, installed, of_tasks, shipped
+from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
+from coopqp.scenario.user_folders import package_of
+from coopqp.wording import said
+
+GROUP = "coopqp.plugins"
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """One collection's folder."""
+
+    kind: str
+    folder: Path
+    package: str
+
+    def entries(self) -> Iterator[Entry | Fault]:
+        """The plug-ins here; a fault for each file that is none."""
+        importlib.invalidate_caches()  # files may be younger than Python's list of them
+        files = sorted(p for p in self.folder.glob("*.py") if not p.name.startswith("_"))
+        if not files:
+            word = self.kind.removesuffix("s")
+            yield Fault(str(self.folder), f"no {word} files (*.py) here; write one a {word}")
+        for file in files:
+            yield self._entry(file)
+
+    def _entry(self, file: Path) -> Entry | Fault:
+        name = file.stem
+        if wrong := _wrong_name(name):
+            return Fault(str(file), f"{wrong}; rename the file")
+        module = f"{self.package}.{name}"
+        try:
+            found = entry_of(name, importlib.import_module(module), self.kind)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a user's file may raise anything
+            found = Fault(_place(error, file), f"cannot be imported: {_said(error)}")
+        if isinstance(found, Fault):
+            sys.modules.pop(module, None)  # so that the mended file is read
+        return found
+
+
+def shipped() -> Iterator[Shelf]:
+    """What comes with coopqp."""
+    folder = Path(__file__).parents[1]
+    for kind in COLLECTIONS:
+        yield Shelf(kind, folder / kind, f"coopqp.{kind}")
+
+
+def installed() -> Iterator[Shelf | Fault]:
+    """What installed packages bring along."""
+    for point in _points(tuple((place, _changed(place)) for place in sys.path)):
+        place = f"entry point {point.name} = {point.value} of {GROUP}"
+        try:
+            package = importlib.import_module(point.value)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a package may raise anything
+            words = f"cannot be imported: {_said(error)}; mend or uninstall its package"
+            yield Fault(place, words)
+            continue
+        if not hasattr(package, "__path__"):
+            yield Fault(place, "needs a package with the collections' names as folders")
+            continue
+        for path in package.__path__:
+            yield from _in_subfolders(Path(path), package.__name__)
+
+
+@lru_cache(maxsize=4)
+def _points(_places: tuple[tuple[str, int], ...]) -> tuple[metadata.EntryPoint, ...]:
+    """The entry points, which take long to read, of the places that Python imports from."""
+    return tuple(sorted(metadata.entry_points(group=GROUP)))
+
+
+def _changed(place: str) -> int:
+    """When a package was last put somewhere or taken away; 0 where nothing is [ns]."""
+    try:
+        return Path(place).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def in_folder(folder: Path) -> Iterator[Shelf | Fault]:
+    """What a user's folder of plug-ins holds."""
+    yield from _in_subfolders(absolute(folder), None)
+
+
+def of_tasks(folder: Path) -> Shelf:
+    """A user's folder of task files alone."""
+    folder = absolute(folder)
+    return Shelf("tasks", folder, package_of(folder))
+
+
+def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]:
+    """The collections in a folder; a package of its own for each without one for all."""
+    inside = sorted(p for p in folder.iterdir() if p.is_dir() and p.name[0] not in "._")
+    if not inside:
+        known = ", ".join(COLLECTIONS)
+        words = f"no plug-ins here; needs a folder with the name of a collection: {known}"
+        yield Fault(str(folder), words)
+    for found in inside:
+        if found.name not in COLLECTIONS:
+            words = unknown_name("collection", found.name, COLLECTIONS)
+            yield Fault(str(found), f"{words}; names of other folders begin with _")
+            continue
+        yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
+
+
+def _wrong_name(name: str) -> str:
+    """Why a scenario cannot name a plug-in so; empty when it can."""
+    if not name.isidentifier() or keyword.iskeyword(name):
+        return f"'{name}' is not a name in Python: letters, digits and _ alone, no keyword"
+    if hasattr(BaseModel, name) or name.startswith("model_"):
+        return f"'{name}' is a name that pydantic, which reads scenarios, keeps for itself"
+    return ""
+
+
+def _place(error: BaseException, file: Path) -> str:
+    """File and line of the user's code that an import stumbled over."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f"{f.filename}:{f.lineno}" for f in frames if Path(f.filename).parent == file.parent]
+    return own[-1] if own else str(file)
+
+
+def _said(error: BaseException) -> str:
+    words = error.msg if isinstance(error, SyntaxError) else said(error)
+    if isinstance(error, PydanticUserError):
+        words = words.partition(". ")[0]  # what follows is about pydantic's settings
+    return f"{type(error).__name__}: {' '.join(words.split())}"
 
 
 class Catalog:
@@ -37,8 +181,9 @@ class Catalog:
     ) -> None:
         self.folders = tuple(tuple(map(absolute, kind)) for kind in (task_folders, plugin_folders))
         self._collections: dict[str, dict[str, Entry]] = {kind: {} for kind in COLLECTIONS}
-        faults: list[Fault] = []
-        for shelf in dict.fromkeys(_shelves(task_folders, plugin_folders)):
+        faults, users = list[Fault](), map(in_folder, plugin_folders)
+        shelves = chain(shipped(), installed(), *users, map(of_tasks, task_folders))
+        for shelf in dict.fromkeys(shelves):
             if isinstance(shelf, Fault):
                 faults.append(shelf)
             else:
@@ -71,17 +216,5 @@ class Catalog:
         return hash(tuple(frozenset(known.values()) for known in self._collections.values()))
 
     def entries(self, kind: str) -> dict[str, Entry]:
-        """The plug-ins of one collection by name.
-
-        Args:
-            kind: a collection, such as "tasks".
-        """
+        """The plug-ins of one collection by name."""
         return self._collections[kind]
-
-
-def _shelves(
-    task_folders: tuple[Path, ...], plugin_folders: tuple[Path, ...]
-) -> Iterator[Shelf | Fault]:
-    return chain(
-        shipped(), installed(), *map(in_folder, plugin_folders), map(of_tasks, task_folders)
-    )

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from coopqp.checked import Array, taken_names
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.admittance import unstated
@@ -23,10 +25,9 @@ from coopqp.input import Feed, Inputs, wanted
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.robot import RobotModel
 from coopqp.row import names_of
-from coopqp.scenario.known import Checked, Known
+from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
-from coopqp.scenario.unit_hints import like_degrees, too_large
 from coopqp.scenario.yaml import MisplacedError, Wrong
 from coopqp.state import State
 from coopqp.task import Task
@@ -37,25 +38,19 @@ Placed = tuple[Location, Task, Phase]
 
 #: A control period that no robot has; with it, dt is what makes a run too long [s].
 SHORT = 1e-4
+#: An object whose longest edge is this many times the arms' reach cannot be meant [-].
+LARGE = 20.0
 
 
 def refuse(found: Iterable[Wrong]) -> None:
-    """Raise all that is wrong; nothing if there is nothing.
-
-    Raises:
-        MisplacedError: with all of it.
-    """
+    """Raise all that is wrong; nothing if there is nothing."""
     if listed := list(found):
         raise MisplacedError(listed)
 
 
 @contextmanager
 def at(place: Location) -> Iterator[None]:
-    """Give an error of what is built meanwhile the place of what it is built from.
-
-    Raises:
-        MisplacedError: with it alone.
-    """
+    """Give an error of what is built meanwhile the place of what it is built from."""
     try:
         yield
     except ScenarioError:
@@ -67,13 +62,7 @@ def at(place: Location) -> Iterator[None]:
 def contradictions(
     given: Mapping[str, Any], scenario: Scenario, *, needs_start: bool
 ) -> Iterator[Wrong]:
-    """What only shows with all keys together, and nothing is built for.
-
-    Args:
-        given: by key of the file.
-        scenario: made of it.
-        needs_start: whether the file must say where it begins.
-    """
+    """What only shows with all keys together, and nothing is built for."""
     if given.get("grasp") and given.get("grasps"):
         yield Wrong(["grasps"], "give grasp (all arms) or grasps (by arm), not both")
     starts = [key for key in ("start", "start_deg") if key in given]
@@ -145,13 +134,7 @@ def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
 
 
 def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
-    """Build what can fail and refuse a start outside the limits.
-
-    Args:
-        data: of the scenario's file.
-        scenario: as read.
-        known: what is the same as before is not tried again; written.
-    """
+    """Build what can fail and refuse a start outside the limits."""
     key = "start" if "start" in data else "start_deg"
     allowed = data.get("start_outside", False)
     with at(["robot"]):
@@ -167,21 +150,21 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     refuse([*_released(scenario), *outside])
     with at(_longest(scenario)):
         scenario.check_size()
-    alike, schedule = known.lend_chain(data, scenario), scenario.schedule
+    known.lend_chain(scenario)
     chain = _closed(data, scenario, key)
-    if wrong := too_large(chain):
+    if wrong := _too_large(chain):
         refuse([Wrong(["object", "size"], wrong)])
     if not allowed:
         refuse(_passive_outside(chain, passive, key))
     problems = scenario.problems(lambda _: chain.q_start)
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
-        phase.name: Places(problem.chain, alike.place(phase.name))
-        for phase, problem in zip(schedule, problems, strict=True)
+        phase.name: Places(problem.chain, known.place(phase.name))
+        for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
-    tasks = [placed for placed in placed_tasks(scenario) if not alike.task(*placed[:2])]
-    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not alike.limits
+    tasks = [placed for placed in placed_tasks(scenario) if not known.task(*placed[:2])]
+    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not known.limits
     if new_limits:
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
     refuse(wrong_plugins)
@@ -191,7 +174,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
             wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
     refuse(wrong_starts)
     _check_plant(scenario)
-    known.last = Checked(data, scenario, places)
+    known.keep(data, scenario, places)
 
 
 def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
@@ -332,7 +315,7 @@ def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str)
 
 def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
     """Where a start leaves the position limits, and by how much."""
-    if key == "start" and like_degrees(robot, q):
+    if key == "start" and _like_degrees(robot, q):
         words = "found angles of more than a turn, which are inside the limits in degrees"
         yield Wrong([key], f"{words}; did you mean start_deg?")
         return
@@ -350,7 +333,6 @@ def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Itera
 
 
 def _unit(unit: str, key: str) -> str:
-    """The unit in which the file gives a joint's start."""
     return "degrees" if unit == "rad" and key == "start_deg" else unit
 
 
@@ -360,4 +342,24 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
         f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
+    )
+
+
+def _like_degrees(robot: RobotModel, q: Array) -> bool:
+    """Whether joints are outside their limits by more than a turn, and inside them in degrees."""
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    turns = np.array([unit == "rad" for unit in robot.joint_units])
+    outside = turns & ((q < lower) | (q > upper))
+    inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
+    return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
+
+
+def _too_large(chain: ClosedChain) -> str:
+    """What is wrong with an object that no such arms hold; empty if nothing is."""
+    longest = max(chain.held.size)
+    if longest <= LARGE * chain.reach:
+        return ""
+    return (
+        f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m; "
+        "lengths are metres"
     )

@@ -31,12 +31,12 @@ from coopqp.errors import CoopqpError, unknown_name
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.literal import mistaken
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
 from coopqp.solvers import qpsolvers as qpsolvers_backends
+from coopqp.wording import Location, shown
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 #: What a file says instead of joint values to have the start solved for.
@@ -132,11 +132,7 @@ class FileKeys:
 
 @functools.lru_cache(maxsize=8)
 def file_model(catalog: Catalog) -> type[BaseModel]:
-    """The model of a scenario file; kept, because pydantic takes longer over it than over a file.
-
-    Args:
-        catalog: what the file can name; equal ones share a model.
-    """
+    """The model of a scenario file; kept, because making it takes longer than reading a file."""
     needed: Any = {"anyOf": [{"required": list(WITHOUT_PHASES)}, {"required": ["phases"]}]}
     keys = {**dict(_keys(Scenario, catalog)), **dict(_keys(FileKeys, catalog))}
     config = ConfigDict(**STRICT, json_schema_extra=needed)
@@ -208,11 +204,7 @@ def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
 
 
 def check(file: YamlFile, catalog: Catalog) -> BaseModel:
-    """Check a file against the form that a catalogue gives it.
-
-    Raises:
-        ScenarioError: with every fault and its line.
-    """
+    """Check a file against the form that a catalogue gives it."""
     model = file_model(catalog)
     robot, signal_slot = _adapters(catalog)
 
@@ -242,10 +234,30 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     except BaseException as error:  # noqa: BLE001 - from the __post_init__ of a plug-in
         found.append(Wrong([], wording.raised(error)))
     else:
-        found += [Wrong(*wrong) for wrong in mistaken(file.data, read)]
+        found += [Wrong(*wrong) for wrong in _mistaken(file.data, read)]
     if found:
         raise file.refused(found)
     return read
+
+
+def _mistaken(given: Any, read: Any) -> Iterator[tuple[Location, str]]:
+    """Values that were made numbers or truths and are none, with what is wrong.
+
+    Inside a slot pydantic reads values of Python, either strictly, when no list is a tuple, or so
+    that true is 1.0. Slots are therefore not read strictly, and what came of them is looked at.
+    """
+    if isinstance(given, dict):
+        for key, value in given.items():
+            inside = read.get(key) if isinstance(read, dict) else getattr(read, key, None)
+            yield from (((key, *place), words) for place, words in _mistaken(value, inside))
+    elif isinstance(given, list):
+        if isinstance(read, list | tuple) and len(read) == len(given):
+            for i, (value, inside) in enumerate(zip(given, read, strict=True)):
+                yield from (((i, *place), words) for place, words in _mistaken(value, inside))
+    elif type(read) in (int, float) and isinstance(given, bool | str):
+        yield (), f"found {shown(given)}; needs a number"
+    elif type(read) is bool and not isinstance(given, bool):
+        yield (), f"found {shown(given)}; needs true or false"
 
 
 def given(read: BaseModel) -> dict[str, Any]:
@@ -275,7 +287,7 @@ def _plain(value: Any) -> Any:
 def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:
     """The plug-in in a slot inside another plug-in."""
     read = slot.validate_json(json.dumps(value), context=context)
-    for place, words in mistaken(value, read):
+    for place, words in _mistaken(value, read):
         raise ValueError(f"{wording.dotted(place)}: {words}")
     return chosen(read)[1]
 
@@ -287,5 +299,4 @@ def _adapters(catalog: Catalog) -> tuple[TypeAdapter[Any], TypeAdapter[Any]]:
 
 
 def _slot(model: type[BaseModel], key: str) -> Any:
-    """Type of a key of the file."""
     return typing.get_type_hints(model, include_extras=True)[key]

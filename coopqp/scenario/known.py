@@ -7,8 +7,6 @@ from the variant before.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from coopqp.scenario.scenario import Scenario
@@ -22,105 +20,77 @@ CHAIN = ("robot", "grasp", "grasps", "weights", "folder")
 INERTIAL = ("mass", "com", "inertia")
 
 
-@dataclass(frozen=True)
-class Checked:
-    """A scenario that has passed all checks.
-
-    Attributes:
-        data: of its file.
-        scenario: built.
-        places: where its tasks and limits were tried, by phase.
-    """
-
-    data: Mapping[str, Any]
-    scenario: Scenario
-    places: Mapping[str, Places]
-
-
 class Known:
-    """The scenario before, for who reads one variant of a file after the other.
+    """The last scenario that has passed, for who reads one variant of a file after the other.
 
-    Attributes:
-        last: that passed; None before the first.
+    After :meth:`lend_chain` it says what else of the scenario that is read now is the same.
     """
 
     def __init__(self) -> None:
-        self.last: Checked | None = None
+        self._data: Mapping[str, Any] = {}
+        self._now: Mapping[str, Any] = {}
+        self._scenario: Scenario | None = None
+        self._places: Mapping[str, Places] = {}
+        self._alike = False
+
+    def keep(
+        self, data: Mapping[str, Any], scenario: Scenario, places: Mapping[str, Places]
+    ) -> None:
+        """A scenario has passed; its tasks and limits were tried at these places, by phase."""
+        self._data, self._scenario, self._places = data, scenario, places
 
     def lend_robot(self, data: Mapping[str, Any], scenario: Scenario) -> None:
         """Give a scenario the robot of the last one, where it is the same."""
-        if self.last and _same(self.last.data, data, ("robot", "folder")):
-            vars(scenario)["robot_model"] = self.last.scenario.robot_model
+        self._now, self._alike = data, False
+        if self._scenario and self._same("robot", "folder"):
+            vars(scenario)["robot_model"] = self._scenario.robot_model
 
-    def lend_chain(self, data: Mapping[str, Any], scenario: Scenario) -> Alike:
-        """Give it the closed chain as well; what else is the same."""
-        last = self.last
-        if last is None or not _same_chain(last, data, scenario):
-            return Alike(data, None)
-        chain = last.scenario.chain
-        if scenario.held != last.scenario.held:
+    def lend_chain(self, scenario: Scenario) -> None:
+        """Give it the closed chain as well, where it is the same but for the object's inertia."""
+        before = self._scenario
+        if before is None or not self._same_chain(before, scenario):
+            return
+        self._alike, chain = True, before.chain
+        if scenario.held != before.held:
             chain = chain.carrying(scenario.held)
         vars(scenario)["chain"] = chain
-        return Alike(data, last)
-
-
-@dataclass(frozen=True)
-class Alike:
-    """What of a scenario is the same as in the last one.
-
-    Attributes:
-        data: of its file.
-        last: with the same chain, but for the inertia of the object; None where there is none.
-    """
-
-    data: Mapping[str, Any]
-    last: Checked | None
 
     def place(self, phase: str) -> Places | None:
-        """Where plug-ins were tried in a phase."""
-        return self.last.places.get(phase) if self.last else None
+        """Where plug-ins were tried in a phase of the same chain."""
+        return self._places.get(phase) if self._alike else None
 
     def task(self, at: Location, task: Task) -> bool:
-        """Whether a task is the same, in phases as long."""
-        if self.last is None or task.of_forces or not self._as_long:
+        """Whether a task is the same, inputs are followed alike, and phases as long."""
+        if not self._alike or task.of_forces or not self._same("inputs", "duration"):
             return False
-        return bool(_at(self.last.data, at) == _at(self.data, at))
-
-    @cached_property
-    def _as_long(self) -> bool:
-        """Whether all phases take as long as they did, and inputs are followed alike."""
-        last = self.last
-        if last is None or not _same(last.data, self.data, ("inputs", "duration")):
-            return False
-        phases = ([p["duration"] for p in x.get("phases") or ()] for x in (last.data, self.data))
-        return next(phases) == next(phases)
+        durations = [[p["duration"] for p in x.get("phases") or ()] for x in self._both]
+        tasks = [_at(data, at) for data in self._both]
+        return bool(durations[0] == durations[1] and tasks[0] == tasks[1])
 
     @property
     def limits(self) -> bool:
-        """Whether all limits are."""
-        keys = ("limits", "dt", "start_outside")
-        return self.last is not None and _same(self.last.data, self.data, keys)
+        """Whether all limits are the same."""
+        return self._alike and self._same("limits", "dt", "start_outside")
 
+    @property
+    def _both(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        return self._data, self._now
 
-def _same_chain(last: Checked, data: Mapping[str, Any], scenario: Scenario) -> bool:
-    before = last.scenario
-    released = [[phase.released for phase in one.schedule] for one in (before, scenario)]
-    return (
-        _same(last.data, data, CHAIN)
-        and scenario.start == before.start
-        and released[0] == released[1]
-        and _moved_alike(last.data.get("object"), data.get("object"))
-    )
+    def _same(self, *keys: str) -> bool:
+        return all(self._data.get(key) == self._now.get(key) for key in keys)
 
-
-def _moved_alike(one: Any, other: Any) -> bool:
-    """Whether objects are the same but for their inertia."""
-    parts = ({k: x for k, x in (held or {}).items() if k not in INERTIAL} for held in (one, other))
-    return next(parts) == next(parts)
-
-
-def _same(one: Mapping[str, Any], other: Mapping[str, Any], keys: tuple[str, ...]) -> bool:
-    return all(one.get(key) == other.get(key) for key in keys)
+    def _same_chain(self, before: Scenario, scenario: Scenario) -> bool:
+        released = [[phase.released for phase in x.schedule] for x in (before, scenario)]
+        objects = [
+            {key: x for key, x in (data.get("object") or {}).items() if key not in INERTIAL}
+            for data in self._both
+        ]
+        return (
+            self._same(*CHAIN)
+            and scenario.start == before.start
+            and released[0] == released[1]
+            and objects[0] == objects[1]
+        )
 
 
 def _at(data: Any, location: Location) -> Any:

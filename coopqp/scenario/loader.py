@@ -41,16 +41,7 @@ def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
 
 
 def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
-    """The same from the text of a scenario that stands in another file.
-
-    Args:
-        path: of that file, for faults.
-        text: of the scenario.
-        catalog: what it can name.
-
-    Raises:
-        ScenarioError: as :func:`load`.
-    """
+    """The same from the text of a scenario that stands in another file."""
     return load_file(parsed(path, text), catalog)
 
 
@@ -62,9 +53,6 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         catalog: what it can name.
         known: the same for all variants of one file, so that each only builds and tries what is
             different from the one before.
-
-    Raises:
-        ScenarioError: as :func:`load`.
     """
     known = known or Known()
     with file.lines():
@@ -183,10 +171,6 @@ def find(path: str | Path) -> Path:
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
     """The scenario with another QP solver.
-
-    Args:
-        scenario: as read.
-        name: a solver of its catalogue, or an installed backend of qpsolvers.
 
     Raises:
         UnknownNameError: no such solver; names the nearest.

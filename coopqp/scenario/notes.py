@@ -1,11 +1,14 @@
-"""What of a scenario has no effect on some of its controllers, in words."""
+"""What of a scenario is odd but no fault, in words: what has no effect, or a likely wrong unit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
+from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.forces import contact_notes
 from coopqp.closed_loop.hidden_freedom import hidden_freedom
@@ -17,15 +20,33 @@ from coopqp.controllers._force_checks import out_of_reach
 from coopqp.controllers._impedances import leaks
 from coopqp.controllers.qp import QPController
 from coopqp.controllers.torque_qp import TorqueQp
+from coopqp.input import InputSettings
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
+from coopqp.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    SphereMark,
+    asked,
+)
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.unit_hints import far_goals, far_hands, far_inputs
+from coopqp.signal import POINT, POSE, Kind, Moment
 from coopqp.state import State
+from coopqp.table import read_table
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05
+#: A goal this many times the arms' reach from where the object starts cannot be meant [-].
+FAR = 3.0
+#: A hand that is fastened to the object, this far from it, is worth a word [m].
+FAR_HAND = 0.1
+#: How many instants of a signal are looked at.
+LOOKS = 9
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
 
@@ -53,17 +74,18 @@ def notes(
         for part, what in _stated(scenario)
         if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
     ]
+    hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
         *deaf_to,
         *_without_kernel(chosen),
         *of_limits,
         *contact_notes(scenario.chain),
-        *far_hands(scenario.chain),
-        *_hidden(scenario.chain),
+        *_far_hands(scenario.chain),
+        *([hidden.words()] if hidden else []),
         *_coarse_steps(scenario),
-        *far_goals(scenario),
-        *far_inputs(scenario),
+        *_far_goals(scenario),
+        *_far_inputs(scenario),
         *_of_inputs(scenario, steered=steered),
         *_of_forces(scenario, chosen),
         *_of_springs(scenario, chosen),
@@ -75,12 +97,6 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
     """One line where ticks could be compiled, but are not."""
     asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
     return [native.MISSING] if asked and native.module() is None else []
-
-
-def _hidden(chain: ClosedChain) -> Iterator[str]:
-    """The freedom that rounded values hide."""
-    if found := hidden_freedom(chain):
-        yield found.words()
 
 
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
@@ -183,3 +199,76 @@ def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "secondary", "the secondary objectives have"
     if scenario.on_infeasible != "scale":
         yield "on_infeasible", "on_infeasible has"
+
+
+def _far_hands(chain: ClosedChain) -> Iterator[str]:
+    """A sentence on each hand that is fastened to an object which it does not touch."""
+    model, X_WO = chain.model, chain.object_pose(chain.q_start)
+    data, half = model.createData(), 0.5 * np.array(chain.held.size)
+    pin.framesForwardKinematics(model, data, chain.q_start)
+    for arm in chain.arms[: chain.holding]:
+        if chain.grasps[arm.name].contact:
+            continue
+        p_OT = X_WO.actInv(data.oMf[model.getFrameId(arm.tip)]).translation
+        away = float(np.linalg.norm(np.maximum(np.abs(p_OT) - half, 0.0)))
+        if away > FAR_HAND:
+            yield (
+                f"the tip of {arm.name} is {1e3 * away:.0f} mm from the object's surface and holds "
+                "it as if a rigid link joined them; see object.size, object_in_hand and the start"
+            )
+
+
+def _far_goals(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each task whose goal is nowhere near."""
+    chain = scenario.chain
+    for phase in scenario.schedule:
+        for task in phase.tasks:
+            marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
+            far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
+            if far > FAR * chain.reach:
+                yield (
+                    f"the goal of '{task.name}' is {far:.3g} m from where the object starts, but "
+                    f"the arms reach {chain.reach:.2g} m; lengths are metres"
+                )
+
+
+def _far_inputs(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each input that is sent a place which is nowhere near."""
+    chain = scenario.chain
+    for name, kind in scenario.followed().items():
+        if kind not in (POINT, POSE):
+            continue
+        places = _sent(scenario.inputs[name], kind, scenario.duration)
+        far = max((float(np.linalg.norm(p - chain.start_position)) for p in places), default=0.0)
+        if far > FAR * chain.reach:
+            yield (
+                f"the input '{name}' is sent a place {far:.3g} m from where the object starts, but "
+                f"the arms reach {chain.reach:.2g} m; lengths are metres"
+            )
+
+
+def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Array]:
+    """Places that are sent in a comparison, some of a signal's and all of a file's."""
+    if settings.feed_file is not None:
+        yield from read_table(settings.feed_file).take(POINT.columns)
+    elif settings.feed is not None:
+        course = settings.feed.bind(kind, Moment(), None)
+        for t in np.linspace(0.0, duration, LOOKS).tolist():
+            course.update(Moment(t))
+            yield course.value[:3].copy()
+
+
+def _distance(mark: Mark, p: Array) -> float:
+    """How far a point is from what a mark shows [m]; 0 where that has no place."""
+    match mark:
+        case PointMark():
+            return float(np.linalg.norm(mark.at - p))
+        case PoseMark() if mark.position is not None:
+            return float(np.linalg.norm(mark.position - p))
+        case PlaneMark():
+            return abs(float(mark.normal @ (mark.through - p)))
+        case LineMark() if mark.through is not None:
+            return float(np.linalg.norm(np.cross(mark.direction, mark.through - p)))
+        case SphereMark() | CircleMark():
+            return abs(float(np.linalg.norm(mark.center - p)) - mark.radius)
+    return 0.0

@@ -50,8 +50,6 @@ class Entry:
 
     Attributes:
         name: in YAML, and of its file.
-        cls: its class.
-        help: one line.
     """
 
     name: str
@@ -61,13 +59,7 @@ class Entry:
 
 @functools.cache
 def entry_of(name: str, module: ModuleType, kind: str) -> Entry | Fault:
-    """The plug-in that a module holds, or what is wrong with it.
-
-    Args:
-        name: of the file.
-        module: imported.
-        kind: the collection it belongs to, such as "tasks".
-    """
+    """The plug-in that a module holds, or what is wrong with it."""
     base = COLLECTIONS[kind]
     inside = (value for value in vars(module).values() if inspect.isclass(value))
     written = [cls for cls in dict.fromkeys(inside) if cls.__module__ == module.__name__]

@@ -102,7 +102,6 @@ class Scenario:
         name: of its file.
         start: where it begins, by arm, joint or passive joint [rad, m].
         grasps: how the arms hold the object; one for all, or by arm.
-        solver_name: of the solver.
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.
@@ -234,11 +233,7 @@ class Scenario:
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
 
     def check_size(self) -> None:
-        """Refuse runs of which more would be kept than ``MOST_KEPT``.
-
-        Raises:
-            InvalidValueError: with how long they may be.
-        """
+        """Refuse runs of which more would be kept than ``MOST_KEPT``."""
         each = max(1, len(self.controllers)) * len(self.robot_model.joint_names)
         if self.ticks * each > MOST_KEPT:
             raise InvalidValueError(
@@ -326,7 +321,6 @@ WIDER: dict[Any, tuple[Any, str]] = {
 
 @functools.cache
 def _types() -> dict[str, Any]:
-    """Types of a scenario's fields."""
     return typing.get_type_hints(Scenario)
 
 

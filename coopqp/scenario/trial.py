@@ -54,26 +54,18 @@ RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
 @dataclass(frozen=True)
 class _Nearby:
-    """A configuration with the loops closed, and a motion through it.
-
-    Attributes:
-        here: the state there.
-        ahead, behind: states half a difference ahead of and behind it.
-        v: velocity along the loops, of length 1, shape (n,); zero where nothing can move.
-    """
+    """A configuration with the loops closed, and a motion through it."""
 
     here: State
-    ahead: State
+    ahead: State  # by half a difference
     behind: State
-    v: Array
+    v: Array  # along the loops, of length 1, shape (n,); zero where nothing can move
 
 
 class Places:
     """Where tasks and limits are tried: the start of a chain and configurations near it.
 
-    Args:
-        chain: the closed chain.
-        like: places of another chain that moves alike, which are then the same.
+    Those near it are the same for a chain that moves alike.
     """
 
     def __init__(self, chain: ClosedChain, like: Places | None = None) -> None:
@@ -107,11 +99,6 @@ def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
 
 def try_task(task: Task, places: Places, duration: float) -> None:
     """Evaluate a task.
-
-    Args:
-        task: any.
-        places: where its phase begins.
-        duration: of its phase [s].
 
     Raises:
         CoopqpError: it cannot be bound, raises, or does not write what a task must.
@@ -199,37 +186,25 @@ class _Seen:
 
 
 def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
-    for s in seen:
-        J, n = s.rows.J, s.rows.J.shape[1]
-        if len(J) != n:
-            raise _PromiseError(f"joint_space needs a row a joint, {n}; found {len(J)}")
-        asked = np.diag(np.diag(J).astype(bool)).astype(float)
-        wrong = (asked != J).any(axis=1)
+    for J in (s.rows.J for s in seen):
+        if len(J) != J.shape[1]:
+            raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
+        wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
         if wrong.any():
-            name = look.names[int(np.argmax(wrong))]
-            raise _PromiseError(
-                f"row {name}: joint_space needs J to be the identity, or zero where nothing is "
-                "asked"
-            )
+            words = "joint_space needs J to be the identity, or zero where nothing is asked"
+            raise _PromiseError(f"row {look.names[int(np.argmax(wrong))]}: {words}")
 
 
 def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
-    for s in seen:
-        if s.rows.e.any():
-            row = int(np.argmax(s.rows.e != 0.0))
-            raise _PromiseError(
-                f"row {look.names[row]}: e is {s.rows.e[row]:.4g}, but a task that asks_velocity "
-                "has e = 0"
-            )
+    for e in (s.rows.e for s in seen):
+        if e.any():
+            row = int(np.argmax(e != 0.0))
+            words = "but a task that asks_velocity has e = 0"
+            raise _PromiseError(f"row {look.names[row]}: e is {e[row]:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
     """Evaluate a limit.
-
-    Args:
-        limit: any.
-        places: where the run begins.
-        dt: control period [s].
 
     Raises:
         CoopqpError: it cannot be bound, raises, or does not write what a limit must.
@@ -299,10 +274,6 @@ class _PromiseError(Exception):
 @contextmanager
 def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
     """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
-
-    Args:
-        plugin: whose code runs.
-        method: of its own, by which its file is found.
 
     Raises:
         CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that

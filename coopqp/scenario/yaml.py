@@ -56,13 +56,7 @@ MERGE = "<<"
 
 @dataclass(frozen=True)
 class _Node:
-    """A value and where it is.
-
-    Attributes:
-        value: plain.
-        size: number of values in it, itself included.
-        inside: of a mapping or list, by key or index: line and node.
-    """
+    """A value, how many are in it, and by key or index the line and node of what is inside."""
 
     value: Any
     size: int = 1
@@ -96,8 +90,6 @@ class YamlFile:
     """A mapping read from a file.
 
     Attributes:
-        path: of the file, as given.
-        text: what the file holds.
         data: plain dicts, lists, strings, numbers, booleans and None.
     """
 
@@ -107,12 +99,7 @@ class YamlFile:
     _root: _Node
 
     def place(self, location: Location, inside: Location = ()) -> str:
-        """``file:line: key.path`` of a value, or of the nearest mapping that holds it.
-
-        Args:
-            location: of the value that is named.
-            inside: from it to the value whose line counts.
-        """
+        """``file:line: key.path`` of a value, or of the nearest mapping that holds it."""
         node, line = self._root, 1
         for key in (*location, *inside):
             if key not in node.inside:
@@ -131,21 +118,13 @@ class YamlFile:
         return FaultLines(self)
 
     def changed(self, data: dict[str, Any]) -> YamlFile:
-        """What the file would be with other data; places are those of this file.
-
-        Args:
-            data: plain, such as JSON can hold.
-        """
+        """What the file would be with other data; places are those of this file."""
         return replace(self, data=data, text=json.dumps(data) + "\n")
 
 
 @dataclass(frozen=True)
 class FaultLines:
-    """Where places become lines: checks below it do not know the file.
-
-    Raises:
-        ScenarioError: with all that checks found, each of it once.
-    """
+    """Where places become lines: checks below it do not know the file."""
 
     file: YamlFile
 
@@ -172,11 +151,7 @@ def read_yaml(path: Path) -> YamlFile:
 
 
 def parsed(path: Path, text: str) -> YamlFile:
-    """The same from what a file holds.
-
-    Raises:
-        ScenarioError: as :func:`read_yaml`.
-    """
+    """The same from what a file holds."""
     lines = _Lines(text)
     builder = _Builder(path, text, lines)
     try:
@@ -222,16 +197,7 @@ class _Lines:
 
 
 class _Builder:
-    """From a file's events to its values.
-
-    Args:
-        path: of the file, for messages.
-        text: what it holds.
-        lines: of the text.
-
-    Attributes:
-        line: of the last event.
-    """
+    """From a file's events to its values."""
 
     def __init__(self, path: Path, text: str, lines: _Lines) -> None:
         self._path, self._lines, self.line = path, lines, 1
@@ -260,12 +226,7 @@ class _Builder:
         return _refused(f"{self._path}:{self._lines.of(event)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
-        """The value that begins with an event.
-
-        Args:
-            event: of its beginning; those of what is inside follow.
-            deeper: values inside values that there may still be.
-        """
+        """The value that begins with an event."""
         if isinstance(event, AliasEvent):
             if event.anchor not in self._anchors:
                 raise self._fault(event, f"alias '*{event.anchor}' has no anchor before it")

@@ -14,7 +14,7 @@ from scenario_files import HEAD
 
 import coopqp
 from coopqp.comparison import Comparison
-from coopqp.online import ring
+from coopqp.online import recording as live
 from coopqp.online.recording import LiveRecording
 from coopqp.recordings import column
 from coopqp.recordings.known import EXPORTS, export, read
@@ -78,7 +78,7 @@ def test_a_new_field_of_a_live_loop_is_a_line_and_where_it_is_measured(
 ) -> None:
     effort = column.Field("effort", column.JOINT, "{}", "how far each joint goes in the tick")
     monkeypatch.setattr(column, "TABLE", (*column.TABLE, effort))
-    monkeypatch.setitem(ring.MEASURED, "effort", lambda state, command: 2.0 * command.v)
+    monkeypatch.setitem(live.MEASURED, "effort", lambda state, command: 2.0 * command.v)
     scenario = comparison.scenario
     law = scenario.controllers["qp"].build(scenario.problem())
     path, state = tmp_path / "run.arrows", law.start()

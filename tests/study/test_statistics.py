@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,7 @@ from coopqp.study.statistics import (
 from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
 from coopqp.study.statistics.reach import holds_inside
 from coopqp.study.statistics.trial import LAWS
+from coopqp.study.sweep.journal import records
 from coopqp.tasks import PointOnPoint
 
 SMALL = {"nao_t14": OWN["nao_t14"], "planar_pair": OWN["planar_pair"]}
@@ -77,7 +80,7 @@ def test_the_command_goes_on_from_what_it_has_kept(
     planar = {"planar_pair": OWN["planar_pair"]}
     monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
     monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
-    out = tmp_path / "goals.jsonl"
+    out = tmp_path / "goals.sqlite3"
 
     def printed(goals: int) -> Any:
         words = ("statistics", "--goals", str(goals), "--jobs", "1", "--json", "--out", str(out))
@@ -86,15 +89,15 @@ def test_the_command_goes_on_from_what_it_has_kept(
         return json.loads(result.stdout)
 
     first = printed(1)
-    assert len(out.read_text(encoding="utf-8").splitlines()) == 2  # a head and a goal
+    assert len(list(records(out))) == 1
     run = []
     one = trial.one_goal
     monkeypatch.setattr(trial, "one_goal", lambda *goal: [run.append(goal), one(*goal)][1])
     both = printed(2)
     assert run == [("planar_pair", 1)]
     assert both["goals"][0] == first["goals"][0]
-    half = out.read_bytes()[:-9]
-    out.write_bytes(half)  # ended while it wrote
+    with closing(sqlite3.connect(out)) as database, database:  # not as it was written
+        database.execute("UPDATE records SET said = '{' WHERE id = 1")
     assert printed(2) == both
     assert run == [("planar_pair", 1)] * 2
     out.write_text("{}\n", encoding="utf-8")

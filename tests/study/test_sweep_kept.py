@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import random
 import resource
+import shutil
 import signal
+import sqlite3
 import sys
 import time
 from pathlib import Path
@@ -19,6 +21,7 @@ from coopqp.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import Progress, Study, kept_study, read_study, sweep
+from coopqp.study.sweep.journal import Journal, path_of, records
 
 pytest.importorskip("pyarrow.parquet")
 
@@ -38,19 +41,31 @@ def undisturbed(whole: Study) -> Path:
     return whole.file.path.parent / "whole"
 
 
-def test_wherever_a_journal_ends_the_results_are_the_same(
+def test_wherever_a_batch_was_half_written_the_results_are_the_same(
     whole: Study, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """Whole lines up to somewhere, a part of the next one, and what a loss of power may leave."""
-    rng = random.Random(17)
-    content = (undisturbed / "journal.jsonl").read_bytes()
-    for k in range(10):
-        folder = tmp_path / f"cut{k}"
-        folder.mkdir()
-        end = rng.randrange(len(content))
-        (folder / "journal.jsonl").write_bytes(content[:end] + b"\0" * (100 * (k % 2)))
-        sweep(whole, folder, engine=HERE)
-        assert table_of(folder) == table_of(undisturbed)
+    """Whole records up to somewhere, and a part of the next batch as a kill leaves it."""
+    rng, out = random.Random(17), tmp_path / "out"
+    for _ in range(10):
+        shutil.copytree(undisturbed, out)
+        os.waitpid(forked(lambda: half_written(out, rng.randrange(24))), 0)
+        assert (out / "journal.sqlite3-journal").stat().st_size
+        sweep(whole, out, engine=HERE)
+        assert not (out / "journal.sqlite3-journal").exists()
+        assert table_of(out) == table_of(undisturbed)
+        shutil.rmtree(out)
+
+
+def half_written(folder: Path, first: int) -> None:
+    """Remove the records from some variant on, and be killed amidst writing garbage for them."""
+    path = folder / "journal.sqlite3"
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM records WHERE id >= ?", (first,))
+    database.execute("PRAGMA cache_size = 1")  # so that it is in the file before it is whole
+    rows = [(first + k, "garbage" * 1000, 0) for k in range(20)]
+    database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
+    assert b"garbage" in path.read_bytes()
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_client_is_killed_ten_times(whole: Study, undisturbed: Path, tmp_path: Path) -> None:
@@ -93,10 +108,10 @@ def workers() -> list[int]:
 def test_a_full_disk_stops_with_what_is_there(
     whole: Study, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """Files may have 8 kB; then the command goes on where it was."""
+    """Files may have 24 kB; then the command goes on where it was."""
 
     def limited() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (24_000, 24_000))
         result = typed("sweep", whole.file.path, "--out", tmp_path / "out", "--jobs", "1")
         (tmp_path / "said").write_text(f"{result.exit_code} {result.stderr}", encoding="utf-8")
 
@@ -104,17 +119,14 @@ def test_a_full_disk_stops_with_what_is_there(
     said = (tmp_path / "said").read_text(encoding="utf-8")
     assert said.startswith("2 error: cannot write")
     assert said.endswith("; what was done is kept, and the same command goes on from there\n")
-    kept = (tmp_path / "out" / "journal.jsonl").read_bytes()
-    assert kept.endswith(b"\n")
-    assert kept.count(b"\n") > 1
+    kept = dict(records(tmp_path / "out" / "journal.sqlite3"))
+    assert 0 < len(kept) < 24
     sweep(whole, tmp_path / "out", engine=HERE)
-    assert (tmp_path / "out" / "journal.jsonl").read_bytes().startswith(kept)
+    assert dict(records(tmp_path / "out" / "journal.sqlite3")).items() > kept.items()
     assert table_of(tmp_path / "out") == table_of(undisturbed)
 
 
 def test_two_commands_do_not_write_to_one_journal(whole: Study, undisturbed: Path) -> None:
-    from coopqp.study.sweep.journal import Journal, path_of
-
     with (
         Journal.opened(path_of(undisturbed, Share()), {}),
         pytest.raises(CoopqpError, match="another process is at work on it"),

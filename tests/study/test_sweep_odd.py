@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from coopqp.assessment import assess
 from coopqp.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
-from coopqp.study.sweep.journal import line_of
+from coopqp.study.sweep.journal import HEAD, Journal, head_of
 
 pytest.importorskip("pyarrow.parquet")
 
@@ -45,9 +47,7 @@ def test_where_no_row_is_done_the_table_says_why(plate: Path) -> None:
 
 def test_a_journal_with_only_its_head_has_a_table(plate: Path) -> None:
     sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
-    journal = plate / "out" / "journal.jsonl"
-    head = journal.read_bytes().splitlines(keepends=True)[0]
-    journal.write_bytes(head)
+    changed(plate / "out", "DELETE FROM records WHERE id >= 0")
     result = typed("sweep", plate / "out", "--table")
     assert result.exit_code == 0, result.output
     assert "0 of 16 rows are there yet" in result.stdout
@@ -65,7 +65,7 @@ def test_null_has_a_bin_of_its_own(
     plate: Path, key: str, values: list[str], labels: list[str]
 ) -> None:
     from coopqp.report.sweep.bins import Binned
-    from coopqp.study.sweep.columns import Columns
+    from coopqp.study.sweep.results import Columns
 
     path = study_in(plate, (MASS, f"{key}: {{choice: [{', '.join(values)}]}}"))
     study = read_study(path)
@@ -149,37 +149,37 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def copied(kept: Path, folder: Path, lines: list[bytes]) -> Path:
-    """The results with another journal."""
-    shutil.copytree(kept / "out", folder / "out")
-    (folder / "out" / "journal.jsonl").write_bytes(b"".join(lines))
-    return folder / "out"
+def changed(out: Path, statement: str, *values: object) -> Path:
+    """The folder, with its journal changed behind coopqp's back."""
+    with closing(sqlite3.connect(out / "journal.sqlite3")) as database, database:
+        database.execute(statement, values)
+    return out
 
 
-def journal_of(kept: Path) -> list[bytes]:
-    return (kept / "out" / "journal.jsonl").read_bytes().splitlines(keepends=True)
+def copied(kept: Path, folder: Path, statement: str = "SELECT 1", *values: object) -> Path:
+    """A copy of the results, with its journal changed."""
+    return changed(Path(shutil.copytree(kept / "out", folder / "out")), statement, *values)
 
 
 def test_a_digit_that_changes_on_the_disk_is_done_again(kept: Path, tmp_path: Path) -> None:
-    lines = journal_of(kept)
-    for at in (3, 5):
-        digit = re.search(rb"0\.\d{6}(\d)", lines[at])
+    out = copied(kept, tmp_path, "UPDATE records SET said = '{}' WHERE id = 6")
+    content = (out / "journal.sqlite3").read_bytes()
+    for variant in (2, 4):
+        digit = re.search(rb'"variant":%d,[^{]*{.*?0\.\d{6}(\d)' % variant, content)
         assert digit
         k, other = digit.start(1), b"1" if digit[1] != b"1" else b"2"
-        lines[at] = lines[at][:k] + other + lines[at][k + 1 :]
-        json.loads(lines[at])
-    lines[7] = b"garbage\n"
-    out = copied(kept, tmp_path, lines)
+        content = content[:k] + other + content[k + 1 :]
+    (out / "journal.sqlite3").write_bytes(content)
     looked = typed("sweep", out, "--table")
     assert looked.exit_code == 0
-    assert "3 lines of the journal are damaged" in looked.stderr
+    assert "3 records of the journal are damaged" in looked.stderr
     assert "10 of 16 rows are there yet" in looked.stdout
     again = typed("sweep", kept / "study.yaml", "--out", out, "--jobs", "1")
     assert again.exit_code == 0
-    assert (
-        "3 lines of the journal are damaged; what stood there has been done again" in again.stderr
-    )
+    words = "3 records of the journal are damaged; what stood there has been done again"
+    assert words in again.stderr
     assert table_of(out) == table_of(kept / "out")
+    assert "damaged" not in typed("sweep", out, "--table").stderr
 
 
 def refused(*words: object) -> str:
@@ -191,36 +191,57 @@ def refused(*words: object) -> str:
 
 
 def test_a_damaged_head_is_told_and_nothing_is_lost(kept: Path, tmp_path: Path) -> None:
-    whole = journal_of(kept)
-    changed = [whole[0].replace(b"sobol: 8", b"sobol: 4"), *whole[1:]]
-    for k, lines in enumerate((changed, [whole[0][:100]], [])):
-        folder = tmp_path / str(k)
-        out = copied(kept, folder, lines)
+    head = "UPDATE records SET said = replace(said, 'sobol: 8', 'sobol: 4') WHERE id = -1"
+    outs = [copied(kept, tmp_path / str(k), *words) for k, words in enumerate(((head,), (), ()))]
+    whole = (kept / "out" / "journal.sqlite3").read_bytes()
+    (outs[1] / "journal.sqlite3").write_bytes(b"no head" + whole[7:])
+    (outs[2] / "journal.sqlite3").write_bytes(b"")
+    for out in outs:
+        before = (out / "journal.sqlite3").read_bytes()
         said = refused("sweep", kept / "study.yaml", "--out", out)
-        assert "head" in said
         assert "damaged" in said
-        assert "move the folder away" in said
-        assert (out / "journal.jsonl").read_bytes() == b"".join(lines)
+        assert re.search("move (the folder|it) away", said)
+        assert (out / "journal.sqlite3").read_bytes() == before
         assert refused("sweep", out, "--table")
 
 
+def test_pages_that_are_garbage_are_told(kept: Path, tmp_path: Path) -> None:
+    """Whatever part of the file a disk has lost."""
+    whole = (kept / "out" / "journal.sqlite3").read_bytes()
+    for k, lost in enumerate(range(4096, len(whole), 4096)):
+        out = copied(kept, tmp_path / str(k))
+        (out / "journal.sqlite3").write_bytes(whole[:lost] + b"?" * 4096 + whole[lost + 4096 :])
+        for words in ((out, "--table"), (kept / "study.yaml", "--out", out, "--jobs", "1")):
+            result = typed("sweep", *words)
+            told = result.stderr.count("damaged") + result.stderr.count("cannot be read")
+            assert result.exit_code in (0, 2)
+            assert told == 1, result.output
+            assert "Traceback" not in result.output
+
+
 def test_an_older_form_is_refused_in_words(kept: Path, tmp_path: Path) -> None:
-    head = json.loads(journal_of(kept)[0])
-    old = {**{k: v for k, v in head.items() if k != "crc"}, "form": 1}
-    out = copied(kept, tmp_path, [json.dumps(old).encode() + b"\n"])
-    for words in (("sweep", out, "--table"), ("sweep", kept / "study.yaml", "--out", out)):
-        assert "was written by another coopqp (form 1, this one has 2)" in refused(*words)
-
-
-def test_lines_of_no_variant_are_refused(kept: Path, tmp_path: Path) -> None:
-    for k, wrong in enumerate(({"variant": 9999, "rows": [{}, {}]}, {"variant": 1, "rows": []})):
-        out = copied(kept, tmp_path / str(k), [*journal_of(kept), line_of(wrong)])
+    other = copied(kept, tmp_path / "other", "PRAGMA user_version = 2")
+    older = copied(kept, tmp_path / "older")
+    (older / "journal.sqlite3").rename(older / "journal.jsonl")
+    told = ((other, "another coopqp (form 2, this one has 3)"), (older, "an older coopqp"))
+    for out, whose in told:
         for words in (("sweep", out, "--table"), ("sweep", kept / "study.yaml", "--out", out)):
-            assert "holds a line that is none of this study's" in refused(*words)
+            said = refused(*words)
+            assert f"was written by {whose}" in said
+            assert "use that one, or give another --out" in said
+
+
+def test_records_of_no_variant_are_refused(kept: Path, tmp_path: Path) -> None:
+    for k, wrong in enumerate(({"variant": 9999, "rows": [{}, {}]}, {"variant": 1, "rows": []})):
+        out = copied(kept, tmp_path / str(k))
+        with Journal.opened(out / "journal.sqlite3", {}) as journal:
+            journal.append([(wrong["variant"], wrong)])
+        for words in (("sweep", out, "--table"), ("sweep", kept / "study.yaml", "--out", out)):
+            assert "holds a record that is none of this study's" in refused(*words)
 
 
 def test_a_journal_that_is_a_folder_is_refused(kept: Path, tmp_path: Path) -> None:
-    (tmp_path / "journal.jsonl").mkdir()
+    (tmp_path / "journal.sqlite3").mkdir()
     for words in (
         ("sweep", tmp_path, "--table"),
         ("sweep", kept / "study.yaml", "--out", tmp_path),
@@ -238,7 +259,7 @@ def test_studies_and_comparisons_have_folders_of_their_own(kept: Path, tmp_path:
     assert typed("compare", kept / "plate.yaml", "--out", compared).exit_code == 0
     said = refused("sweep", kept / "study.yaml", "--out", compared)
     assert "holds a comparison (metrics.json)" in said
-    assert not (compared / "journal.jsonl").exists()
+    assert not (compared / "journal.sqlite3").exists()
 
 
 def test_what_differs_is_named_by_its_key(kept: Path, tmp_path: Path) -> None:
@@ -353,10 +374,9 @@ class Thrice(Metric):
         typed("sweep", path, "--out", out, "--jobs", "1", "--plugins", plate / "own").exit_code == 0
     )
     assert (folders[0] / "thrice.mark").exists()
-    head, *lines = (out / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    said = {**json.loads(head), "folders": [[], [str(plate / "theirs")]]}
-    del said["crc"]
-    (out / "journal.jsonl").write_bytes(b"".join([line_of(said), *lines]))
+    head = {**head_of(out / "journal.sqlite3"), "folders": [[], [str(plate / "theirs")]]}
+    with Journal.opened(out / "journal.sqlite3", {}) as journal:
+        journal.append([(HEAD, head)])
     assert typed("sweep", out, "--table").exit_code == 0
     assert typed("sweep", out, "--watch").exit_code == 0
     told = refused("sweep", out, "--show", "1")

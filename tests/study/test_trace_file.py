@@ -17,7 +17,7 @@ from coopqp.comparison import Comparison, compare
 from coopqp.errors import CoopqpError, InvalidValueError
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
-from coopqp.recordings.known import controllers_of, read
+from coopqp.recordings.known import read
 from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -69,7 +69,7 @@ def test_explanation_from_the_file_is_that_of_the_run(
 
 
 def test_trace_names_its_controllers(trace_csv: Path) -> None:
-    assert controllers_of(trace_csv) == ["qp", "pseudoinverse"]
+    assert read(trace_csv).controllers == ["qp", "pseudoinverse"]
 
 
 def test_tick_worth_explaining_is_the_first_that_gave_something_up(
@@ -95,9 +95,9 @@ def test_files_that_are_no_traces_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "other.csv"
     other.write_text("a,b\n1,2\n", encoding="utf-8")
     with pytest.raises(CoopqpError, match=r"is not a trace\.csv"):
-        controllers_of(other)
+        read(other)
     with pytest.raises(CoopqpError, match="cannot be read: No such file"):
-        controllers_of(tmp_path / "none.csv")
+        read(tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checked import Array
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.space import Box
 from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.variant import DONE

@@ -27,7 +27,7 @@ from coopqp.report.style import (
 from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import Study, scenario_of_row
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
 from coopqp.study.sweep.variant import DONE
 

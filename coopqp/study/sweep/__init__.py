@@ -7,15 +7,13 @@ reader     from the file to a study, or to its faults
 study      the study, and its variants
 variant    a variant under some controllers: its rows
 identity   hashes of what results follow from
-journal    a line for each finished variant
-index      where in the journals each variant is
-folder     whether a folder is the study's own
-results    the journals as one Parquet file
+journal    a record for each finished variant
+results    the journals as one Parquet file, and its columns
+folder     whether a folder is a study's own; the study from its folder alone
 sweep      runs what is not there yet
-kept       a study from its folder alone
 """
 
-from coopqp.study.sweep.kept import kept_study, scenario_of_row
+from coopqp.study.sweep.folder import kept_study, scenario_of_row
 from coopqp.study.sweep.reader import read_study
 from coopqp.study.sweep.study import Study, Variant
 from coopqp.study.sweep.sweep import Progress, sweep

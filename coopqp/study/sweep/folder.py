@@ -1,18 +1,119 @@
-"""Whether a folder is a study's own: refuse others before anything is written into it."""
+"""The folder of a study: whether it is the study's own, and the study from the folder alone.
+
+What makes two folders the same study is a hash of each part that results follow from.
+"""
 
 from __future__ import annotations
 
+import inspect
+import io
+import json
 from collections.abc import Iterator
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
-from coopqp.errors import CoopqpError
+from ruamel.yaml import YAML
+
+import coopqp
+from coopqp.errors import CoopqpError, ScenarioError
+from coopqp.reading import absolute
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.loader import FILE_KEYS, has_files
+from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.yaml import parsed
-from coopqp.study.sweep.identity import PARTS, differences
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
+from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
-from coopqp.study.sweep.study import Study
+from coopqp.study.sweep.study import CONTROLLERS, Study
 from coopqp.wording import dotted
+
+#: Modules of shipped plug-ins; their files count as the version.
+SHIPPED = tuple(f"coopqp.{kind}." for kind in COLLECTIONS)
+#: What each part is called where it differs.
+PARTS = {
+    "study": "the study file",
+    "scenario": "the scenario",
+    "files": "a file that the scenario names",
+    "plugins": "the plug-ins",
+    "points": "the points drawn, by another version of scipy or numpy",
+    "version": "coopqp itself",
+}
+
+
+def identity(study: Study) -> dict[str, str]:
+    """A hash of each part, by name."""
+    return {
+        "study": _hash(json.dumps(study.file.data, sort_keys=True)),
+        "scenario": _hash(
+            study.scenario.path.stem, json.dumps(study.scenario.data, sort_keys=True)
+        ),
+        "files": _hash(*_of_files(sorted(set(_named(study)), key=str))),
+        "plugins": plugins_hash(study),
+        "points": study.points.digest,
+        "version": f"{coopqp.__version__} ({_code()})",
+    }
+
+
+def plugins_hash(study: Study) -> str:
+    """Of the plug-ins that are not shipped."""
+    return _hash(*_of_files(sorted(_plugins(study))))
+
+
+def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
+    """Names of the parts that are not the same."""
+    return [part for part in PARTS if one.get(part) != other.get(part)]
+
+
+def _hash(*texts: str) -> str:
+    found = sha256()
+    for text in texts:
+        found.update(text.encode())
+        found.update(b"\0")
+    return found.hexdigest()[:16]
+
+
+@cache
+def _code() -> str:
+    """A hash of coopqp's own files, so that two versions in development are two."""
+    root = Path(coopqp.__file__).parent
+    return _hash(*_of_files(sorted(root.rglob("*.py"))))
+
+
+def _of_files(paths: list[Path]) -> Iterator[str]:
+    for path in paths:
+        try:
+            yield f"{path.name} {sha256(path.read_bytes()).hexdigest()}"
+        except OSError:
+            yield f"{path.name} -"
+
+
+def _named(study: Study) -> Iterator[Path]:
+    """Files that the scenario names, such as its robot's."""
+    own = study.scenario.data.get("folder")
+    folder = (
+        study.scenario.path.parent / own if isinstance(own, str) else study.scenario.path.parent
+    )
+    waiting: list[Any] = [study.scenario.data, study.file.data]
+    while waiting:
+        found = waiting.pop()
+        if isinstance(found, dict):
+            named = (value for key, value in found.items() if key in FILE_KEYS)
+            yield from (absolute(folder / value) for value in named if isinstance(value, str))
+            waiting += found.values()
+        elif isinstance(found, list):
+            waiting += found
+
+
+def _plugins(study: Study) -> set[Path]:
+    """The files of plug-ins that are not shipped, and those beside them."""
+    classes = [e.cls for kind in COLLECTIONS for e in study.catalog.entries(kind).values()]
+    own = (cls for cls in classes if not cls.__module__.startswith(SHIPPED))
+    files = (absolute(Path(inspect.getfile(cls))) for cls in own)
+    return {beside for file in files for beside in file.parent.glob("*.py")}
+
 
 #: Files that only a comparison's folder has.
 COMPARISONS = ("metrics.json", "trace.csv")
@@ -22,11 +123,6 @@ AWAY = "give another --out, or move the folder away"
 
 def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
     """Refuse what is not the folder of this study.
-
-    Args:
-        folder: in which its results are to be; need not exist.
-        study: whose.
-        identity: of the study.
 
     Raises:
         CoopqpError: it is a file, or holds a comparison, results without their journal, or another
@@ -74,3 +170,98 @@ def _keys(one: Any, other: Any, place: tuple[str | int, ...] = ()) -> Iterator[s
             yield from _keys(one.get(key), other.get(key), (*place, key))
     elif one != other:
         yield dotted(place)
+
+
+def kept_study(folder: Path, catalog: Catalog | None = None) -> Study:
+    """The study whose results a folder holds.
+
+    No plug-ins are looked for where it was run: who opens a folder runs none of its code.
+
+    Args:
+        folder: of the study.
+        catalog: what its scenario can name, for who runs it; shipped and installed plug-ins when
+            omitted.
+
+    Raises:
+        CoopqpError: it holds none; its points cannot be drawn again.
+    """
+    head = _head(folder)
+    path, text = head["scenario"]
+    own, words = head["study"]
+    study = study_text(Path(own), words, (Path(path), text), catalog or Catalog())
+    if head["identity"]["points"] != study.points.digest:
+        words = "other points are drawn here than where it was run, by another scipy or numpy"
+        raise CoopqpError(f"'{folder}': {words}; use that one's")
+    return study
+
+
+def check_plugins(folder: Path, study: Study) -> list[str]:
+    """Refuse to run a row without the plug-ins that the study was run with.
+
+    Raises:
+        CoopqpError: it was run with plug-ins of the user's own, and none are given.
+    """
+    head = _head(folder)
+    named = [
+        f"{option} {quote(path)}"
+        for option, paths in zip(("--tasks", "--plugins"), head["folders"], strict=True)
+        for path in paths
+    ]
+    if named and not any(study.catalog.folders):
+        words = "was run with plug-ins, and opening a folder never runs code by itself"
+        raise CoopqpError(f"'{folder}' {words}; if you trust them, add {' '.join(named)}")
+    if head["identity"]["plugins"] != plugins_hash(study):
+        return ["the plug-ins are not those that the study was run with"]
+    return []
+
+
+def _head(folder: Path) -> dict[str, Any]:
+    if folder.is_file():
+        raise CoopqpError(f"'{folder}' is a file; --table and --show need the folder of a study")
+    if not folder.is_dir():
+        raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
+    found = journals(folder)
+    if not found:
+        raise CoopqpError(
+            f"'{folder}' holds no study: needs a journal, as 'coopqp sweep' writes it"
+        )
+    return head_of(found[0]) or {}
+
+
+def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
+    """A scenario file for one row, and the name of its controller.
+
+    Raises:
+        CoopqpError: there is no such row.
+    """
+    if not 0 <= row < study.rows:
+        raise CoopqpError(f"--show: found {row}; the study has rows 0 to {study.rows - 1}")
+    number, k = divmod(row, len(study.controllers))
+    variant = study.variant(number)
+    data: dict[str, Any] = study.changed(variant)
+    controllers = data.get(CONTROLLERS)
+    if controllers:
+        data = {**data, CONTROLLERS: [controllers[k]]}
+    if has_files(data):
+        own = data.get("folder")
+        base = study.scenario_text[0].parent
+        data = {**data, "folder": str(base / own if isinstance(own, str) else base)}
+    columns = zip(study.columns, study.parts(variant), strict=True)
+    values = ", ".join(f"{name} {value}" for name, value in columns)
+    head = f"# Row {row} of the study {study.name}, variant {number}: {values}\n"
+    return head + _yaml(study, data), study.controllers[k]
+
+
+def _yaml(study: Study, data: dict[str, Any]) -> str:
+    """As YAML for people; as JSON where that would not be read back as it was."""
+    stream = io.StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style, writer.sort_base_mapping_type_on_output = None, False  # type: ignore[assignment]
+    writer.dump(data, stream)
+    text = stream.getvalue()
+    try:
+        if parsed(study.scenario.path, text).data == data:
+            return text
+    except ScenarioError:
+        pass
+    return study.scenario.changed(data).text

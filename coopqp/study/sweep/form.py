@@ -36,7 +36,6 @@ assert set(SAMPLES) == {*METHODS, GRID}
 
 
 def _variation(value: Any) -> Any:
-    """One variation by name."""
     if not isinstance(value, dict) or len(value) != 1:
         found = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
         raise ValueError(f"{found}; needs one of {', '.join(space.KINDS)}, such as range: [0, 1]")
@@ -53,7 +52,6 @@ def _scenario(value: Any) -> Any:
 
 
 def _paths(value: Any) -> Any:
-    """What is varied, by its path."""
     if not isinstance(value, dict) or not value:
         raise ValueError("is empty; needs a path of the scenario: what to vary it over")
     return value
@@ -81,7 +79,6 @@ def _count(value: Any) -> Any:
 
 
 def _metric(name: str, info: ValidationInfo) -> str:
-    """A metric of the catalogue, where one is given."""
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
         raise ValueError(unknown_name("metric", name, known))
@@ -147,12 +144,7 @@ class StudyFile(BaseModel):
 
 
 def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None, list[Wrong]]:
-    """What a file says, and what is wrong with that.
-
-    Args:
-        file: of the study.
-        catalog: what its metrics must be in; None if they need not.
-    """
+    """What a file says, and what is wrong with that."""
     context = {"metrics": catalog.entries("metrics")} if catalog else None
     try:
         return StudyFile.model_validate_json(json.dumps(file.data), context=context), []
@@ -161,11 +153,7 @@ def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None
 
 
 def schema(catalog: Catalog) -> dict[str, Any]:
-    """The JSON Schema, for editors.
-
-    Args:
-        catalog: what the study's scenario can name.
-    """
+    """The JSON Schema, for editors."""
     found = StudyFile.model_json_schema()
     found["properties"]["metrics"]["items"] = {"enum": list(catalog.entries("metrics"))}
     vary = found["properties"]["vary"]

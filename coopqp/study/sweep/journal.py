@@ -1,107 +1,125 @@
-"""The journal of a study: a line for each finished variant, on the disk before the next batch.
+"""The journal of a study: an SQLite database with a record for each finished variant.
 
-The first line is the head: what the study is, whole, so that the folder can be read by itself. The
-file only grows. What a kill or a full disk has left half written is the last line, and is cut off.
-Each line ends with a checksum of itself; one that is not right counts as not there.
+One process writes to it, others read meanwhile. A batch is a transaction, on the disk before the
+next one; what a kill or a full disk has left half written is rolled back by who opens it next. The
+record ``HEAD`` is what the study is, whole, so that the folder can be read by itself.
+
+    records(id, said, crc)     JSON, and its CRC-32, because SQLite's pages have no checksum
+
+SQLite's rollback journal also works on the file systems of clusters; its WAL does not.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 from coopqp.errors import CoopqpError
-from coopqp.reading import open_bytes
+from coopqp.reading import check_plain
 from coopqp.study.engine import Share
 
-PATTERN = "journal*.jsonl"
-FORM = 2  # of the files; others are refused
-_SUM = b',"crc":"%08x"}\n'
-_LENGTH = len(_SUM % 0)
+PATTERN = "journal*.sqlite3"
+#: Journals of coopqp 0.1, with a line a variant.
+OLDER = "journal*.jsonl"
+FORM = 3  # of the database; others are refused
+HEAD = -1
+CHUNK = 500  # records that are read at a time, so that nobody waits for who reads
+#: How long who reads and who writes wait for each other [s].
+PATIENCE = 60.0
 
 
 def path_of(folder: Path, share: Share) -> Path:
     """The journal of a share."""
     name = "journal" if share.whole else f"journal-{share.number}-of-{share.of}"
-    return folder / f"{name}.jsonl"
+    return folder / f"{name}.sqlite3"
 
 
 def journals(folder: Path) -> list[Path]:
     """All journals of a study that have a head.
 
     Raises:
-        CoopqpError: one cannot be read, or is none.
+        CoopqpError: one cannot be read, or is none, or is of an older coopqp.
     """
+    for path in folder.glob(OLDER):
+        words = "was written by an older coopqp (one that kept JSON lines)"
+        raise CoopqpError(f"'{path}' {words}; use that one, or give another --out")
     return [path for path in sorted(folder.glob(PATTERN)) if head_of(path) is not None]
 
 
 def head_of(path: Path) -> dict[str, Any] | None:
-    """The first line; None where none was finished.
+    """What the study is; None where its writer was killed before it said so.
 
     Raises:
         CoopqpError: it cannot be read, is no journal, or one of another form, or is damaged.
     """
-    with open_bytes(path) as stream:
-        line = stream.readline()
-    if not line.endswith(b"\n"):
+    with _reading(path) as database:
+        return _head(path, database)
+
+
+def _head(path: Path, database: sqlite3.Connection) -> dict[str, Any] | None:
+    (form,) = database.execute("PRAGMA user_version").fetchone()
+    (tables,) = database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if not (form or tables):
         return None
-    head = read(line)
-    if head is not None and head.get("form") == FORM:
-        return head
-    try:
-        form = json.loads(line)["form"]
-    except (ValueError, KeyError, TypeError):
-        form = FORM
     if form != FORM:
-        words = f"was written by another coopqp (form {form!r:.20}, this one has {FORM})"
+        words = f"was written by another coopqp (form {form}, this one has {FORM})"
         raise CoopqpError(f"'{path}' {words}; use that one, or give another --out")
-    raise CoopqpError(f"'{path}': its head is damaged; move the folder away")
-
-
-def line_of(said: dict[str, Any]) -> bytes:
-    """As a line of JSON, with its checksum as the last value."""
-    text = json.dumps(said, separators=(",", ":")).encode()[:-1]
-    return text + _SUM % crc32(text)
-
-
-def read(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None where it is not as it was written."""
-    if line[-_LENGTH:] != _SUM % crc32(line[:-_LENGTH]):
-        return None
-    said: dict[str, Any] = json.loads(line)
-    return said
+    found = database.execute("SELECT said, crc FROM records WHERE id = ?", (HEAD,)).fetchone()
+    head = _read(*found) if found else None
+    if head is None:
+        raise CoopqpError(f"'{path}': its head is damaged; move the folder away")
+    return head
 
 
 def records(path: Path) -> Iterator[tuple[int, dict[str, Any] | None]]:
-    """Each whole line after the head: where it begins, what it says; None where it is damaged.
+    """Each record after the head, by its number; None where it is not as it was written."""
+    ask = "SELECT id, said, crc FROM records WHERE id > ? ORDER BY id LIMIT ?"
+    with _reading(path) as database:
+        last = HEAD
+        while chunk := database.execute(ask, (last, CHUNK)).fetchall():
+            yield from ((number, _read(said, crc)) for number, said, crc in chunk)
+            last = chunk[-1][0]
 
-    Raises:
-        CoopqpError: it cannot be read.
-    """
-    with open_bytes(path) as stream:
-        at = len(stream.readline())
-        for line in stream:
-            if line.endswith(b"\n"):
-                yield at, read(line)
-            at += len(line)
+
+def _read(said: Any, crc: Any) -> dict[str, Any] | None:
+    if not isinstance(said, bytes) or crc32(said) != crc:
+        return None
+    found: dict[str, Any] = json.loads(said)
+    return found
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[sqlite3.Connection]:
+    check_plain(path)
+    try:
+        with closing(_connected(path, "rw")) as database:
+            yield database
+    except sqlite3.OperationalError as error:
+        raise CoopqpError(f"'{path}' cannot be read: {error}") from None
+    except sqlite3.DatabaseError as error:
+        words = "move it away; what is whole, sqlite3's .recover brings back"
+        raise CoopqpError(f"'{path}' is no journal, or is damaged ({error}); {words}") from None
+
+
+def _connected(path: Path, mode: str) -> sqlite3.Connection:
+    """A connection; texts come as bytes, which need not be UTF-8."""
+    uri = f"{path.absolute().as_uri()}?mode={mode}"
+    database = sqlite3.connect(uri, PATIENCE, isolation_level=None, uri=True)
+    database.text_factory = bytes
+    return database
 
 
 class Journal:
-    """A journal that is written to.
+    """A journal that is written to."""
 
-    Args:
-        path: of the file.
-        descriptor: of it, open for writing at its end.
-    """
-
-    def __init__(self, path: Path, descriptor: int) -> None:
-        self._path, self._descriptor = path, descriptor
+    def __init__(self, path: Path, database: sqlite3.Connection) -> None:
+        self._path, self._database = path, database
 
     @classmethod
     @contextmanager
@@ -116,52 +134,59 @@ class Journal:
         except OSError as error:
             raise CoopqpError(f"'{path.parent}' cannot be made: {error.strerror}") from None
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            lock = open(path.with_name(f".{path.name}.lock"), "w")  # noqa: SIM115 - closed below
         except OSError as error:
-            raise _unwritten(path, error) from None
-        try:
+            raise _unwritten(path, error.strerror) from None
+        with lock:
             try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 words = "another process is at work on it; wait for it, or take another --shard"
                 raise CoopqpError(f"'{path}': {words}") from None
-            journal = cls(path, descriptor)
-            journal._begin(head)
-            yield journal
-        finally:
-            os.close(descriptor)
+            if path.exists():
+                check_plain(path)
+            with closing(_connected(path, "rwc")) as database:
+                journal = cls(path, database)
+                journal._begin(head)
+                yield journal
 
     def _begin(self, head: dict[str, Any]) -> None:
-        """Cut off what is half written; a new file gets its head."""
-        if head_of(self._path) is None:
-            os.ftruncate(self._descriptor, 0)
-            self.append([head])
-            return
-        with open_bytes(self._path) as stream:
-            end = 0
-            for line in stream:
-                end += len(line) if line.endswith(b"\n") else 0
-        os.ftruncate(self._descriptor, end)
-        os.lseek(self._descriptor, end, os.SEEK_SET)
+        """A new file gets its head."""
+        with self._written():
+            if _head(self._path, self._database) is None:
+                create = "CREATE TABLE records (id INTEGER PRIMARY KEY, said, crc)"
+                self._database.execute(create)
+                self._database.execute(f"PRAGMA user_version = {FORM}")
+                self._insert([(HEAD, head)])
 
-    def append(self, said: Sequence[dict[str, Any]]) -> None:
-        """Write lines, and see them on the disk.
+    def append(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+        """Write records, and see them on the disk.
+
+        Args:
+            said: by number, in the place of what had it before; None is the next number.
 
         Raises:
             CoopqpError: the disk is full, or gone; what was written before is kept.
         """
-        lines = b"".join(map(line_of, said))
-        begun = os.lseek(self._descriptor, 0, os.SEEK_CUR)
+        with self._written():
+            self._insert(said)
+
+    def _insert(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+        texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in said]
+        rows = [(number, text, crc32(text.encode())) for number, text in texts]
+        self._database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
+
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        """A transaction; all of it is on the disk at its end, or nothing."""
         try:
-            written = 0
-            while written < len(lines):
-                written += os.write(self._descriptor, lines[written:])
-            os.fsync(self._descriptor)
-        except OSError as error:
-            os.ftruncate(self._descriptor, begun)
+            self._database.execute("BEGIN IMMEDIATE")
+            yield
+            self._database.execute("COMMIT")
+        except sqlite3.DatabaseError as error:
             raise _unwritten(self._path, error) from None
 
 
-def _unwritten(path: Path, error: OSError) -> CoopqpError:
-    words = f"cannot write '{path}': {error.strerror}"
+def _unwritten(path: Path, why: object) -> CoopqpError:
+    words = f"cannot write '{path}': {why}"
     return CoopqpError(f"{words}; what was done is kept, and the same command goes on from there")

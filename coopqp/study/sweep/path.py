@@ -24,9 +24,6 @@ def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> 
         path: as above.
         defaults: by key, for what the file leaves out.
 
-    Returns:
-        Each key or index in turn.
-
     Raises:
         InvalidValueError: the path is none, or leads to what is not there.
     """

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 
@@ -21,6 +21,7 @@ import numpy as np
 from coopqp.checked import Array
 
 MOST = 10_000_000  # points of a study
+METHODS = ("sobol", "random", "latin_hypercube")
 #: What the samples' seed is mixed with, so that it gives other numbers than the variants' seeds.
 SAMPLES = 0x5A3B
 
@@ -30,7 +31,6 @@ class Points:
     """Points of the unit cube.
 
     Attributes:
-        count: how many.
         levels: of a grid, in each dimension; empty for others.
         drawn: of the others, shape (count, dimensions); empty for a grid.
     """
@@ -62,42 +62,15 @@ def grid(levels: Sequence[int]) -> Points:
 
 
 def drawn(method: str, count: int, dimensions: int, seed: int) -> Points:
-    """Points of one of the other methods.
-
-    Args:
-        method: its name.
-        count: how many.
-        dimensions: of the cube; 0 where nothing is varied.
-        seed: the same for the same points.
-    """
+    """Points of one of the other methods."""
     rng = np.random.default_rng([seed, SAMPLES])
     if dimensions == 0:
         return Points(count, (), np.zeros((count, 0)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # counts that are no power of two; the reader notes it
-        return Points(count, (), METHODS[method](count, dimensions, rng))
-
-
-def _random(count: int, dimensions: int, rng: np.random.Generator) -> Array:
-    return rng.random((count, dimensions))
-
-
-def _sobol(count: int, dimensions: int, rng: np.random.Generator) -> Array:
+    if method == "random":
+        return Points(count, (), rng.random((count, dimensions)))
     from scipy.stats import qmc  # workers, who draw nothing, do not wait for it
 
-    points: Array = qmc.Sobol(dimensions, seed=rng).random(count)
-    return points
-
-
-def _latin_hypercube(count: int, dimensions: int, rng: np.random.Generator) -> Array:
-    from scipy.stats import qmc
-
-    points: Array = qmc.LatinHypercube(dimensions, seed=rng).random(count)
-    return points
-
-
-METHODS: Mapping[str, Callable[[int, int, np.random.Generator], Array]] = {
-    "sobol": _sobol,
-    "random": _random,
-    "latin_hypercube": _latin_hypercube,
-}
+    sampler = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}[method]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # counts that are no power of two; the reader notes it
+        return Points(count, (), sampler(dimensions, seed=rng).random(count))

@@ -51,15 +51,6 @@ def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catal
     """The same from texts that were kept of a study that has been read before.
 
     What its scenario names is not looked up, so that the plug-ins need not be there.
-
-    Args:
-        path: of the study's file.
-        text: what it held.
-        scenario: path and text of its scenario.
-        catalog: what the scenario can name, for who runs it.
-
-    Raises:
-        ScenarioError: as :func:`read_study`.
     """
     file = parsed(path, text)
     with file.lines():
@@ -123,7 +114,6 @@ def _scenario(file: YamlFile, wrong: list[Wrong]) -> YamlFile | None:
 def _located(
     vary: Mapping[str, Variation], base: YamlFile, defaults: Mapping[str, Any], wrong: list[Wrong]
 ) -> Iterator[Varied]:
-    """The keys that paths lead to."""
     for path, over in vary.items():
         if not path:
             words = "'' is no path; needs one such as tasks.reach.goal"
@@ -213,7 +203,6 @@ def _own_faults(
 
 
 def _faults(file: YamlFile, catalog: Catalog) -> Sequence[Fault]:
-    """What is wrong with the form of a scenario."""
     try:
         check(file, catalog)
     except ScenarioError as error:

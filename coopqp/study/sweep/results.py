@@ -1,20 +1,34 @@
-"""The journals as one Parquet file: a row a variant and controller, in order."""
+"""The results of a study: from the journals to one Parquet file, and its columns.
+
+The file has a row for each variant and controller, in order. It is read a column at a time, so that
+few of them are in memory.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from heapq import merge
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import coopqp
+from coopqp.checked import Array
 from coopqp.errors import CoopqpError, MissingDependencyError
-from coopqp.study.sweep.index import Index, kind_of, wider
+from coopqp.study.sweep.journal import journals, records
 from coopqp.study.sweep.space import Box, Listed, Normal
 from coopqp.study.sweep.study import SEED, Study, Varied
+from coopqp.study.sweep.variant import Row
 
 NAME = "results.parquet"
 LOCK = ".results.lock"
@@ -24,13 +38,96 @@ FIRST = {"row": "int", "variant": "int", "controller": "text", "state": "text", 
 LAST = {"success": "bool", "blocked_by": "text", "broken": "text"}
 OWN_SEED = "variant_seed"
 
+KINDS: dict[str, type] = {"bool": bool, "int": int, "float": float, "text": str}
+#: The same of the types themselves, which most values have.
+PLAIN: dict[type, str] = {**{cls: kind for kind, cls in KINDS.items()}, type(None): ""}
+
+
+class Index:
+    """What the journals of a folder hold; a bit a variant, whatever the rows hold.
+
+    Attributes:
+        damaged: how many records are not as they were written; what they said is not there.
+        states: how many rows are in each state.
+        columns: kind of each column that is not fixed, "bool", "int", "float" or "text", in the
+            order of the first variant that has it.
+    """
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        self._paths, self._controllers = journals(folder), len(study.controllers)
+        self._there = np.zeros(study.points.count, bool)
+        self.damaged, self.states = 0, Counter[str]()
+        found: dict[str, tuple[tuple[int, int], str]] = {}
+        for variant, rows in self._records():
+            if rows is None:
+                self.damaged += 1
+                continue
+            self._there[variant] = True
+            for row in rows:
+                self.states[row["state"]] += 1
+                for place, (name, value) in enumerate(row.items()):
+                    first, kind = found.get(name, ((variant, place), ""))
+                    found[name] = min(first, (variant, place)), wider(kind, kind_of(value))
+        ordered = sorted(found.items(), key=lambda item: item[1][0])
+        self.columns = {name: kind or "float" for name, (_, kind) in ordered}
+
+    def _records(self) -> Iterator[tuple[int, list[Row] | None]]:
+        """Each variant once, in order, with its rows; what is damaged besides, with None."""
+        last = -1  # two shares may have done the same, and have found the same
+        for variant, path, record in merge(*map(_by_variant, self._paths), key=itemgetter(0)):
+            if record is None:
+                yield variant, None
+            elif not self._fits(variant, record):
+                words = f"holds a record that is none of this study's, number {variant}"
+                raise CoopqpError(f"'{path}' {words}; remove the record, or the folder")
+            elif variant > last:
+                last = variant
+                yield variant, record["rows"]
+
+    def _fits(self, variant: int, record: dict[str, Any]) -> bool:
+        rows = record.get("rows")
+        known = variant < len(self._there) and record.get("variant") == variant
+        return known and isinstance(rows, list) and len(rows) == self._controllers
+
+    @property
+    def done(self) -> int:
+        """Number of variants."""
+        return int(self._there.sum())
+
+    def missing(self, among: Sequence[int]) -> NDArray[np.int64]:
+        """Those of some variants that are not there."""
+        asked = np.asarray(among, dtype=np.int64)
+        return asked[~self._there[asked]]
+
+    def rows(self) -> Iterator[tuple[int, list[Row]]]:
+        """Each variant that is there, in order, with its rows."""
+        found = ((variant, rows) for variant, rows in self._records() if rows is not None)
+        return (one for one in found if self._there[one[0]])
+
+
+def _by_variant(path: Path) -> Iterator[tuple[int, Path, dict[str, Any] | None]]:
+    return ((variant, path, record) for variant, record in records(path))
+
+
+def kind_of(value: Any) -> str:
+    """What a column must be to hold a value; empty for None."""
+    if (known := PLAIN.get(type(value))) is not None:
+        return known
+    for kind, cls in KINDS.items():
+        if isinstance(value, cls):
+            return kind
+    return "" if value is None else "text"
+
+
+def wider(one: str, other: str) -> str:
+    """What a column must be to hold both."""
+    if not one or not other or one == other:
+        return one or other
+    return "float" if {one, other} == {"int", "float"} else "text"
+
 
 def needs_arrow() -> None:
-    """Refuse to begin where results could not be written.
-
-    Raises:
-        MissingDependencyError: pyarrow is not installed.
-    """
+    """Refuse to begin where results could not be written."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:
@@ -38,15 +135,7 @@ def needs_arrow() -> None:
 
 
 def compact(study: Study, folder: Path) -> Index:
-    """Write what the journals hold by now; the old file stays until the new one is whole.
-
-    Args:
-        study: whose journals they are.
-        folder: with them.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write what the journals hold by now; the old file stays until the new one is whole."""
     aside = folder / f".{NAME}.{os.getpid()}"
     try:
         with _alone(folder):
@@ -92,7 +181,6 @@ def _write(study: Study, index: Index, path: Path) -> None:
 
 
 def _kinds(study: Study, index: Index) -> dict[str, str]:
-    """The kind of each column, in order."""
     varied = {name: kind for one in study.varied for name, kind in _varied_kinds(one)}
     fixed = {**FIRST, OWN_SEED: "int", **varied, **LAST}
     return {**fixed, **{k: v for k, v in index.columns.items() if k not in fixed}}
@@ -117,10 +205,11 @@ def _varied_kinds(one: Varied) -> Iterator[tuple[str, str]]:
 def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[Any]]:
     rest = list(kinds)[len(FIRST) + 1 + len(study.columns) :]
     texts = {name for name, kind in kinds.items() if kind == "text"}
-    columns = study.columns
+    columns, places = study.columns, [one.location for one in study.varied]
+    seed_at = places.index((SEED,)) if (SEED,) in places else None
     for number, rows in index.rows():
         variant = study.variant(number)
-        seed = variant.values[_seed_at(study)] if _seed_at(study) >= 0 else variant.seed
+        seed = variant.seed if seed_at is None else variant.values[seed_at]
         values = [_text(x) if name in texts else x
                   for name, x in zip(columns, study.parts(variant), strict=True)]  # fmt: skip
         for k, (controller, row) in enumerate(zip(study.controllers, rows, strict=True)):
@@ -129,11 +218,55 @@ def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[An
             yield [place, number, controller, row["state"], row["reason"], seed, *values, *own]
 
 
-def _seed_at(study: Study) -> int:
-    """Where among what is varied the seed is; -1 nowhere."""
-    places: Sequence[tuple[Any, ...]] = [one.location for one in study.varied]
-    return places.index((SEED,)) if (SEED,) in places else -1
-
-
 def _text(value: Any) -> Any:
     return value if value is None or isinstance(value, str) else str(value)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Results on disk."""
+
+    path: Path
+
+    @classmethod
+    def of(cls, folder: Path) -> Columns:
+        """Those in the folder of a study."""
+        if not (folder / NAME).is_file():
+            raise CoopqpError(f"'{folder}' has no {NAME} yet")
+        return cls(folder / NAME)
+
+    @cached_property
+    def kinds(self) -> Mapping[str, str]:
+        """By name, what is in a column: "bool", "int64", "double" or "string"."""
+        from pyarrow import parquet as pq
+
+        return {field.name: str(field.type) for field in pq.read_schema(self.path)}
+
+    def __len__(self) -> int:
+        from pyarrow import parquet as pq
+
+        return int(pq.read_metadata(self.path).num_rows)
+
+    def _column(self, name: str) -> Any:
+        from pyarrow import parquet as pq
+
+        return pq.read_table(self.path, columns=[name]).column(0).combine_chunks()
+
+    def numbers(self, name: str) -> Array:
+        """A column of numbers or truths, shape (rows,); NaN where there is none.
+
+        What only rows that are done have is no column before one is.
+        """
+        if name not in self.kinds:
+            return np.full(len(self), np.nan)
+        import pyarrow as pa
+
+        column = self._column(name).cast(pa.float64())
+        found: Array = column.to_numpy(zero_copy_only=False)
+        return found
+
+    def codes(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
+        """A column of texts: the number of each row's text, -1 for none, and the texts."""
+        column = self._column(name).dictionary_encode()
+        codes = column.indices.fill_null(-1).to_numpy(zero_copy_only=False)
+        return codes.astype(np.int64), [str(text) for text in column.dictionary.to_pylist()]

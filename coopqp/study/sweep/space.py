@@ -16,7 +16,7 @@ import math
 import types
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,7 +32,13 @@ CORNERS = "needs two corners, [[lows], [highs]], and levels if you like"
 
 
 class Variation(ABC):
-    """What one key is varied over."""
+    """What one key is varied over.
+
+    Attributes:
+        numbers: of a value that is a list of so many; 0 where it is no list.
+    """
+
+    numbers: int
 
     @property
     def dimensions(self) -> int:
@@ -42,7 +48,7 @@ class Variation(ABC):
     @property
     def suffixes(self) -> tuple[str, ...]:
         """What is added to the key's path for each number of a value; one empty for one."""
-        return ("",)
+        return tuple(f"[{i}]" for i in range(self.numbers)) if self.numbers else ("",)
 
     @abstractmethod
     def at(self, u: Array) -> Any:
@@ -58,7 +64,7 @@ class Variation(ABC):
 
     def parts(self, value: Any) -> tuple[Any, ...]:
         """The numbers or texts that stand in the columns of a value."""
-        return tuple(value) if len(self.suffixes) > 1 else (value,)
+        return tuple(value) if self.numbers else (value,)
 
 
 @dataclass(frozen=True)
@@ -90,25 +96,18 @@ class Box(Variation):
     """One number, or as many as the corners have."""
 
     sides: tuple[Interval, ...]
-    listed: bool
+    numbers: int = 0
     grows: bool = False
 
     @property
     def dimensions(self) -> int:
         return len(self.sides)
 
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        return tuple(f"[{i}]" for i in range(len(self.sides))) if self.listed else ("",)
-
-    def parts(self, value: Any) -> tuple[Any, ...]:
-        return tuple(value) if self.listed else (value,)
-
     def at(self, u: Array) -> Any:
         found = [side.at(float(x), side.count) for side, x in zip(self.sides, u, strict=True)]
         if self.grows:
             found = [10.0**x for x in found]
-        return found if self.listed else found[0]
+        return found if self.numbers else found[0]
 
     def levels(self, count: int) -> tuple[int, ...]:
         return tuple(1 if s.low == s.high else s.count or count for s in self.sides)
@@ -116,8 +115,7 @@ class Box(Variation):
     def gridded(self, levels: Sequence[int]) -> Box:
         """The same with levels."""
         sides = zip(self.sides, levels, strict=True)
-        return Box(tuple(Interval(s.low, s.high, n, s.whole) for s, n in sides), self.listed,
-                   self.grows)  # fmt: skip
+        return replace(self, sides=tuple(replace(side, count=n) for side, n in sides))
 
     def tried(self) -> list[Any]:
         return [self.at(np.full(self.dimensions, u)) for u in (0.0, 0.5, 1.0)]
@@ -129,6 +127,7 @@ class Normal(Variation):
 
     mean: float
     deviation: float
+    numbers: int = 0
 
     def at(self, u: Array) -> Any:
         return self.mean + self.deviation * float(ndtri(np.clip(u[0], LEAST, 1.0 - LEAST)))
@@ -146,13 +145,6 @@ class Listed(Variation):
 
     values: tuple[Any, ...]
     numbers: int = 0
-
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        return tuple(f"[{i}]" for i in range(self.numbers)) if self.numbers else ("",)
-
-    def parts(self, value: Any) -> tuple[Any, ...]:
-        return tuple(value) if self.numbers else (value,)
 
     def at(self, u: Array) -> Any:
         return self.values[min(int(u[0] * len(self.values)), len(self.values) - 1)]
@@ -196,11 +188,11 @@ def _box(given: list[Any]) -> Variation:
         raise ValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
     if len(listed) != len(low):
         raise ValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
-    return Box(tuple(map(_interval, low, high, listed)), listed=True)
+    return Box(tuple(map(_interval, low, high, listed)), len(low))
 
 
 def _range(given: list[Any]) -> Variation:
-    return Box((_interval(*given),), listed=False)
+    return Box((_interval(*given),))
 
 
 def _log(given: list[Any]) -> Variation:
@@ -208,7 +200,7 @@ def _log(given: list[Any]) -> Variation:
         raise ValueError(f"found {given[0]:g}; a logarithm needs numbers above 0")
     found = _interval(*given)
     side = Interval(math.log10(found.low), math.log10(found.high), found.count)
-    return Box((side,), listed=False, grows=True)
+    return Box((side,), grows=True)
 
 
 def _interval(low: Any, high: Any, count: Any = None) -> Interval:

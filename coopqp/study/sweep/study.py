@@ -26,9 +26,7 @@ class Varied:
     """A key of the scenario that is varied.
 
     Attributes:
-        path: as the study has it.
         location: keys and indices to it in the scenario's data.
-        over: what.
     """
 
     path: str
@@ -46,7 +44,6 @@ class Variant:
     """One point of a study.
 
     Attributes:
-        index: of the point.
         seed: of everything random in it.
         values: of what is varied, in order.
     """
@@ -61,14 +58,10 @@ class Study:
     """What is asked.
 
     Attributes:
-        file: the study's.
         scenario: the scenario's, with slots on the way to what is varied written out.
         scenario_text: path and text of its file.
-        catalog: what both can name.
-        varied: the keys.
         controllers: names; each variant is run under all of them.
         points: of the unit cube, a dimension for each number that is varied.
-        metrics: names.
         seed: of the points and of everything random in the variants.
         notes: what is odd, but no fault.
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coopqp.study.statistics.paired import Difference, Success, median
 from coopqp.study.statistics.paired import success as paired
 from coopqp.study.statistics.summary import Share, wilson
-from coopqp.study.sweep.columns import Columns
+from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.variant import DONE
 
 MARGIN = "limit_margin_min"
@@ -28,7 +28,6 @@ class Line:
     """One controller on all variants.
 
     Attributes:
-        controller: its name.
         states: how many rows are done, invalid and failed.
         success, reached: of those that are done.
         errors: median and 95 % quantile of each task's error, by name.
@@ -69,8 +68,6 @@ class Summary:
     """A study in few numbers.
 
     Attributes:
-        rows: how many.
-        lines: one a controller.
         pairs: one for each controller but the reference.
         reasons: how often each was given by rows that are not done, the most frequent first; those
             that only differ in numbers together.

@@ -13,13 +13,11 @@ from typing import Any, overload
 import numpy as np
 
 from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.sweep.folder import check_folder
-from coopqp.study.sweep.identity import identity
-from coopqp.study.sweep.index import Index
-from coopqp.study.sweep.journal import FORM, Journal, path_of
-from coopqp.study.sweep.results import compact, needs_arrow
+from coopqp.study.sweep.folder import check_folder, identity
+from coopqp.study.sweep.journal import Journal, path_of
+from coopqp.study.sweep.results import Index, compact, needs_arrow
 from coopqp.study.sweep.study import Study, Variant
-from coopqp.study.sweep.variant import Row, job_of, lost_rows, run_variants
+from coopqp.study.sweep.variant import job_of, lost_rows, run_variants
 
 Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
 """With the user's own tasks, and plug-ins."""
@@ -35,7 +33,7 @@ class Progress:
         before: of them, those that were there when it began.
         done: of them, those that are there.
         states: of the rows that came since, by state.
-        damaged: lines of journals that were not as they were written; what they said is done again.
+        damaged: records that were not as they were written; what they said is done again.
         begun: when [s].
     """
 
@@ -84,7 +82,13 @@ def sweep(
     own = identity(study)
     check_folder(folder, study, own)
     job = job_of(study, folders)
-    head = _head(study, own, folders)
+    head = {
+        "name": study.name,
+        "identity": own,
+        "study": [str(study.file.path), study.file.text],
+        "scenario": list(map(str, study.scenario_text)),
+        "folders": [[str(one) for one in kind] for kind in folders],
+    }
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = Index(folder, study)
@@ -97,29 +101,13 @@ def sweep(
                 (variant.index, lost_rows(job, rows.reason) if isinstance(rows, Lost) else rows)
                 for variant, rows in batch
             ]
-            journal.append([_record(index, rows) for index, rows in found])
+            journal.append((index, {"variant": index, "rows": rows}) for index, rows in found)
             state.done += len(found)
             state.states.update(row["state"] for _, rows in found for row in rows)
             if progress:
                 progress(state)
     compact(study, folder)
     return state
-
-
-def _head(study: Study, own: dict[str, str], folders: Folders) -> dict[str, Any]:
-    path, text = study.scenario_text
-    return {
-        "form": FORM,
-        "name": study.name,
-        "identity": own,
-        "study": [str(study.file.path), study.file.text],
-        "scenario": [str(path), text],
-        "folders": [[str(one) for one in kind] for kind in folders],
-    }
-
-
-def _record(variant: int, rows: Sequence[Row]) -> dict[str, Any]:
-    return {"variant": variant, "rows": rows}
 
 
 class _Variants(Sequence[Variant]):

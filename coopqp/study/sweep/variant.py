@@ -41,8 +41,6 @@ class Job:
     Attributes:
         path, text: of the scenario's file, for faults.
         data: of the scenario, as JSON.
-        places: of what is varied.
-        controllers, metrics: names.
         folders: with the user's own tasks, and plug-ins.
     """
 
@@ -56,12 +54,7 @@ class Job:
 
 
 def job_of(study: Study, folders: tuple[tuple[Path, ...], tuple[Path, ...]]) -> Job:
-    """What the workers must know.
-
-    Args:
-        study: whose variants they run.
-        folders: from the root on, with the user's own tasks, and plug-ins.
-    """
+    """What the workers must know."""
     path, text = study.scenario_text
     places = tuple(one.location for one in study.varied)
     data = json.dumps(study.scenario.data)
