@@ -29,7 +29,7 @@ FADES_IN = 0.1
 SWINGS_AT = 2e-4
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
-LETS_GO, FIRM = 0.98, 100.0
+LETS_GO, FIRM = 0.97, 100.0
 
 
 @dataclass(frozen=True)
