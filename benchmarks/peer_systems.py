@@ -19,7 +19,7 @@ from peer_jobs import TARGET, TICKS, Job
 from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask, RelativeFrameTask
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.signal import POINT, Course, Followed
 

@@ -16,14 +16,13 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.controllers import TorqueQp
-from coopqp.disturbance import Disturbance, Push
-from coopqp.memory import Memory
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import Memory
+from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals.circle import Circle

@@ -17,8 +17,8 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, Vector3, unit
-from coopqp.geometry import (
+from coopqp.base.spec import Array, Vector3, unit
+from coopqp.model.geometry import (
     TINY,
     Alignment,
     Approach,
@@ -27,9 +27,9 @@ from coopqp.geometry import (
     RotationError,
     polar,
 )
-from coopqp.profile import KINDS, Profile
+from coopqp.model.profile import KINDS, Profile
+from coopqp.model.state import State
 from coopqp.signal import ROTATION, Course, quaternion_of
-from coopqp.state import State
 
 AT_ONCE = Profile(kind="step")
 WORLD = Reference()  # at rest, so that nobody ever writes to it
@@ -193,7 +193,7 @@ def radial(
 
 
 def lean(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
-    """An axis of the object goes to the reference's third, :class:`coopqp.geometry.Alignment`."""
+    """An axis of the object goes to the reference's third, ``geometry.Alignment``."""
     reference.update(start)
     a_O = unit((axis[0], axis[1], axis[2]))
     seen = polar(reference.RT @ start.R_WO @ a_O)
@@ -218,7 +218,7 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 def rotation(
     goal: Course, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
-    """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
+    """An orientation goes to its goal, ``geometry.RotationError``."""
     return Primitive(
         kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile, goal=goal,
         phi=np.asarray(pin.log3(goal.R @ Q_start.T)).tolist(), Q_start=Q_start.copy(),

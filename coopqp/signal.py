@@ -24,8 +24,8 @@ import pinocchio as pin
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import core_schema
 
-from coopqp.checked import Array, Direction, Pose, Vector3, cross, real, spec, unit
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array, Direction, Pose, Vector3, cross, real, spec, unit
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3

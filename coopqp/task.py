@@ -20,15 +20,15 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from coopqp.checked import Array, NonNegative, Positive, spec, type_name
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
-from coopqp.mark import Mark
-from coopqp.profile import Profile
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, NonNegative, Positive, spec, type_name
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import Mark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, evaluated
-from coopqp.row import Row
 from coopqp.signal import Instant
-from coopqp.state import State
 
 Mode = Literal["soft", "hard", "scaled"]
 

@@ -10,14 +10,14 @@ Where the two points coincide u is the world's x axis: the row stays finite and 
 
 from __future__ import annotations
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, last_end
-from coopqp.mark import Mark, SphereMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, last_end
+from coopqp.model.mark import Mark, SphereMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, radial
 from coopqp.signal import Instant, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 

@@ -9,7 +9,7 @@ from the start to 0:
 
 with theta the angle between the axis and its wished direction, which goes from the start to d on
 the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the line; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the motion of the line; ``geometry.Alignment`` has them, and says what happens where
 the axis points the opposite way. Khalil and Dombre 2004.
 """
 
@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import LineMark, Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.mark import LineMark, Mark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 

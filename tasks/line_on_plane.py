@@ -15,14 +15,14 @@ plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import Mark, PlaneMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.mark import Mark, PlaneMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, tilt
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import last_end
+from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
-from coopqp.mark import Mark, PoseMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import last_end
+from coopqp.model.mark import Mark, PoseMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, rotation
 from coopqp.signal import ROTATION, Course, Instant, MovingRotation, quaternion_of
-from coopqp.state import State
 from coopqp.task import Task
 
 

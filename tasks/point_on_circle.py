@@ -12,14 +12,14 @@ stay finite and the point leaves the axis.
 
 from __future__ import annotations
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import CircleMark, Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.mark import CircleMark, Mark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, radial
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 

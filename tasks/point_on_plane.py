@@ -9,14 +9,14 @@ from where the point starts to 0:
 
 from __future__ import annotations
 
-from coopqp.checked import Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import Mark, PlaneMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.mark import Mark, PlaneMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 

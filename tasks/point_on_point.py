@@ -8,14 +8,14 @@ goes from where the point is at the start to the goal g, be it at rest or a sign
 
 from __future__ import annotations
 
-from coopqp.checked import Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, last_end
-from coopqp.mark import Mark, PointMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, last_end
+from coopqp.model.mark import Mark, PointMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import POINT, Instant, MovingPoint, course
-from coopqp.state import State
 from coopqp.task import Task
 
 

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import PlaceOf, Reference, last_end, pose_course
-from coopqp.mark import Mark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import PlaceOf, Reference, last_end, pose_course
+from coopqp.model.mark import Mark, PoseMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 

@@ -14,15 +14,15 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError, under
-from coopqp.geometry import Approach, last_end
-from coopqp.mark import Mark, PostureMark
-from coopqp.profile import Profile
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
+from coopqp.base.spec import Array, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Approach, last_end
+from coopqp.model.mark import Mark, PostureMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Course, Instant, Reads, Signal, of_joints
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 JointValues = Annotated[float | list[float] | Signal, Reads(float | list[float])]

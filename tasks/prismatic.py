@@ -15,15 +15,15 @@ Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
+from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
-from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.mark import LineMark, Mark, PoseMark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, fixed, point, rotation
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 

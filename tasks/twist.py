@@ -15,14 +15,14 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import last_end
-from coopqp.mark import Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.geometry import last_end
+from coopqp.model.mark import Mark, TrackedMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import PointOfObject, State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Course, Instant, Reads, Signal, of_twist
-from coopqp.state import PointOfObject, State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]

@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 import scipy.linalg
 
-from coopqp.checked import Array, Vector3, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table
-from coopqp.state import State
 
 Walk = Callable[[ClosedChain, int], list[Array]]
 Closed = tuple[Array, Array]

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT
 from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel
 from coopqp.solver import Status
-from coopqp.state import State
 
 LONG = np.longdouble
 DEPENDENT, DOUBTFUL = 1e-12, 1e-5  # what is left of a row that depends on others, or nearly does

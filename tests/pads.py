@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.grasps import SurfaceContact
+from coopqp.model.closed_chain import ClosedChain
 
 
 def pressing(chain: ClosedChain, mass: float, half: float, **settings: Any) -> ClosedChain:

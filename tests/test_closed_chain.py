@@ -9,15 +9,15 @@ import pinocchio as pin
 import pytest
 from chains import Walk, planar_pair, short_pair, spherical_pair, three_arms
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.qp import names_of
+from coopqp.base.rank import matrix_rank
+from coopqp.base.spec import Array, Pose
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.rank import matrix_rank
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import names_of
-from coopqp.state import State
 
 H = 1e-5  # step of the central differences [rad]
 CHAINS: dict[str, Callable[[], ClosedChain]] = {

@@ -7,13 +7,13 @@ import pinocchio as pin
 import pytest
 from chains import three_arms
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, UnknownNameError
+from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 
 
 def poses(chain: ClosedChain, q: Array) -> dict[str, pin.SE3]:

@@ -11,15 +11,15 @@ import pytest
 from scenario_files import GOOD, write
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.robots import Several
 from coopqp.scenario.loader import load
-from coopqp.state import State
 
 H = 1e-5  # step of the central differences [rad]
 

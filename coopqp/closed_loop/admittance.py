@@ -7,7 +7,7 @@ With e the direction from one hand to the other, the hands approach each other a
 F is the measured squeeze. Force follows way, so that this integrates the force's error: none is
 left at rest, whatever the stiffness is. It enters through the loop correction, J_c v = -kappa (e_c
 - gap): along e the gap is where the hands have been told to go, gap' = v, and in all other
-directions it is the model's error (:mod:`coopqp.loop_observer`), which is blind along e. It would
+directions it is the model's error (``model.loop_observer``), which is blind along e. It would
 take the squeeze away otherwise.
 
 With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
@@ -32,14 +32,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import NonNegative, Positive, spec
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.felt import Felt
 from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
-from coopqp.errors import InvalidValueError
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 
 #: Share c of the gain with which hands as stiff as stated close in on the wanted force in one lag.

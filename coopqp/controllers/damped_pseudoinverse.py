@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, Positive, spec
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.controller import Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 

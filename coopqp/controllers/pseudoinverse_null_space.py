@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Positive, spec
+from coopqp.base.spec import Positive, spec
 from coopqp.controller import Controller, ControlProblem, Heeds, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from coopqp.checked import NonNegative, Positive, spec
+from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, squeezer
 from coopqp.controller import HEEDS_ALL, Controller, ControlProblem, Heeds, Law
 from coopqp.kernel.fit import required, why_not

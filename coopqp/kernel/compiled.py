@@ -7,17 +7,16 @@ from enum import IntEnum
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.signal import Course
-from coopqp.state import State
 
 
 class Outcome(IntEnum):

@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command, ControlProblem, Law, Squeezer
 from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
 from coopqp.qp_law.priorities import Order
 from coopqp.signal import Followed
 from coopqp.solver import Status
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
-from coopqp.ticks import Ticks
+from coopqp.trace import Ticks
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel.flat import Flat, flat_joint_limit, flat_twist_limit
 from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.state import State
 
 
 class Limits:

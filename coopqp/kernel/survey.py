@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.kernel import native
 from coopqp.kernel.flat import Flat, flat_model, turned
 from coopqp.kernel.levels import Group, Levels
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.program import Programs
-from coopqp.state import State
 from coopqp.task import Task
 
 

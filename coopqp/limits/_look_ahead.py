@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.limit import LimitRows, movers
 from coopqp.limits._distances import Body, Pair
+from coopqp.model.closed_chain import ClosedChain
 
 #: Reach of a sliding joint without limits [m].
 UNLIMITED = math.pi

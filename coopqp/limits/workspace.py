@@ -17,13 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers
-from coopqp.mark import Mark, PlaneMark
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import Mark, PlaneMark
+from coopqp.model.state import State
 
 
 @spec

@@ -15,16 +15,14 @@ import numpy as np
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Command, ControlProblem
+from coopqp.base.spec import Array
+from coopqp.controller import Command, ControlProblem, Squeezer
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
-from coopqp.memory import Memory
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import Memory, State
 from coopqp.solver import Status
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
 
 #: For joints without a motor, which bound nothing [rad/s2].
 PASSIVE = 1e4

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import Command
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 
 _STATUSES = tuple(Status)
 _NUMBER = {status: i for i, status in enumerate(_STATUSES)}

@@ -8,15 +8,14 @@ from collections import deque
 
 import numpy as np
 
-from coopqp.checked import Array, seeded
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, seeded
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.plants._true_chain import slipped, true_chain
-from coopqp.state import State
 
 
 class DynamicModel(PlantModel):

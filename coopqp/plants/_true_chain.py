@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
-from coopqp.hold import Hold
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.hold import Hold
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.robot import RobotModel
-from coopqp.state import State
 
 #: A link shorter than this has no direction to be longer in [m].
 SHORTEST_LINK = 1e-3

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
 from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import evaluate_all
 
 

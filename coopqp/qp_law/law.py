@@ -32,18 +32,17 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.controller import Command, ControlProblem, Law, Squeezer
+from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
 from coopqp.qp_law.way_back import DriftShare, WayBack
-from coopqp.rank import null_space
 from coopqp.solver import Status, norm
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 

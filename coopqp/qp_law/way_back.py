@@ -27,15 +27,15 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import ROUNDING
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.safety import LoopProbe, drift_gain
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 #: Slowest wish to come back [rad/s, m/s]: one that goes to zero at the limit never gets there.

@@ -8,23 +8,21 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.base.table import read_table
 from coopqp.closed_loop.forces import contact_notes
 from coopqp.closed_loop.hidden_freedom import hidden_freedom
 from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Controller
-from coopqp.controllers._force_checks import out_of_reach
-from coopqp.controllers._impedances import leaks
 from coopqp.controllers.qp import QPController
 from coopqp.controllers.torque_qp import TorqueQp
-from coopqp.input import InputSettings
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
-from coopqp.mark import (
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import (
     CircleMark,
     LineMark,
     Mark,
@@ -34,10 +32,12 @@ from coopqp.mark import (
     SphereMark,
     asked,
 )
+from coopqp.model.state import State
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POINT, POSE, Kind, Moment
-from coopqp.state import State
-from coopqp.table import read_table
+from coopqp.torque_law.force_checks import out_of_reach
+from coopqp.torque_law.impedances import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05

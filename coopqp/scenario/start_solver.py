@@ -29,14 +29,14 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
-from coopqp.checked import Array, seeded
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array, seeded
 from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
-from coopqp.held_object import HeldObject
-from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.scenario import Start, by_arm, start_of

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.signal import matrix, quaternion_of
 
 Between = Literal["linear", "minimum_jerk", "cubic"]

@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.signal import Course, Instant, Kind, Signal, axes_along
 from coopqp.signals._bounds import check_places, check_speed
 

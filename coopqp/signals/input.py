@@ -1,7 +1,7 @@
 """A value that arrives from outside while the arms move, tick by tick.
 
 The scenario's key ``inputs`` says how fast what follows it may go, when it is stale and what is to
-be done then (:mod:`coopqp.input`). What the task follows is the limited value, which the loop
+be done then (``scenario.input``). What the task follows is the limited value, which the loop
 keeps in ``state.inputs``; where nothing can arrive, it stays where it begins.
 """
 
@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from coopqp.checked import Array, spec
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, spec
 from coopqp.signal import Course, Instant, Kind, Signal
 
 

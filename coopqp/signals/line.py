@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.signal import Course, Instant, Kind, Signal
 from coopqp.signals._bounds import check_places, check_speed
 

@@ -14,24 +14,24 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.reading import absolute
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Heeds, Law
-from coopqp.controller_run import controller_of
 from coopqp.controllers.qp import QPController
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.input import wanted
+from coopqp.execution.controller_run import controller_of
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.reading import absolute
 from coopqp.recordings.column import Layout, of_field
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import format_of, read
 from coopqp.recordings.run import OTHER, Run
-from coopqp.row import Row
+from coopqp.scenario.input import wanted
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import Course, Followed, Kind
 from coopqp.solver import HALTS, Status, causes_of
-from coopqp.state import State
 from coopqp.study.explanation.goal import parts_of
 from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input

@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
-from coopqp.controller_run import controller_of
 from coopqp.controllers import QPController
-from coopqp.errors import CoopqpError
+from coopqp.execution.controller_run import controller_of
+from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Course
-from coopqp.state import State
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
 from coopqp.viewer.beside import Line

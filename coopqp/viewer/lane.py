@@ -10,17 +10,17 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.assessment.thresholds import torn
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.controller import Command
-from coopqp.controller_run import controller_of
-from coopqp.errors import CoopqpError
-from coopqp.input import Arrival, Feed, Inputs, InputSettings
+from coopqp.execution.controller_run import controller_of
+from coopqp.execution.guarded_plant import GuardedPlant
+from coopqp.execution.phase_run import PhaseRun, begin_phase
+from coopqp.execution.rollout import drive
+from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns
-from coopqp.phase_run import PhaseRun, begin_phase
-from coopqp.plants._guarded import GuardedPlant
-from coopqp.rollout import drive
+from coopqp.scenario.input import Arrival, Feed, Inputs, InputSettings
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 Hands = Mapping[str, list[float]]

@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, Pose, spec
-from coopqp.errors import CoopqpError
-from coopqp.geometry import pose_course
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array, Pose, spec
 from coopqp.grasp import pose_matrix
-from coopqp.input import InputSettings
-from coopqp.limiter import RAMPS, VELOCITIES, Pace
 from coopqp.limits import ObjectSpeed
-from coopqp.mark import RelativeMark
-from coopqp.profile import Profile
+from coopqp.model.geometry import pose_course
+from coopqp.model.limiter import RAMPS, VELOCITIES, Pace
+from coopqp.model.mark import RelativeMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import (
     DIRECTION,
@@ -39,7 +40,6 @@ from coopqp.signal import (
     quaternion_of,
 )
 from coopqp.signals import Input
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.viewer.messages import Gizmo
 

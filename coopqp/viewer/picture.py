@@ -10,16 +10,16 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
-from coopqp.mark import SolidMark, asked
+from coopqp.model.mark import SolidMark, asked
+from coopqp.model.state import State
 from coopqp.report.scene.bodies import robot_bodies, solid_body
 from coopqp.report.scene.forces import LEAST_FORCE, squeeze_words, weight
 from coopqp.report.scene.marks import Place
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import axes_along, quaternion_of
-from coopqp.state import State
 from coopqp.study.explanation.words import listed, size
 from coopqp.viewer.lane import Lane
 from coopqp.viewer.messages import LawFrame, Surface

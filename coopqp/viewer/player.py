@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment.thresholds import rests
-from coopqp.checked import Array
-from coopqp.controller_run import check_plant, controller_of
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.execution.controller_run import check_plant, controller_of
 from coopqp.report.scene.marks import Place
 from coopqp.report.style import chosen_styles
 from coopqp.scenario.scenario import Scenario

@@ -14,12 +14,12 @@ from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
 from coopqp.assessment.thresholds import matters
 from coopqp.assessment.verdict import verdict
-from coopqp.comparison import summarize
 from coopqp.controller import ControlProblem
-from coopqp.disturbance import Disturbance
+from coopqp.execution.comparison import summarize
+from coopqp.execution.rollout import rollout
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
-from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.statistics.trial import _judge

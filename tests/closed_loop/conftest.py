@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from chains import BOX, PAPER_SCHEME, Closed, closed_states
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.grasps import Rigid
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel
 
 STATES = 1000

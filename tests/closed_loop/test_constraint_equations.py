@@ -10,12 +10,12 @@ import pytest
 import scipy.linalg
 from chains import PAPER_SCHEME, Hinge, closed_states, planar_pair, small_arm, three_arms
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.constraint_equations import ConstraintEquations, constraint_equations
-from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.planar_pair import PlanarPair

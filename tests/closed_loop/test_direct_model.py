@@ -12,9 +12,9 @@ import scipy.linalg
 from chains import BOX, Closed, closed_states, heavy, planar_pair, ring, spherical_pair, three_arms
 from dynamics_by_hand import SHARES, Oracle, PinocchioOracle, accelerations, relative
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
+from coopqp.model.closed_chain import ClosedChain
 
 H = 1e-4  # step of central differences in time [s]
 

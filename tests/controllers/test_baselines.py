@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.constraint_equations import constraint_equations
 from coopqp.controller import Command, Controller, ControlProblem
 from coopqp.controllers import (
@@ -22,13 +22,13 @@ from coopqp.controllers import (
     WeightedLeastNorm,
 )
 from coopqp.controllers.saturation_null_space import Saturated, saturate
-from coopqp.errors import InvalidValueError
 from coopqp.grasps import Revolute
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Workspace
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import NaoT14
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 REACH = PointOnPoint(goal=NEAR, profile=STEP)

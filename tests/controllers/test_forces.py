@@ -13,16 +13,16 @@ from laws import problem
 from pads import pressing
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.section import section
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.errors import GraspError, InvalidValueError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.solver import Status
 from coopqp.task import Task

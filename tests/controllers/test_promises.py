@@ -11,17 +11,17 @@ import pytest
 from laws import problem
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import Heeds
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report import audit
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.notes import notes
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 

@@ -14,11 +14,11 @@ from chains import closed_states
 from laws import problem
 from pads import pressing
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.grasps import PointContact, SurfaceContact
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from coopqp.comparison import compare
-from coopqp.errors import CoopqpError, InternalError, ScenarioError
+from coopqp.base.errors import CoopqpError, InternalError, ScenarioError
+from coopqp.execution.comparison import compare
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load, solver_by_name

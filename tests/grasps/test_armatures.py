@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.grasps import Revolute
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from coopqp import geometry, limit, profile, program
+from coopqp import limit, program
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
+from coopqp.model import geometry, profile
 from coopqp.qp_law import equations, level, nearest, priorities, safety, way_back
 from coopqp.tasks import manipulability
 
@@ -63,7 +64,7 @@ def _lines() -> Iterator[str]:
     yield from _enum("enum class Status : int", outcomes)
     yield f"constexpr int {', '.join(f'{name} = {int(o)}' for name, o in flags.items())};"
     yield ""
-    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.profile.KINDS"
+    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.model.profile.KINDS"
     yield from _enum("enum class Kind", {_camel(k.name): k for k in program.Kind})
     yield from _enum("enum class Bounded", {_camel(k.name): k for k in limit.Bounded})
     kinds = {_camel(name): i for i, name in enumerate(profile.KINDS)}

@@ -15,15 +15,15 @@ from chains import ring, robot_of, serial
 from forking import program
 from laws import LIMITS, NEAR, problem
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.kernel import native
 from coopqp.kernel.fit import why_not
 from coopqp.kernel.law import KernelLaw
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot_files.mdh import MdhParameters as Parameters
 from coopqp.scenario.loader import load
 from coopqp.solver import Status

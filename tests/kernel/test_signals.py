@@ -12,18 +12,18 @@ from following import NAMES, following, one_of_each, way
 from laws import LIMITS, problem
 from side_by_side import drive
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.input import InputSettings
+from coopqp.execution.controller_run import run
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.loader import load
 from coopqp.signal import POINT, Course, Followed, Kind, Signal
 from coopqp.signals import Input, Line
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace

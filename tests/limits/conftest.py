@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from chains import HANDS
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 
 

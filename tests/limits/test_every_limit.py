@@ -11,11 +11,10 @@ import pytest
 from example_limits import EXAMPLES, TABLE, TOLERANCE, by_name, empty_rows
 from laws import DT, run
 
-from coopqp.checked import Pose as PoseSpec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Pose as PoseSpec
 from coopqp.controllers import QPController
 from coopqp.grasps import Spherical
-from coopqp.held_object import HeldObject
 from coopqp.limit import SHALLOW, Limit, LimitRows, damp
 from coopqp.limits import (
     JointAcceleration,
@@ -24,10 +23,11 @@ from coopqp.limits import (
     ObjectSpeed,
     SelfCollision,
 )
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import names_of
-from coopqp.state import State
 from coopqp.tasks import JointCentering, Pose
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))

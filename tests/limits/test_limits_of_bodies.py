@@ -12,9 +12,9 @@ from command_line import typed
 from scenario_files import HEAD, TAIL, write
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import summarize
-from coopqp.errors import InvalidValueError, ScenarioError
+from coopqp.base.errors import InvalidValueError, ScenarioError
+from coopqp.base.qp import names_of
+from coopqp.execution.comparison import summarize
 from coopqp.limits import (
     JointPosition,
     JointVelocity,
@@ -24,13 +24,13 @@ from coopqp.limits import (
     _keep_apart,
 )
 from coopqp.limits._keep_apart import distances_along
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report.cells import cells
-from coopqp.row import names_of
 from coopqp.scenario.loader import load
 from coopqp.scenario.notes import notes
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 REACH = """\

@@ -11,16 +11,16 @@ import pytest
 from example_limits import SHELF, empty_rows, least
 from laws import DT, LIMITS, run
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.qp import names_of
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
 from coopqp.limits import Obstacle, Obstacles
-from coopqp.mark import SolidMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import SolidMark
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot_files import obj
-from coopqp.row import names_of
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 #: A pyramid over a square of 10 cm, 8 cm high, and a flat square.

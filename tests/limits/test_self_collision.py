@@ -15,18 +15,18 @@ from chains import HANDS
 from example_limits import by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid, Spherical
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, SelfCollision
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import Capsule, RobotModel
 from coopqp.robots import NaoT14, PlanarPair
-from coopqp.row import names_of
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))

@@ -9,11 +9,11 @@ import pytest
 from collision_robots import bodies_of_rows
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import SelfCollision
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.report.page import render
 from coopqp.robots import Mjcf
 

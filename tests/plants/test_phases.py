@@ -11,19 +11,18 @@ import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.controller_run import run
-from coopqp.disturbance import Disturbance
-from coopqp.errors import GraspError
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 
 def test_a_hand_that_takes_hold_in_motion_stops_as_pinocchio_says(

@@ -12,15 +12,13 @@ from chains import HANDS
 from pads import pressing
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.section import section
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import TorqueQp, WrenchSplit
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import InvalidValueError
+from coopqp.execution.rollout import rollout
 from coopqp.grasps import PointContact, Rigid
-from coopqp.held_object import HeldObject
 from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
@@ -28,10 +26,11 @@ from coopqp.metrics.load_share import LoadShare
 from coopqp.metrics.slip_distance import SlipDistance
 from coopqp.metrics.squeeze import Squeeze
 from coopqp.metrics.torque_margin import TorqueMargin
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robots import NaoT14
-from coopqp.rollout import rollout
 from coopqp.solver import Status
 from coopqp.solvers import Daqp
 from coopqp.task import Task

@@ -12,18 +12,17 @@ import pytest
 from chains import BOX, closed_states, heavy, planar_pair, ring, with_mass
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
 from coopqp.closed_loop.dynamics import Friction
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
 from coopqp.grasps import Rigid
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import RigidBody
 from coopqp.plants._servo import Servo
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 DT = 0.01  # control period [s]
 FINE = RigidBody(time_step=2e-4)

@@ -14,12 +14,12 @@ from chains import HANDS
 from conflicts import GRASPS, REACH, TURN, beyond, each_grasp
 from laws import LIMITS, PLAIN, run
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.held_object import HeldObject
+from coopqp.base.qp import QP
+from coopqp.base.spec import spec
 from coopqp.limits import JointAcceleration
 from coopqp.metrics.fallback_ticks import FallbackTicks
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.solver import Solution, Solve, Solver, Status, causes_of
 from coopqp.solvers import Daqp

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import coopqp
+from coopqp.base.rank import null_space
+from coopqp.model.state import State
 from coopqp.qp_law.safety import LoopProbe
-from coopqp.rank import null_space
 from coopqp.solver import Budget
-from coopqp.state import State
 
 
 @pytest.mark.parametrize("name", ["point_on_point", "passive_grasp_pose", "planar_pair"])

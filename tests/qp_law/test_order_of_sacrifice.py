@@ -13,16 +13,16 @@ from conflicts import REACH, TURN, jerked, slightly_open
 from laws import DT, LIMITS, NEAR, PLAIN, run, ticks
 from scipy.optimize import linprog, lsq_linear
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import QP
+from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity
-from coopqp.profile import Profile
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.solver import Budget, Status
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 

@@ -14,12 +14,12 @@ import pytest
 from laws import problem, ticks
 from scipy.optimize import least_squares
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.tasks import PointOnPoint
 

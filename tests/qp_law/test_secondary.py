@@ -11,16 +11,16 @@ import pinocchio as pin
 import pytest
 from laws import LIMITS, PLAIN, WIDE, run, ticks
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 

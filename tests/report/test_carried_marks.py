@@ -11,14 +11,14 @@ import pinocchio as pin
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
-from coopqp.checked import Pose as PoseValue
-from coopqp.comparison import Comparison
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.execution.comparison import Comparison
 from coopqp.grasp import pose_matrix
-from coopqp.mark import PostureMark, RelativeMark
+from coopqp.model.mark import PostureMark, RelativeMark
+from coopqp.model.state import State
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
 from coopqp.signal import Moment
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import Posture, RelativeMotion
 

@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 
 import coopqp
 import coopqp.tasks
-from coopqp.checked import Pose as PoseValue
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.base.spec import spec
 from coopqp.limits import Obstacle, Obstacles, Workspace
-from coopqp.mark import (
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import (
     LineMark,
     Mark,
     PoseMark,
     TrackedMark,
 )
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report.page import render
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
 from coopqp.signal import Instant
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import (
     Orientation,

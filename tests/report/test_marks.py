@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import coopqp
 import coopqp.tasks
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import Turn
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.limits import Workspace
-from coopqp.mark import (
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.geometry import Turn
+from coopqp.model.mark import (
     CircleMark,
     LineMark,
     Mark,
@@ -28,10 +28,10 @@ from coopqp.mark import (
     SphereMark,
     TrackedMark,
 )
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.signal import Moment
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,

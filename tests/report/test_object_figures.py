@@ -14,10 +14,18 @@ from scenario_files import cut
 from scipy.spatial.transform import Rotation, Slerp
 
 import coopqp
-from coopqp.checked import Pose as PoseValue
-from coopqp.comparison import Comparison
-from coopqp.mark import CircleMark, LineMark, Mark, PlaneMark, PointMark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.execution.comparison import Comparison
+from coopqp.model.mark import (
+    CircleMark,
+    LineMark,
+    Mark,
+    PlaneMark,
+    PointMark,
+    PoseMark,
+    TrackedMark,
+)
+from coopqp.model.profile import Profile
 from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.object import Coordinate, Tilt, object_figures, targets

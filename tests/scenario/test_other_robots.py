@@ -12,16 +12,16 @@ import pytest
 from scenario_files import LOADABLE, needs_robots
 from shipped_runs import comparison
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import ScenarioError
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.errors import ScenarioError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import find, load, load_file
 from coopqp.scenario.yaml import read_yaml
-from coopqp.state import State
 
 # ---- what each scenario allows ---------------------------------------------------------------
 

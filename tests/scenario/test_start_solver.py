@@ -10,18 +10,18 @@ import pinocchio as pin
 import pytest
 from scenario_files import LOADABLE
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, UnknownNameError
+from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.spec import Array, Pose
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots import NaoT14, PlanarPair
 from coopqp.scenario.loader import load, load_and_solve
 from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start
-from coopqp.state import State
 
 CLOSED = 1e-9  # loop error of a start [m, rad]
 NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5")

@@ -12,8 +12,8 @@ from example_signals import EXAMPLES, TIMES, near
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.signal import (
     DIRECTION,
     POINT,

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
-from coopqp.limiter import Limiter, Pace
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.model.limiter import Limiter, Pace
 from coopqp.signal import DIRECTION, POINT, POSE, ROTATION, Kind, matrix, of_joints, of_twist
 
 DT = 0.002

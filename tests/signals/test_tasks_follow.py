@@ -11,11 +11,12 @@ import pytest
 from following import NAMES, following, moving_fields, one_of_each, place, way
 from scipy.spatial.transform import Rotation
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.profile import Profile
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.signal import (
@@ -25,7 +26,6 @@ from coopqp.signal import (
     Signal,
 )
 from coopqp.signals import Circle, Input, Line, Waypoints
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import Twist
 

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT, within
-from coopqp.checked import Array
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.rank import null_space
 from coopqp.solver import written
-from coopqp.state import State
 from coopqp.study.explanation import asked_now, explain_asked
 from coopqp.task import TaskStack
 

@@ -18,15 +18,15 @@ from laws import problem
 from numpy.typing import NDArray
 
 from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation, turns
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Twist
-from coopqp.ticks import Ticks
+from coopqp.trace import Ticks
 from stress.draw import LAW
 from stress.driving import LONGEST, drive_on, record_of
 from stress.ending import PartErrors

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from coopqp.controller import Law
+from coopqp.model.state import State
 from coopqp.solver import Budget, Status
-from coopqp.state import State
 from coopqp.study.engine import Engine
 from stress import arrangements, driving, signs
 from stress.__main__ import main

@@ -18,7 +18,9 @@ from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
+from coopqp.base.qp import Row
+from coopqp.execution.controller_run import run
+from coopqp.execution.phase_run import begin_phase
 from coopqp.limits import (
     JointAcceleration,
     JointPosition,
@@ -26,12 +28,10 @@ from coopqp.limits import (
     Obstacle,
     Obstacles,
 )
-from coopqp.phase_run import begin_phase
-from coopqp.row import Row
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
-from coopqp.state import State
 from coopqp.study.explanation import explain_run, late, words
 from coopqp.study.explanation.leg import legs
 from coopqp.study.explanation.rerun import _Wider

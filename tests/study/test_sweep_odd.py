@@ -16,7 +16,7 @@ from command_line import typed
 from plate_study import HERE, STUDY, plate_in, table_of, written
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
 from coopqp.study.sweep.journal import HEAD, Journal, head_of

@@ -9,12 +9,12 @@ import pytest
 from chains import Hinge
 from example_tasks import EXAMPLES, IN_JOINTS, TIMES, H, at, error, over, rows
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError
-from coopqp.held_object import HeldObject
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, JointLimitBarrier, Posture
 from coopqp.tasks.posture import posture

@@ -7,12 +7,12 @@ import pytest
 from chains import Walk, three_arms
 from example_tasks import error
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import PlanarPair
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import Manipulability
 

@@ -8,10 +8,10 @@ import pytest
 from chains import Hinge, Walk
 from example_tasks import rows
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.tasks import MinimumKineticEnergy
 
 

@@ -8,7 +8,7 @@
 
 namespace coopqp {
 
-// As coopqp.profile.Profile.
+// As coopqp.model.profile.Profile.
 struct Profile {
     using Kind = ProfileKind;
     Kind kind = Kind::Step;
@@ -53,7 +53,7 @@ struct Followed {
     const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
 };
 
-// As coopqp.geometry.Reference.
+// As coopqp.model.geometry.Reference.
 struct Reference {
     double c_0[3], RT_0[9], c_dot[3], turn[3];
     Profile turning;

@@ -19,8 +19,8 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.mark import (
+from coopqp.base.spec import Array
+from coopqp.model.mark import (
     CircleMark,
     LineMark,
     Mark,

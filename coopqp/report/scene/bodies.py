@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidValueError
-from coopqp.mark import SolidMark
+from coopqp.base.errors import InvalidValueError
+from coopqp.model.mark import SolidMark
 from coopqp.report.scene.triangles import (
     NOTHING,
     Triangles,

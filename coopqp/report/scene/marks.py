@@ -14,10 +14,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.instants import arm_points
-from coopqp.mark import (
+from coopqp.base.spec import Array
+from coopqp.execution.instants import arm_points
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.mark import (
     CircleMark,
     LineMark,
     Mark,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body

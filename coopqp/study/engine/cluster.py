@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, MissingDependencyError
 from coopqp.study.engine.batches import Batch
 from coopqp.study.engine.work import Outcome, Work, WorkersLostError, done
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 
 Item = TypeVar("Item")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 from coopqp.study.engine.batches import Batch
 
 Work = Callable[[Sequence[Any]], Sequence[Any]]

@@ -17,14 +17,14 @@ from functools import cached_property
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
+from coopqp.base.qp import Row
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.safety import drift_gain
-from coopqp.rank import null_space
-from coopqp.row import Row
 from coopqp.solver import Status, causes_of
-from coopqp.state import State
 from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.room import PLACE_UNITS
 from coopqp.study.explanation.shares import Share, forces, shares

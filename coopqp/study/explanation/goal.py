@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import within
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.signal import Followed
-from coopqp.state import State
 from coopqp.task import Part, Task, TaskStack
 
 #: A step and how well J must agree with the differences of e for a task to have a place.

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
-from coopqp.checked import Array, type_name
-from coopqp.closed_chain import AXES
+from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.disturbance import Disturbance
+from coopqp.model.closed_chain import AXES
+from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation

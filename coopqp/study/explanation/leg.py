@@ -8,10 +8,10 @@ from functools import cached_property
 from itertools import pairwise
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
-from coopqp.controller_run import controller_of
-from coopqp.errors import InvalidValueError
+from coopqp.execution.controller_run import controller_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Followed
 from coopqp.solver import Status, causes_of

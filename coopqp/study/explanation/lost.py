@@ -17,10 +17,10 @@ import numpy as np
 
 from coopqp.assessment import assess
 from coopqp.assessment.thresholds import SLIPPED
+from coopqp.base.errors import CoopqpError
 from coopqp.closed_loop.hands import hands
 from coopqp.controller import Controller
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError
+from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation

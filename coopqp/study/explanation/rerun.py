@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.qp import Row
+from coopqp.execution.controller_run import run
 from coopqp.grasp import PassiveJoint
-from coopqp.hold import Hold
 from coopqp.limit import Limit
-from coopqp.row import Row
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.hold import Hold
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.leg import Leg, legs

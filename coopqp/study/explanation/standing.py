@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.study.explanation import words
 from coopqp.study.explanation.cure import least_needs, needed

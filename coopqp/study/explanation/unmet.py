@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.solver import Status
 from coopqp.study.explanation.asked import Ticks
 from coopqp.study.explanation.leg import Leg

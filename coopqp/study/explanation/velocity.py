@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.rank import null_space
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import Ticks, held_up, speed_share

@@ -8,9 +8,9 @@ import numpy as np
 
 from coopqp.assessment import Assessment
 from coopqp.assessment.verdict import loop_words
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.row import Row
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, Unreachable
 from coopqp.study.explanation.goal import Missed, PartOfTask

@@ -14,17 +14,17 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import MissingDependencyError
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.controller import ControlProblem
-from coopqp.errors import MissingDependencyError
 from coopqp.kernel.slide import Slide, slide
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.robots.example_robot import robots
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import PlaneOnPlane, PointOnPoint, Pose
 

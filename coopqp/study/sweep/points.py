@@ -18,7 +18,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 MOST = 10_000_000  # points of a study
 METHODS = ("sobol", "random", "latin_hypercube")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from coopqp import Array, Course, Instant, Kind, Signal, spec
-from coopqp.checked import Positive, Vector3
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Positive, Vector3
 
 
 @spec
