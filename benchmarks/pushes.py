@@ -62,7 +62,7 @@ def with_masses(chain: ClosedChain, *, arms: float = 1.0, held: float = 1.0) -> 
     hold = chain.hold
     robot = replace(chain.robot, model=model)
     box = replace(chain.held, mass=held * chain.held.mass)
-    return ClosedChain.take_hold(robot, chain.q_start, hold.grasps, box)
+    return ClosedChain.attach(robot, chain.q_start, hold.grasps, box)
 
 
 def told(chain: ClosedChain, trace: Trace, gain: float, noise: float = 0.0) -> Array:

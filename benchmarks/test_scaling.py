@@ -92,7 +92,7 @@ def job(count: int) -> ControlProblem:
     """The object goes to a point in a second."""
     robot = ring(count)
     q = robot.configuration({arm.name: READY for arm in robot.arms})
-    chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
     return ControlProblem(
         chain=chain,
         tasks=[

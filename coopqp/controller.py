@@ -21,7 +21,7 @@ from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.solver import Budget, Solver, Status
 from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
-from coopqp.trace import Ticks
+from coopqp.trace import TickBatch
 
 
 def not_finite(
@@ -85,7 +85,7 @@ def _limits(limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float
             yield f"limit '{name}' gives NaN or infinite values in {', '.join(bad)}"
 
 
-class Squeezer(Protocol):
+class InternalForceControl(Protocol):
     """Who decides about the gap along one direction, because hands press there."""
 
     along: Array
@@ -104,11 +104,13 @@ TELL_APART = "add 'name:' to tell them apart"
 
 OnInfeasible = Literal["scale", "hold", "stop"]
 
-Heeds = frozenset[Literal["limits", "modes", "priorities", "secondary", "on_infeasible", "forces"]]
+Features = frozenset[
+    Literal["limits", "modes", "priorities", "secondary", "on_infeasible", "forces"]
+]
 """Parts of a problem that a controller reads; what it does not name has no effect on it."""
 
-HEEDS_NOTHING: Heeds = frozenset()
-HEEDS_ALL: Heeds = frozenset({"limits", "modes", "priorities", "secondary", "on_infeasible"})
+NO_FEATURES: Features = frozenset()
+ALL_FEATURES: Features = frozenset({"limits", "modes", "priorities", "secondary", "on_infeasible"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,7 +276,7 @@ class Law(ABC):
         *,
         torques: bool = False,
         gives_way: bool = False,
-        squeezer: Squeezer | None = None,
+        squeezer: InternalForceControl | None = None,
     ) -> None:
         if not gives_way:
             refuse_impedances(problem.tasks)
@@ -336,7 +338,7 @@ class Law(ABC):
         state.corrected = command.drift
         return command
 
-    def run(self, state: State, ticks: int) -> Ticks:
+    def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks on joints that do as told, with nothing that arrives from outside.
 
         Args:
@@ -350,13 +352,13 @@ class Law(ABC):
         state.update()
         return found
 
-    def _room(self, state: State, ticks: int) -> Ticks:
+    def _room(self, state: State, ticks: int) -> TickBatch:
         """For so many ticks from a state, whose memory is then this law's."""
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        return Ticks.room(ticks, self.problem.chain.n, len(state.memory.numbers))
+        return TickBatch.room(ticks, self.problem.chain.n, len(state.memory.numbers))
 
-    def _keep(self, state: State, found: Ticks, k: int) -> None:
+    def _keep(self, state: State, found: TickBatch, k: int) -> None:
         """One of them, by the tick: whatever a law has instead has been tried."""
         found.q[k], found.memory[k] = state.q, state.memory.numbers
         command = Law.step(self, state)
@@ -448,8 +450,8 @@ class Controller(ABC):
 
     uses_solver: ClassVar[bool] = False
     """Whether it solves a QP, so that the scenario's solver matters."""
-    heeds: ClassVar[Heeds] = HEEDS_NOTHING
-    """What of the problem beside its tasks it reads. Who heeds limits promises to keep them."""
+    supports: ClassVar[Features] = NO_FEATURES
+    """What of the problem beside its tasks it reads. Who supports limits promises to keep them."""
 
     @property
     def commands_torques(self) -> bool:

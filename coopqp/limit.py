@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coopqp.base.qp import Row, Side
 from coopqp.base.spec import Array, spec, type_name
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import Mark
+from coopqp.model.marker import Marker
 from coopqp.model.state import State
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
@@ -212,7 +212,7 @@ class Limit(ABC):
         """What of the chain it cannot or does not bound, one sentence each."""
         return self.unseen(chain)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, t: float) -> tuple[Marker, ...]:
         """What pictures show of it: where it is; nothing by default.
 
         Args:

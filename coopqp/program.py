@@ -29,7 +29,7 @@ from coopqp.model.geometry import (
 )
 from coopqp.model.profile import KINDS, Profile
 from coopqp.model.state import State
-from coopqp.signal import ROTATION, Course, quaternion_of
+from coopqp.signal import ROTATION, Trajectory, quaternion_of
 
 AT_ONCE = Profile(kind="step")
 WORLD = Reference()  # at rest, so that nobody ever writes to it
@@ -84,7 +84,7 @@ class Primitive:
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
     e_start: Sequence[float] = ()
-    goal: Course | None = None
+    goal: Trajectory | None = None
     phi: Sequence[float] = (0.0, 0.0, 0.0)
     Q_start: Array = field(default_factory=lambda: np.eye(3))
     length: float = 0.0
@@ -216,7 +216,7 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 
 def rotation(
-    goal: Course, profile: Profile, Q_start: Array, reference: Reference = WORLD
+    goal: Trajectory, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
     """An orientation goes to its goal, ``geometry.RotationError``."""
     return Primitive(
@@ -225,9 +225,9 @@ def rotation(
     )  # fmt: skip
 
 
-def fixed(R: Array) -> Course:
+def fixed(R: Array) -> Trajectory:
     """A rotation that does not move, as a goal."""
-    return Course(ROTATION, quaternion_of(R))
+    return Trajectory(ROTATION, quaternion_of(R))
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
@@ -248,8 +248,8 @@ def evaluated(program: Sequence[Primitive], start: State) -> Fill:
         program: of one task, one primitive after the other.
         start: the state from which the references set out.
     """
-    moving: dict[int, Reference | Course] = {id(p.reference): p.reference for p in program}
-    goals: dict[int, Reference | Course] = {id(p.goal): p.goal for p in program if p.goal}
+    moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
+    goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
     seen: dict[tuple[int, Vector3], PointInReference] = {}
     for p in program:
         if p.kind in (Kind.POINT, Kind.RADIAL):

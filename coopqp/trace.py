@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
-from coopqp.signal import Course, Followed, Kind, Moment
+from coopqp.signal import InputValues, Kind, Moment, Trajectory
 from coopqp.solver import Status
 
 
 @dataclass(frozen=True)
-class Ticks:
+class TickBatch:
     """Many ticks at once, T of them.
 
     Attributes:
@@ -42,7 +42,7 @@ class Ticks:
     notes: dict[int, str] = field(default_factory=dict)
 
     @staticmethod
-    def room(ticks: int, n: int, remembered: int) -> Ticks:
+    def room(ticks: int, n: int, remembered: int) -> TickBatch:
         """Arrays for so many ticks, every one optimal.
 
         Args:
@@ -50,7 +50,7 @@ class Ticks:
             n: joints.
             remembered: how many numbers the law remembers.
         """
-        return Ticks(
+        return TickBatch(
             np.zeros((ticks + 1, n)),
             np.zeros((ticks, n)),
             [(Status.OPTIMAL,)] * ticks,
@@ -114,13 +114,13 @@ class InputTrace:
     rate: Array
 
 
-def followed(inputs: Mapping[str, InputTrace], k: int) -> Followed:
+def followed(inputs: Mapping[str, InputTrace], k: int) -> InputValues:
     """What was made of the inputs in a tick; after the last as in it."""
-    found = Followed()
+    found = InputValues()
     for name, kept in inputs.items():
         row = min(k, len(kept.value) - 1)
         if row >= 0 and np.isfinite(kept.value[row]).all():
-            found[name] = Course(kept.kind, kept.value[row])
+            found[name] = Trajectory(kept.kind, kept.value[row])
             found[name].rate[:] = kept.rate[row]
     return found
 
@@ -331,7 +331,7 @@ class Trace:
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
-        heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
+        supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
@@ -376,7 +376,7 @@ class Trace:
     compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
     tick_us: Array = field(metadata={"join": _ticks})
     points: dict[str, Array] = field(metadata={"join": _points})
-    heeds: frozenset[str] = field(metadata={"join": _same})
+    supports: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
     unaudited: tuple[str, ...] = field(metadata={"join": _unaudited}, default=())
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
@@ -390,7 +390,7 @@ class Trace:
     @property
     def keeps_limits(self) -> bool:
         """Whether its controller promises to keep the scenario's limits."""
-        return "limits" in self.heeds
+        return "limits" in self.supports
 
     @property
     def ticks(self) -> int:

@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn, last_end
-from coopqp.model.mark import LineMark, Mark, TrackedMark
+from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
@@ -75,11 +75,11 @@ class LineOnLine(Task):
         axis = -np.array(self.axis) if against else np.array(self.axis)
         return offset, lean(start, line, axis.tolist(), self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The line, and the point of the object's own."""
         line = self._line(at)
         line.update(at)
-        return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+        return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
 
     def _line(self, start: Instant) -> Reference:
         held = {"point": self.point, "axis": self.axis}

@@ -18,7 +18,7 @@ from __future__ import annotations
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn, last_end
-from coopqp.model.mark import Mark, PlaneMark, TrackedMark
+from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
@@ -69,11 +69,11 @@ class PlaneOnPlane(Task):
         height = point(start, plane, self.point, self.profile, (2,))
         return height, lean(start, plane, self.axis, self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The plane, and the point of the object's own."""
         plane = self._plane(at)
         plane.update(at)
-        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
 
     def _plane(self, start: Instant) -> Reference:
         held = {"point": self.point, "axis": self.axis}

@@ -11,7 +11,7 @@ from __future__ import annotations
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, last_end
-from coopqp.model.mark import Mark, PointMark, TrackedMark
+from coopqp.model.marker import Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point
@@ -44,8 +44,8 @@ class PointOnPoint(Task):
         goal = Reference(self.goal, start=start, point=self.point)
         return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, and the point that goes there."""
         goal = course(self.goal, POINT, at)
         goal.update(at)
-        return PointMark(at=goal.value), TrackedMark(point=self.point)
+        return PointMarker(at=goal.value), TrackedMarker(point=self.point)

@@ -17,7 +17,7 @@ from typing import ClassVar
 from coopqp.base.spec import Direction, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn, last_end
-from coopqp.model.mark import LineMark, Mark
+from coopqp.model.marker import LineMarker, Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean
@@ -55,11 +55,11 @@ class Pointing(Task):
         """As primitives."""
         return (lean(start, self._reference(start), self.axis, self.profile),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The direction, wherever the object is."""
         reference = self._reference(at)
         reference.update(at)
-        return (LineMark(direction=reference.RT[2]),)
+        return (LineMarker(direction=reference.RT[2]),)
 
     def _reference(self, start: Instant) -> Reference:
         return Reference(direction=self.direction, turn=self.turn, start=start, axis=self.axis)

@@ -16,7 +16,7 @@ import numpy as np
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import PlaceOf, Reference, last_end, pose_course
-from coopqp.model.mark import Mark, PoseMark, TrackedMark
+from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
@@ -59,8 +59,8 @@ class Pose(Task):
         place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
         return place, rotation(goal, self.profile, start.R_WO)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, and the object's origin."""
         goal = pose_course(self.goal, at)
         goal.update(at)
-        return PoseMark(rotation=goal.R, position=goal.value[:3]), TrackedMark()
+        return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

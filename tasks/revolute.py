@@ -17,7 +17,7 @@ from __future__ import annotations
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn, last_end
-from coopqp.model.mark import LineMark, Mark, PointMark, TrackedMark
+from coopqp.model.marker import LineMarker, Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
@@ -68,14 +68,14 @@ class Revolute(Task):
         offset = point(start, hinge, self.point, self.profile, (0, 1, 2))
         return offset, lean(start, hinge, self.axis, self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The hinge, and the point that goes there."""
         hinge = self._hinge(at)
         hinge.update(at)
         return (
-            LineMark(direction=hinge.RT[2], through=hinge.c),
-            PointMark(at=hinge.c),
-            TrackedMark(point=self.point),
+            LineMarker(direction=hinge.RT[2], through=hinge.c),
+            PointMarker(at=hinge.c),
+            TrackedMarker(point=self.point),
         )
 
     def _hinge(self, start: Instant) -> Reference:

@@ -61,7 +61,7 @@ class Case:
         """The closed chain at the start."""
         robot = self.robot.build()
         q = robot.configuration(self.start)
-        return ClosedChain.take_hold(robot, q, Rigid(), self.held)
+        return ClosedChain.attach(robot, q, Rigid(), self.held)
 
 
 HERE = pin.SE3.Identity()

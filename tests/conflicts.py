@@ -59,7 +59,7 @@ def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> Cl
     q = np.asarray(nao.configuration(HANDS), float)
     for name, value in joints.items():
         q[nao.joint_names.index(name)] = value
-    return ClosedChain.take_hold(nao, q, GRASPS[grasp], HeldObject())
+    return ClosedChain.attach(nao, q, GRASPS[grasp], HeldObject())
 
 
 def beyond(chain: ClosedChain, q: Array) -> Array:

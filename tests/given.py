@@ -68,19 +68,19 @@ def nao() -> RobotModel:
 @pytest.fixture(scope="session")
 def chain(nao: RobotModel) -> ClosedChain:
     """NAO holds a box firmly."""
-    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject())
+    return ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject())
 
 
 @pytest.fixture(scope="session")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """The same with a hinge in each hand, as in the paper's Table 2."""
-    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    return ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
 
 
 @pytest.fixture(scope="session")
 def hinged_box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """A box whose weight is not in its middle, between two hinges."""
-    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Hinge(), BOX)
 
 
 @pytest.fixture(scope="session")

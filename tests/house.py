@@ -104,7 +104,7 @@ def figures() -> Iterator[tuple[str, str]]:
     helpers = [
         name
         for name, path in modules().items()
-        if path.name != "__init__.py" and not (name.split(".")[1] in COLLECTIONS)
+        if path.name != "__init__.py" and name.split(".")[1] not in COLLECTIONS
     ]
     yield "helpers under 60 lines", f"{sum(lines[name] < 60 for name in helpers)}"
     once = [n for n in helpers if len(graph.find_modules_that_directly_import(n)) == 1]

@@ -67,7 +67,11 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
             program, share, there = _first(level), 1.0, level.solution.v
         else:
             A = np.vstack([state.J_loop, decided])
-            program, share, there = _later(level, law.way_back.bounds, A, v), level.share, level.v
+            program, share, there = (
+                _later(level, law.limit_recovery.bounds, A, v),
+                level.share,
+                level.v,
+            )
         at_limits = np.flatnonzero(program.h - program.G @ there < ACTIVE).tolist()
         v = v + share * (solved(program, at_limits)[:n] - v)  # the step that is made
         decided = np.vstack([decided, *([law.exact.J] * (level is levels[0])), level.tasks.J])

@@ -313,7 +313,7 @@ def entries(s: Scenario) -> dict[str, tuple[Build, str]]:
     def scenario(**changes: Any) -> Build:
         return lambda: coopqp.compare(replace(s, **changes))
 
-    hold = ClosedChain.take_hold
+    hold = ClosedChain.attach
     return {
         "chain, words": (
             lambda: hold(robot, ["a"] * n, rigid, held),

@@ -26,7 +26,7 @@ from coopqp.scenario.loader import load, shipped
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.tasks import JointCentering, PointOnPoint, Twist
-from coopqp.trace import Ticks, Trace
+from coopqp.trace import TickBatch, Trace
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 
@@ -92,7 +92,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     kept = Law._room
 
-    def room(self: Law, state: State, ticks: int) -> Ticks:
+    def room(self: Law, state: State, ticks: int) -> TickBatch:
         found.append(ticks)
         return kept(self, state, ticks)
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from coopqp.limit import ROUNDING
-from coopqp.model.hold import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.solver import Budget
 
 

@@ -88,7 +88,7 @@ def stability_limit(delay: int) -> float:
     return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
 
 
-class Squeezer:
+class InternalForceControl:
     """Moves the gap of a loop so that two hands squeeze as they are asked to.
 
     Args:
@@ -186,7 +186,7 @@ class Squeezer:
         return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
 
 
-def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer | None:
+def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalForceControl | None:
     """What squeezes; None where no force is asked for.
 
     Args:
@@ -194,13 +194,13 @@ def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer |
         settings: None where nobody has stated a stiffness.
 
     Raises:
-        InvalidValueError: a force is asked for, and no stiffness is stated; as :class:`Squeezer`.
+        InvalidValueError: a force is asked for, and no stiffness is stated; as below.
     """
     if not problem.wrenches:
         return None
     if settings is None:
         raise InvalidValueError(unstated(problem.wrenches[0].name))
-    return Squeezer(problem, settings)
+    return InternalForceControl(problem, settings)
 
 
 def unstated(task: str) -> str:

@@ -21,7 +21,7 @@ from coopqp.base.rank import RANK_TOLERANCE
 from coopqp.base.spec import Array
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.hold import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
 #: Rows that open by less than this resist no motion [m for a unit of joint motion].
 SLACK = 1e-3

@@ -33,7 +33,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares, matrix_rank, null_space
 from coopqp.base.spec import Array, spec
-from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.controllers._stacked_rows import StackedRows
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
@@ -175,7 +175,7 @@ class SaturationNullSpaceLaw(Law):
 class SaturationNullSpace(Controller):
     """SNS (Flacco, De Luca, Khatib 2015): joints saturate, others take over, then tasks scale."""
 
-    heeds: ClassVar[Heeds] = frozenset({"limits"})
+    supports: ClassVar[Features] = frozenset({"limits"})
 
     def build(self, problem: ControlProblem) -> Law:
         """Two levels, the loops and all tasks.

@@ -38,7 +38,7 @@ from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hand_sensors import HandSensors
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
-from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
@@ -241,7 +241,7 @@ class TorqueQp(Controller):
     """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
 
     uses_solver: ClassVar[bool] = True
-    heeds: ClassVar[Heeds] = frozenset({"limits", "modes", "priorities", "forces"})
+    supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
 
     integral: NonNegative = 0.3
     """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""

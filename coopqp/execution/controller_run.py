@@ -138,7 +138,7 @@ def _legs(
             begun.ticks,
             controller=name,
             solver=solver,
-            heeds=chosen.heeds,
+            supports=chosen.supports,
             progress=_shifted(progress, name, begun.first),
             state=begun.state,
             feed=begun.feed(),

@@ -1,7 +1,7 @@
 """What is so at each instant of a run: the object, the loops, and the errors of the tasks.
 
 Where joints do exactly as told and nothing arrives from outside, all of it follows from t, q and v,
-and is computed for the whole run at once when it has ended (:mod:`coopqp.kernel.survey`). Else the
+and is computed for the whole run at once when it has ended (``TrajectoryEvaluation``). Else the
 plant's truth is looked at in every instant.
 """
 
@@ -17,8 +17,8 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
-from coopqp.execution.leverage import leverage
-from coopqp.kernel.survey import Survey, joint_points, survey
+from coopqp.execution.directional_manipulability import leverage
+from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
@@ -53,7 +53,7 @@ class Instants:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
         self._goals = [task.at_goal() for task in problem.tasks]
-        self._survey: Survey | None = None
+        self._survey: TrajectoryEvaluation | None = None
         self.points: dict[str, Array] = {}
         if alone and plant.as_told and not problem.wrenches:
             points = itertools.chain.from_iterable(chain.once(joint_points).values())

@@ -11,7 +11,7 @@ from coopqp.assessment.thresholds import within
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, type_name
 from coopqp.base.wording import suppressed
-from coopqp.controller import HEEDS_NOTHING, Command, Heeds, Law
+from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.guarded_plant import GuardedPlant, settled
 from coopqp.execution.instants import Instants
 from coopqp.model.closed_chain import ClosedChain
@@ -36,7 +36,7 @@ def rollout(
     *,
     controller: str,
     solver: str | None,
-    heeds: Heeds = HEEDS_NOTHING,
+    supports: Features = NO_FEATURES,
     progress: Progress | None = None,
     state: State | None = None,
     feed: Sender | None = None,
@@ -53,7 +53,7 @@ def rollout(
         ticks: how many.
         controller: its name, for the trace.
         solver: its name, for the trace.
-        heeds: what of the problem the law reads, for the trace.
+        supports: what of the problem the law reads, for the trace.
         progress: called every few ticks.
         state: where it begins, of the law's own start; written, so that it is where it ends. At
             rest where the plant's sensors say when omitted.
@@ -76,7 +76,7 @@ def rollout(
         recorder.instant(ticks, state)
     if progress:
         progress(ticks)
-    return recorder.trace(controller, solver, heeds)
+    return recorder.trace(controller, solver, supports)
 
 
 def drive(
@@ -254,7 +254,7 @@ class _Recorder:
         end.v[:] = self.v[-1] if len(self.v) else 0.0
         return self.instants.leverage(start, end)
 
-    def trace(self, controller: str, solver: str | None, heeds: Heeds) -> Trace:
+    def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         """Everything recorded, frozen."""
         problem, seen = self._law.problem, self.instants
         chain = problem.chain
@@ -299,7 +299,7 @@ class _Recorder:
             compiled=self.compiled,
             tick_us=self.tick_us,
             points=seen.points,
-            heeds=heeds,
+            supports=supports,
             failures=tuple(self.failures),
             signals=self.signals,
             inputs=self.inputs,

@@ -16,7 +16,7 @@ from coopqp.kernel.limits import Limits
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.equations import ALL_OF_IT
-from coopqp.signal import Course
+from coopqp.signal import Trajectory
 
 
 class Outcome(IntEnum):
@@ -122,7 +122,7 @@ class Compiled:
 
     def heard(
         self, state: State
-    ) -> tuple[tuple[str, Course | None, Array | None, Array | None], ...]:
+    ) -> tuple[tuple[str, Trajectory | None, Array | None, Array | None], ...]:
         """Inputs and the arrays of theirs that it was shown."""
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)

@@ -28,7 +28,7 @@ class Limits:
         filled: the others, if there are any; their rows come after these.
         rows: how many there are.
         q_measured: what the kernel reads, shape (n,); NaN where nothing is measured. None where no
-            limit heeds it.
+            limit supports it.
     """
 
     def __init__(self, problem: ControlProblem, start: State) -> None:

@@ -20,7 +20,7 @@ from coopqp.base.spec import Array
 from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
 from coopqp.limits._corners import ROWS, Corners
 from coopqp.limits._distances import Body, Distances, Pair
-from coopqp.limits._look_ahead import LookAhead
+from coopqp.limits._step_verification import LookAhead
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 

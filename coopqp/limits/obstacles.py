@@ -39,7 +39,7 @@ from coopqp.limits._keep_apart import (
     room_left,
 )
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import Mark, SolidMark
+from coopqp.model.marker import Marker, SolidMarker
 from coopqp.robot import Shape
 
 #: A thing this many times the arms' reach away is never met [-].
@@ -172,11 +172,11 @@ class Obstacles(Limit):
         )
         return (*self.unseen(chain), *near, *far)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, t: float) -> tuple[Marker, ...]:
         """The things."""
         shapes = (thing.shape for thing in self.shapes.values())
         return tuple(
-            SolidMark(
+            SolidMarker(
                 kind=shape.kind,
                 size=shape.size,
                 mesh=shape.mesh,

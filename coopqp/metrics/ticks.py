@@ -8,7 +8,7 @@ from coopqp.trace import Trace
 
 
 @spec
-class Ticks(Metric):
+class TickBatch(Metric):
     """Number of control periods."""
 
     def measure(self, trace: Trace) -> int:

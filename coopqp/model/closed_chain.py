@@ -31,8 +31,8 @@ from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
 from coopqp.base.spec import Array, vector
 from coopqp.grasp import Grasp
+from coopqp.model.grasp_configuration import GraspConfiguration, attach
 from coopqp.model.held_object import HeldObject
-from coopqp.model.hold import Hold, take_hold
 from coopqp.robot import RobotModel, joint_units
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
@@ -99,7 +99,7 @@ class ClosedChain:
     """A robot whose arms hold one object.
 
     Args:
-        hold: who holds what. :meth:`take_hold` makes the first one.
+        hold: who holds what. :meth:`attach` makes the first one.
 
     Attributes:
         robot, grasps, held: as in the hold.
@@ -119,7 +119,7 @@ class ClosedChain:
         mixing: M with [J_tsk; J_rel] = M [J_0; J_1; ...], shape (6 N, 6 N).
     """
 
-    def __init__(self, hold: Hold) -> None:
+    def __init__(self, hold: GraspConfiguration) -> None:
         self.hold = hold
         self.robot, self.grasps, self.held = hold.robot, hold.grasps, hold.held
         self.arms, self.holding, self.alpha = hold.arms, len(hold.holders), hold.alpha
@@ -148,7 +148,7 @@ class ClosedChain:
         self.loops = self._independent_rows()
 
     @classmethod
-    def take_hold(
+    def attach(
         cls,
         robot: RobotModel,
         q_start: Array,
@@ -159,9 +159,9 @@ class ClosedChain:
         passive_start: Mapping[str, float] | None = None,
         released: Collection[str] = (),
     ) -> ClosedChain:
-        """Close the loops where the arms are; arguments and errors of :func:`hold.take_hold`."""
+        """Close the loops where the arms are; arguments and errors of :func:`hold.attach`."""
         others = {"alpha": alpha, "passive_start": passive_start, "released": released}
-        return cls(take_hold(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
+        return cls(attach(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
 
     def moved(self, q: Array) -> ClosedChain:
         """The same chain with another start, the object held as it is.

@@ -26,7 +26,7 @@ from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, u
 from coopqp.grasp import pose_matrix
 from coopqp.model.profile import KINDS, Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import DIRECTION, POINT, POSE, Course, Instant, Moment, Signal, course
+from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, course
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-12  # sine of an angle, or [m]
@@ -105,7 +105,7 @@ class Reference:
 
     def __init__(
         self,
-        origin: Vector3 | Signal | Course = _STILL,
+        origin: Vector3 | Signal | Trajectory = _STILL,
         direction: Vector3 | Signal = _UP,
         velocity: Vector3 = _STILL,
         turn: Turn | None = None,
@@ -122,7 +122,9 @@ class Reference:
                 here = start.point(np.array(point))
             if isinstance(direction, Signal):
                 along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
-        self._origin = origin if isinstance(origin, Course) else course(origin, POINT, start, here)
+        self._origin = (
+            origin if isinstance(origin, Trajectory) else course(origin, POINT, start, here)
+        )
         self._axes = course(direction, DIRECTION, start, along)
         self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
         self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
@@ -166,14 +168,14 @@ class Reference:
             np.multiply(self._turn, speed, self.omega)
 
 
-class PlaceOf(Course):
+class PlaceOf(Trajectory):
     """The place of a pose, as the origin of a reference.
 
     Args:
         pose: of which it is a part.
     """
 
-    def __init__(self, pose: Course) -> None:
+    def __init__(self, pose: Trajectory) -> None:
         self.kind, self._pose, self.moves = POINT, pose, pose.moves
         self.value, self.rate = pose.value[:3], pose.rate[:3]
 
@@ -183,7 +185,7 @@ class PlaceOf(Course):
 
 
 def _one_motion(
-    origin: Vector3 | Signal | Course,
+    origin: Vector3 | Signal | Trajectory,
     direction: Vector3 | Signal,
     velocity: Vector3,
     turn: Turn | None,
@@ -195,7 +197,7 @@ def _one_motion(
         raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
 
 
-def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Course:
+def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
     """A pose to follow.
 
     Args:
@@ -205,7 +207,7 @@ def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None)
     """
     if isinstance(given, Signal):
         return given.bind(POSE, start, here)
-    return Course(POSE, POSE.read(pose_matrix(given)))
+    return Trajectory(POSE, POSE.read(pose_matrix(given)))
 
 
 class PointInReference:
@@ -333,7 +335,7 @@ class RotationError:
         rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
     """
 
-    def __init__(self, goal: Course, profile: Profile, start: Array) -> None:
+    def __init__(self, goal: Trajectory, profile: Profile, start: Array) -> None:
         self._profile, self._goal, self._omega = profile, goal, goal.rate[goal.kind.numbers :]
         self._start = start.copy()
         self._phi = np.array(pin.log3(goal.R @ start.T))

@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array, vector
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.signal import Followed
+from coopqp.signal import InputValues
 
 
 class Memory:
@@ -106,7 +106,7 @@ class State:
         self.q = vector("q", chain.q_start if q is None else q, n)
         self.v = np.zeros(n)
         self.memory = Memory({}) if memory is None else memory
-        self.inputs = Followed()
+        self.inputs = InputValues()
         self._J_ext = np.zeros((6 * arms, n))
         self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
         self._q_seen, self.jacobians_due = self.q.copy(), False
@@ -364,7 +364,7 @@ def _state(
     t: float,
     memory: Memory,
     own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
-    inputs: Followed,
+    inputs: InputValues,
 ) -> State:
     """A state from what a copy is made of."""
     state = State(chain, q, t, memory)

@@ -16,7 +16,7 @@ import numpy as np
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.spec import Array
-from coopqp.controller import Command, ControlProblem, Squeezer
+from coopqp.controller import Command, ControlProblem, InternalForceControl
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
@@ -58,7 +58,7 @@ class _Kept:
     memory_sizes: Mapping[str, int] = {}
     note = ""
 
-    def __init__(self, squeezer: Squeezer) -> None:
+    def __init__(self, squeezer: InternalForceControl) -> None:
         self.along = squeezer.along
 
     def update(self, state: State) -> Status | None:
@@ -68,7 +68,9 @@ class _Kept:
 class Braking:
     """The law that brings a problem's joints to rest."""
 
-    def __init__(self, problem: ControlProblem, squeezer: Squeezer | None = None) -> None:
+    def __init__(
+        self, problem: ControlProblem, squeezer: InternalForceControl | None = None
+    ) -> None:
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().build(still)
         self._law.squeezer = _Kept(squeezer) if squeezer else None

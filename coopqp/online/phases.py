@@ -20,7 +20,7 @@ from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.controller import Controller
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.hold import grasp_of_each
+from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
 from coopqp.model.state import State
 from coopqp.online.arrivals import Arrivals

@@ -111,7 +111,7 @@ class DynamicModel(PlantModel):
             self.servo.hold(self.measured)
             self._late = deque(Command(len(old.q)) for _ in self._late)
         self._occupy(old.chain.handed_over(old.q, released), old)
-        self.take_hold(before)
+        self.attach(before)
 
     def _slip(self) -> None:
         """Let the object slip in a hand by what has come since the last period."""
@@ -127,7 +127,7 @@ class DynamicModel(PlantModel):
         self.true.v[:] = old.v
 
     @abstractmethod
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Make ``true``, taken over from before, agree with the loops that have closed."""
 
     @abstractmethod

@@ -16,7 +16,7 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.hold import Hold
+from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.robot import RobotModel
@@ -94,7 +94,7 @@ def _with_errors(
 
 
 def _misplaced(
-    hold: Hold, rng: np.random.Generator, disturbance: Disturbance
+    hold: GraspConfiguration, rng: np.random.Generator, disturbance: Disturbance
 ) -> Mapping[str, pin.SE3]:
     """The object a little elsewhere in each hand."""
     X_EO = {}

@@ -106,7 +106,7 @@ class MujocoModel(DynamicModel):
             told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
         return told
 
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Everything moves on as it did; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
         self._told_hands = before._told_hands

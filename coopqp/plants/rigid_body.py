@@ -52,7 +52,7 @@ class RigidBodyModel(DynamicModel):
         self.signals["internal_wrench"] = np.zeros(6 * arms)
         self.signals |= self._told_hands.signals
 
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Hands that take hold while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true

@@ -19,7 +19,7 @@ class Bounds:
 
     Args:
         chain: what is limited.
-        limits: in the order in which they tighten; one that a later one heeds comes first.
+        limits: in the order in which they tighten; one that a later one supports comes first.
         start: a state, for limits that are constant.
         dt: control period [s].
         position_time: time in which a position bound may be reached, when that is not dt [s].

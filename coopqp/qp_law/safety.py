@@ -14,7 +14,7 @@ SHORTEN = 0.5  # a step that opens a loop too far is halved ...
 SHORTEST = 2.0**-10  # ... down to this share, and then not made
 
 
-class LoopProbe:
+class StepVerification:
     """Looks ahead whether a step would leave the loops within their budget.
 
     The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is

@@ -23,7 +23,7 @@ from coopqp.controller import TELL_APART, problem_faults
 from coopqp.controllers.qp import QPController
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.hold import arm_weights, grasp_of_each
+from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.scenario.input import Feed, Inputs, wanted

@@ -1,6 +1,6 @@
 """Inputs: values that arrive from outside while the arms move, and what is made of them.
 
-What arrives goes through ``model.limiter.Limiter``, so that a jump becomes a bounded motion,
+What arrives goes through ``TrajectoryFilter``, so that a jump becomes a bounded motion,
 and is stale when nothing new has come for a while. What is followed stands in ``state.inputs``.
 """
 
@@ -16,9 +16,9 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.base.table import read_table
-from coopqp.model.limiter import Limiter, Pace
 from coopqp.model.state import State
-from coopqp.signal import Course, Followed, Kind, Moment, Reads, Signal
+from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
+from coopqp.signal import InputValues, Kind, Moment, Reads, Signal, Trajectory
 from coopqp.task import Task
 
 Arrival = tuple[str, Any, float]
@@ -33,7 +33,7 @@ SUMMED = 1e-6
 
 
 @spec
-class InputSettings(Pace):
+class InputSettings(MotionLimits):
     """How an input is followed, when it is stale, and what feeds it in comparisons."""
 
     stale_after: Positive = 0.25
@@ -50,7 +50,7 @@ class InputSettings(Pace):
     """Instead: a CSV or Parquet file with what was sent, columns t and those of the value."""
 
     def __post_init__(self) -> None:
-        Pace.__post_init__(self)
+        MotionLimits.__post_init__(self)
         if self.feed is not None and self.feed_file is not None:
             raise ValueError("give feed or feed_file, not both")
         for low, high in zip(self.lower or (), self.upper or (), strict=False):
@@ -58,7 +58,7 @@ class InputSettings(Pace):
                 raise ValueError(f"lower {low:g} is more than upper {high:g}")
 
 
-class Channel(Limiter):
+class Channel(TrajectoryFilter):
     """One input while the arms move.
 
     Args:
@@ -127,7 +127,7 @@ def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array |
     Raises:
         CoopqpError: an input is wanted as two kinds.
     """
-    start.inputs = Followed()
+    start.inputs = InputValues()
     for task in tasks:
         task.bind(start)
     return start.inputs.wanted
@@ -243,7 +243,7 @@ class Feed:
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float = 0.0
     ) -> None:
         self._inputs, self._since = inputs, since
-        self._signals: dict[str, Course] = {}
+        self._signals: dict[str, Trajectory] = {}
         self._rows: dict[str, Iterator[_Row]] = {}
         self._next: dict[str, _Row | None] = {}
         for name, channel in inputs.channels.items():

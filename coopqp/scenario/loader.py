@@ -10,7 +10,7 @@ from typing import Any
 from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
-from coopqp.model.hold import grasp_of_each
+from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.plant import Plant
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog

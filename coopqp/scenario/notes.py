@@ -22,14 +22,14 @@ from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import (
-    CircleMark,
-    LineMark,
-    Mark,
-    PlaneMark,
-    PointMark,
-    PoseMark,
-    SphereMark,
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    SphereMarker,
     asked,
 )
 from coopqp.model.state import State
@@ -72,7 +72,7 @@ def notes(
     deaf_to = [
         f"{what} no effect on {' and '.join(deaf)}"
         for part, what in _stated(scenario)
-        if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
+        if (deaf := [name for name, c in chosen.items() if part not in c.supports])
     ]
     hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
@@ -258,17 +258,17 @@ def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Arra
             yield course.value[:3].copy()
 
 
-def _distance(mark: Mark, p: Array) -> float:
+def _distance(mark: Marker, p: Array) -> float:
     """How far a point is from what a mark shows [m]; 0 where that has no place."""
     match mark:
-        case PointMark():
+        case PointMarker():
             return float(np.linalg.norm(mark.at - p))
-        case PoseMark() if mark.position is not None:
+        case PoseMarker() if mark.position is not None:
             return float(np.linalg.norm(mark.position - p))
-        case PlaneMark():
+        case PlaneMarker():
             return abs(float(mark.normal @ (mark.through - p)))
-        case LineMark() if mark.through is not None:
+        case LineMarker() if mark.through is not None:
             return float(np.linalg.norm(np.cross(mark.direction, mark.through - p)))
-        case SphereMark() | CircleMark():
+        case SphereMarker() | CircleMarker():
             return abs(float(np.linalg.norm(mark.center - p)) - mark.radius)
     return 0.0

@@ -256,7 +256,7 @@ class Scenario:
         """The closed chain at the start, built once."""
         robot = self.robot_model
         start, passive = start_of(robot, self.start)
-        return ClosedChain.take_hold(
+        return ClosedChain.attach(
             robot,
             robot.configuration(start),
             self.grasps,

@@ -27,7 +27,7 @@ from coopqp.base.spec import Array, type_name
 from coopqp.base.wording import raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import marks_fault
+from coopqp.model.marker import marks_fault
 from coopqp.model.state import State
 from coopqp.plant import Plant
 from coopqp.signal import Moment

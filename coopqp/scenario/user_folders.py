@@ -14,7 +14,6 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 
-
 #: Makes this module the parent of the folders' packages.
 __path__: list[str] = []
 

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, spec
-from coopqp.signal import Course, Instant, Kind, Signal
+from coopqp.signal import Instant, Kind, Signal, Trajectory
 
 
 @spec
@@ -32,7 +32,7 @@ class Input(Signal):
         """Lets it be spelled ``input: target``."""
         return {"name": value} if isinstance(value, str) else value
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Anything can arrive."""
         if self.start is not None:
             try:
@@ -45,7 +45,7 @@ class Input(Signal):
         return _Arrived(kind, kind.zero if here is None else here, self.name)
 
 
-class _Arrived(Course):
+class _Arrived(Trajectory):
     """What the loop has made of what arrived."""
 
     moves = True

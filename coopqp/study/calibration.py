@@ -32,7 +32,7 @@ from coopqp.model.state import State
 
 #: Ticks that are used at most, evenly spread.
 MOST = 1500
-#: Ticks below which noise is no noise.
+#: TickBatch below which noise is no noise.
 FEWEST = 10
 #: Steps of Gauss and Newton.
 STEPS = 5

@@ -25,8 +25,8 @@ from coopqp.study.explanation import explain_run
 from coopqp.study.statistics.trial import _judge
 from coopqp.study.sweep import variant
 from coopqp.trace import Trace
-from coopqp.viewer.lane import Lane
 from coopqp.viewer.picture import drawn
+from coopqp.viewer.simulated_controller import SimulatedController
 
 ARRIVES = re.compile(r"(?i)\breaches the goal|gives way .* as .* was asked to")
 BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|loses the object)\b")
@@ -136,7 +136,7 @@ def _explained(
 
 def _drawn(scenario: Scenario, found: Assessment) -> dict[str, tuple[object, object]]:
     """The page at the end of the same run."""
-    lane = Lane(scenario, found.trace.controller, {})
+    lane = SimulatedController(scenario, found.trace.controller, {})
     for _ in range(found.trace.ticks + 1):
         lane.tick()
     seen, last = drawn(lane, ()), found.trace.ticks

@@ -16,7 +16,7 @@ STATES = 1000
 @pytest.fixture(scope="session")
 def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO holds a box whose weight is not in its middle."""
-    return ClosedChain.take_hold(nao, chain.q_start, Rigid(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Rigid(), BOX)
 
 
 @pytest.fixture(scope="session")

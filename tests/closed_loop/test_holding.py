@@ -203,7 +203,7 @@ def test_a_contact_that_points_away_is_refused(chain: ClosedChain) -> None:
         name: type(grasp)(**{**_fields(grasp), "normal": tuple(-x for x in grasp.normal)})
         for name, grasp in good.grasps.items()
     }
-    bad = ClosedChain.take_hold(chain.robot, chain.q_start, away, good.held)
+    bad = ClosedChain.attach(chain.robot, chain.q_start, away, good.held)
     assert [arm for arm, words in contact_faults(bad) if "points away" in words] == [
         "right",
         "left",

@@ -39,7 +39,7 @@ def skewered(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
         arm.name: Hinge(axis=tuple(hand.rotation.T @ line / np.linalg.norm(line)))
         for arm, hand in zip(nao.arms, (right, left), strict=True)
     }
-    return ClosedChain.take_hold(nao, chain.q_start, hinges, HeldObject())
+    return ClosedChain.attach(nao, chain.q_start, hinges, HeldObject())
 
 
 def object_twists(chain: ClosedChain, q: Array) -> Array:

@@ -37,7 +37,7 @@ def ball_and_hinge() -> ClosedChain:
     firm = ring(2, 7)
     grasps = {"a": Spherical(), "b": Hinge()}
     q = firm.q_start[: firm.robot.model.nq]
-    return ClosedChain.take_hold(firm.robot, q, grasps, HeldObject())
+    return ClosedChain.attach(firm.robot, q, grasps, HeldObject())
 
 
 #: Robots of no scenario, all with masses.

@@ -217,7 +217,7 @@ def test_a_force_that_is_not_a_number_is_named(
 
 @pytest.fixture(scope="module")
 def box_of_nao(nao: RobotModel) -> ClosedChain:
-    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    return ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
 
 
 @each_controller

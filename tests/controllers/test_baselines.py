@@ -264,7 +264,7 @@ def test_two_steps_stand_still_where_the_papers_scheme_is_singular(chain: Closed
 
 def test_two_steps_leave_passive_joints_to_the_loops() -> None:
     robot = NaoT14().build()
-    hinged = ClosedChain.take_hold(robot, robot.configuration(HANDS), Revolute(), HeldObject())
+    hinged = ClosedChain.attach(robot, robot.configuration(HANDS), Revolute(), HeldObject())
     law = TwoStep().build(problem(hinged, REACH))
     assert not set(law._actuated) & set(hinged.passive.tolist())  # type: ignore[attr-defined]
     assert len(law._actuated) == 6  # type: ignore[attr-defined]

@@ -24,7 +24,7 @@ from coopqp.scenario.loader import load, solver_by_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
-from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation.explained_phase import legs
 from coopqp.study.tick_record import TickRecord, replay
 from coopqp.study.trace_file import measured_run, recorded_tick, trace_from_file
 

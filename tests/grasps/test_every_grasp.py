@@ -22,7 +22,7 @@ each_grasp = pytest.mark.parametrize("grasp", EXAMPLES.values(), ids=EXAMPLES.ke
 
 
 def held(nao: RobotModel, chain: ClosedChain, grasp: Grasp) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, grasp, BOX)
+    return ClosedChain.attach(nao, chain.q_start, grasp, BOX)
 
 
 @each_grasp

@@ -13,7 +13,7 @@ from coopqp import limit, program
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
 from coopqp.model import geometry, profile
-from coopqp.qp_law import equations, level, nearest, priorities, safety, way_back
+from coopqp.qp_law import equations, level, limit_recovery, nearest, priorities, safety
 from coopqp.tasks import manipulability
 
 HEADER = Path(compiled.__file__).parent / "core" / "shared.hpp"
@@ -31,7 +31,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     level: {"DECIDED": "DECIDED"},
     priorities: {"NOISE": "NOISE"},
     safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
-    way_back: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
+    limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},

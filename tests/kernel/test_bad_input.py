@@ -62,7 +62,7 @@ def test_an_arm_of_one_joint() -> None:
     joints = [Parameters(alpha=1.0, d=0.1 * k, r=0.1) for k in range(7)]
     robot = robot_of("uneven", {"long": serial("l", joints), "short": serial("s", joints[:1])},
                      (0.1, 0.0, 0.0))  # fmt: skip
-    chain = ClosedChain.take_hold(robot, np.linspace(-0.5, 0.6, 8), Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, np.linspace(-0.5, 0.6, 8), Rigid(), HeldObject())
     alike(chain, PointOnPoint(goal=tuple((chain.start_position + 0.001).tolist())))
 
 

@@ -20,7 +20,7 @@ from coopqp.limit import Limit
 from coopqp.limits import FollowingError, JointAcceleration, Workspace
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.qp_law.way_back import KEPT, LEAST_MOTION
+from coopqp.qp_law.limit_recovery import KEPT, LEAST_MOTION
 from coopqp.robot import RobotModel
 from coopqp.solver import Status
 from coopqp.task import Task

@@ -14,4 +14,4 @@ from coopqp.robot import RobotModel
 @pytest.fixture(scope="session")
 def held_box(nao: RobotModel) -> ClosedChain:
     q = nao.configuration(HANDS)
-    return ClosedChain.take_hold(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
+    return ClosedChain.attach(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))

@@ -144,7 +144,7 @@ ARM = """
 
 def held(robot: RobotModel) -> ClosedChain:
     q = np.zeros(robot.model.nq)
-    return ClosedChain.take_hold(robot, q, Rigid(), HeldObject(size=(0.02, 0.02, 0.02)))
+    return ClosedChain.attach(robot, q, Rigid(), HeldObject(size=(0.02, 0.02, 0.02)))
 
 
 def urdf(folder: Path, arm: str = ARM) -> RobotModel:

@@ -97,7 +97,7 @@ def test_margins_are_negative_where_a_limit_is_broken(held_box: ClosedChain) -> 
 
 
 def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) -> None:
-    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
+    loose = ClosedChain.attach(nao, held_box.q_start, Spherical(), HeldObject())
     q, v = np.vstack([loose.q_start] * 2), np.zeros((1, loose.n))
     passive = loose.joint_names[loose.passive[0]]
     assert f"limit.velocity[{passive}].upper" not in by_name(

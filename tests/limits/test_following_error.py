@@ -56,7 +56,7 @@ def test_what_is_not_measured_bounds_nothing(held_box: ClosedChain, measured: Ar
 
 
 def test_passive_joints_follow_the_others(nao: RobotModel, held_box: ClosedChain) -> None:
-    hinged = ClosedChain.take_hold(
+    hinged = ClosedChain.attach(
         nao, held_box.q_start, Revolute(point=(0.0, 0.0, -0.05)), HeldObject()
     )
     state = State(hinged)

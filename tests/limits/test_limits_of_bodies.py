@@ -126,7 +126,7 @@ def test_a_start_nearer_than_asked_is_a_note(held_box: ClosedChain, gap: float, 
 
 
 def pulled_into_a_ball(gap: float, **keys: float) -> Scenario:
-    """NAO's box goes to the middle of a ball over it; only the QP heeds the limit."""
+    """NAO's box goes to the middle of a ball over it; only the QP supports the limit."""
     like = coopqp.load("point_on_point")
     ball = beside_the_object(like.chain, gap)
     limits = (JointPosition(), JointVelocity(), Obstacles(shapes={"ball": ball}, **keys))  # type: ignore[arg-type]

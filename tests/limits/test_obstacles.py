@@ -16,7 +16,7 @@ from coopqp.base.qp import names_of
 from coopqp.controllers import QPController
 from coopqp.limits import Obstacle, Obstacles
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import SolidMark
+from coopqp.model.marker import SolidMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robot_files import obj
@@ -140,7 +140,7 @@ def test_what_is_pulled_into_a_ball_stops_before_it(held_box: ClosedChain) -> No
 
 def test_pictures_show_the_things() -> None:
     marks = SHELF.marks(0.0)
-    assert [mark.kind for mark in marks if isinstance(mark, SolidMark)] == [
+    assert [mark.kind for mark in marks if isinstance(mark, SolidMarker)] == [
         "box", "cylinder", "sphere"
     ]  # fmt: skip
 

@@ -45,7 +45,7 @@ def write(folder: Path, more: str = "") -> Path:
 def chain_of(path: Path) -> ClosedChain:
     robot = Mjcf(path=path, arms={"right": "right_hand", "left": "left_hand"}).build()
     held = HeldObject(size=(0.02, 0.02, 0.02))
-    return ClosedChain.take_hold(robot, np.zeros(robot.model.nq), Rigid(), held)
+    return ClosedChain.attach(robot, np.zeros(robot.model.nq), Rigid(), held)
 
 
 def test_geoms_of_the_world_have_their_own_names(tmp_path: Path) -> None:

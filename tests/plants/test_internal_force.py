@@ -38,12 +38,12 @@ PLANTS: Mapping[str, Plant] = {
 
 @pytest.fixture(scope="module")
 def box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, Rigid(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Rigid(), BOX)
 
 
 @pytest.fixture(scope="module")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, Revolute(point=(0.0, 0.0, -0.05)), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Revolute(point=(0.0, 0.0, -0.05)), BOX)
 
 
 def at_rest(plant: Plant, chain: ClosedChain, ticks: int = 150) -> tuple[PlantModel, Array]:

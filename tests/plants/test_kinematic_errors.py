@@ -129,7 +129,7 @@ def test_errors_that_no_pose_can_close_are_refused_in_one_line() -> None:
     """Planar arms that point at each other, stretched out: shorter links do not meet."""
     pair = PlanarPair(distance=1.3).build()
     q = np.radians([90.0, 0.0, 0.0, -90.0, 0.0, 0.0])
-    stretched = ClosedChain.take_hold(pair, q, Rigid(), HeldObject())
+    stretched = ClosedChain.attach(pair, q, Rigid(), HeldObject())
     refused = []
     for seed in range(10):
         try:

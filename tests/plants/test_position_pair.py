@@ -108,7 +108,7 @@ def test_springs_that_steps_cannot_follow_are_refused(scenario: Scenario) -> Non
 def test_servos_with_a_frequency_follow_alike_whatever_they_move(nao: RobotModel) -> None:
     """A speed that sets in: the error is that of a critically damped oscillator, v t exp(-w t)."""
     w, ticks = 40.0, 5
-    chain = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), BOX)
+    chain = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), BOX)
     x, y, z = chain.start_position
     asked = problem(chain, PointOnPoint(goal=(x, y, z)))
     plant = RigidBody(servo=Servo(frequency=w)).build(asked, 0, Disturbance())

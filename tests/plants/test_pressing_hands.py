@@ -46,7 +46,7 @@ def nao() -> ClosedChain:
     """With pads that touch a box as wide as the hands are apart."""
     robot = NaoT14().build()
     box = HeldObject(size=(0.08, 0.20864352, 0.08), mass=MASS)
-    firm = ClosedChain.take_hold(robot, robot.configuration(HANDS), Rigid(), box)
+    firm = ClosedChain.attach(robot, robot.configuration(HANDS), Rigid(), box)
     return pressing(firm, MASS, 0.02)
 
 
@@ -188,7 +188,7 @@ def test_a_push_uses_friction_and_a_large_one_loses_the_box() -> None:
 def test_a_fragile_box_is_not_pressed_harder_than_it_stands() -> None:
     firm = nao()
     fragile = {name: replace(grasp, least=5.0, most=6.0) for name, grasp in firm.grasps.items()}
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, fragile, firm.held)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, fragile, firm.held)
     trace = ran(Mujoco(), chain=chain)
     assert np.allclose(trace.signals["normal_force"][-50:], 5.0, rtol=0.01)  # more than friction's
     with pytest.raises(InvalidValueError, match=r"can do 5 to 6 N; most force of (right|left)"):
@@ -214,7 +214,7 @@ def test_torques_stay_inside_the_motors_and_the_least_margin_is_told() -> None:
 def test_mujoco_refuses_a_contact_that_does_not_touch_the_box() -> None:
     firm = nao()
     away = replace(firm.held, size=(0.08, 0.16, 0.08))
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, firm.grasps, away)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, firm.grasps, away)
     with pytest.raises(InvalidValueError, match=r"contact of right is 24\.3 mm from the object"):
         ran(Mujoco(), chain=chain)
 
@@ -226,7 +226,7 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
         name: PointContact(normal=g.normal, along=g.along, edges=16)
         for name, g in firm.grasps.items()
     }
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, tips, firm.held)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, tips, firm.held)
     trace = ran(Mujoco(), chain=chain, seconds=0.3)
     assert Held().measure(trace) == {"held": True, "lost_at": None}
     h = trace.signals["hand_wrench"][-1].reshape(2, 6)

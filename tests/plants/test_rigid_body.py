@@ -42,14 +42,14 @@ def limp(chain: ClosedChain) -> ClosedChain:
     model.effortLimit = np.zeros(model.nv)
     robot = replace(chain.robot, model=model)
     active = np.setdiff1d(np.arange(chain.n), chain.passive)
-    return ClosedChain.take_hold(robot, chain.q_start[active], chain.grasps, chain.held)
+    return ClosedChain.attach(robot, chain.q_start[active], chain.grasps, chain.held)
 
 
 @pytest.fixture(scope="module")
 def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO in a pose without symmetry holds a box whose weight is not in its middle."""
     q = closed_states(chain, 6)[-1][0]
-    return ClosedChain.take_hold(nao, q, Rigid(), BOX)
+    return ClosedChain.attach(nao, q, Rigid(), BOX)
 
 
 class Ledger:

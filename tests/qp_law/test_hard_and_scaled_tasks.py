@@ -193,7 +193,7 @@ def test_copy_of_a_command_keeps_its_share(chain: ClosedChain) -> None:
 @pytest.fixture(scope="module")
 def planar() -> ClosedChain:
     q = np.radians([-20, 70, -50, 20, -70, 50])
-    return ClosedChain.take_hold(PlanarPair().build(), q, Rigid(), HeldObject())
+    return ClosedChain.attach(PlanarPair().build(), q, Rigid(), HeldObject())
 
 
 STACKS: dict[str, tuple[str, ...]] = {

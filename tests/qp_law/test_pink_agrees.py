@@ -96,7 +96,7 @@ class Baxter:
             joint_limits={"*_e1": {"lower": self.lowest_elbow}},
         ).build()
         q = robot.configuration({"right": RIGHT, "left": LEFT})
-        self.chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+        self.chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
         self.way = np.array(self.goal)
         self.task = PointOnPoint(
             goal=tuple(self.chain.start_position + self.way),

@@ -202,7 +202,7 @@ def regrasped(robot: RobotModel, q: Array) -> dict[str, Rigid]:
 
 def mirrored() -> ClosedChain:
     robot = NaoT14().build()
-    return ClosedChain.take_hold(robot, robot.configuration(HANDS), Rigid(), HeldObject())
+    return ClosedChain.attach(robot, robot.configuration(HANDS), Rigid(), HeldObject())
 
 
 CHAINS = {
@@ -228,7 +228,7 @@ def test_rounded_starts_of_other_loops_hide_nothing_even_near_singular_poses(
             for grasps in (given, Rigid()):
                 rounded = np.round(start, digits)
                 try:
-                    rough = ClosedChain.take_hold(chain.robot, rounded, grasps, HeldObject())
+                    rough = ClosedChain.attach(chain.robot, rounded, grasps, HeldObject())
                 except GraspError:
                     continue  # farther off than counts as closed
                 tried += 1

@@ -88,7 +88,7 @@ def test_three_rigid_arms_of_seven_joints_have_rank_12_and_mobility_9() -> None:
     robot = Several(robots=robots).build()
     home = [0.0, -0.3, 0.0, -2.0, 0.0, 1.9, 0.7]
     q = robot.configuration({f"{name}/arm": home for name in names})
-    found = mobility(ClosedChain.take_hold(robot, q, Rigid(), HeldObject()))
+    found = mobility(ClosedChain.attach(robot, q, Rigid(), HeldObject()))
     assert (found.rank, found.freedom, found.object_freedom) == (12, 9, 6)
 
 

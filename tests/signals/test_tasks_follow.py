@@ -20,10 +20,10 @@ from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.signal import (
-    Course,
-    Followed,
+    InputValues,
     Kind,
     Signal,
+    Trajectory,
 )
 from coopqp.signals import Circle, Input, Line, Waypoints
 from coopqp.task import Task, TaskStack
@@ -40,12 +40,12 @@ def test_all_tasks_with_a_goal_are_here(chain: ClosedChain) -> None:
 def check_rates(task: Task, chain: ClosedChain, walk: list[Array], inputs: Any = None) -> None:
     """E at a fixed configuration changes by -rate, and J is as if nothing moved."""
     start = State(chain)
-    start.inputs = inputs(0.0) if inputs else Followed()
+    start.inputs = inputs(0.0) if inputs else InputValues()
     stack = TaskStack([task], start)
 
     def look(q: Array, t: float) -> TaskStack:
         state = State(chain, q, t)
-        state.inputs = inputs(t) if inputs else Followed()
+        state.inputs = inputs(t) if inputs else InputValues()
         stack.update(state)
         return stack
 
@@ -81,11 +81,11 @@ def test_every_task_follows_an_input_with_its_exact_rate(
         for key, kind in moving_fields(task, chain).items()
     }
 
-    def inputs(t: float) -> Followed:
-        found, at = Followed(), State(chain, t=t)
+    def inputs(t: float) -> InputValues:
+        found, at = InputValues(), State(chain, t=t)
         for key, course in moves.items():
             course.update(at)
-            found[key] = Course(course.kind, course.value)
+            found[key] = Trajectory(course.kind, course.value)
             found[key].rate[:] = course.rate
         return found
 

@@ -121,7 +121,7 @@ def _pressing(
                 normal=normal, along=along, friction=mu, half_lengths=(half[0], half[1])
             )
     mass = float(heaviest * rng.uniform(0.1, 1.0))
-    return ClosedChain.take_hold(firm.robot, q, grasps, replace(firm.held, mass=mass, pose=None))
+    return ClosedChain.attach(firm.robot, q, grasps, replace(firm.held, mass=mass, pose=None))
 
 
 def _tasks(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:

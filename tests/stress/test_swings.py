@@ -26,7 +26,7 @@ from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint, Twist
-from coopqp.trace import Ticks
+from coopqp.trace import TickBatch
 from stress.draw import LAW
 from stress.driving import LONGEST, drive_on, record_of
 from stress.ending import PartErrors
@@ -223,8 +223,8 @@ class Standing:
     def __init__(self, problem: ControlProblem) -> None:
         self.problem = problem
 
-    def run(self, state: State, ticks: int) -> Ticks:
-        made = Ticks.room(ticks, len(state.q), 0)
+    def run(self, state: State, ticks: int) -> TickBatch:
+        made = TickBatch.room(ticks, len(state.q), 0)
         made.q[:] = state.q
         return made
 

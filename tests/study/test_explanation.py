@@ -153,7 +153,7 @@ def test_law_with_the_relaxed_limits_meets_the_task(
             upper[scenario.chain.joint_names.index(joint)] += change
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     chain = scenario.chain
-    wider = ClosedChain.take_hold(
+    wider = ClosedChain.attach(
         replace(scenario.robot_model, model=model),
         chain.q_start,
         scenario.grasps,

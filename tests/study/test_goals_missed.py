@@ -21,7 +21,7 @@ from coopqp.execution.controller_run import run
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
-from coopqp.study.explanation.late import _rests
+from coopqp.study.explanation.insufficient_time import _rests
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pose, Twist
 
 

@@ -1,4 +1,4 @@
-"""Ticks kept in files, and solved again."""
+"""TickBatch kept in files, and solved again."""
 
 from __future__ import annotations
 

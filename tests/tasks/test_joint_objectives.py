@@ -114,7 +114,7 @@ def test_posture_of_another_robot_is_refused(goal: Any, match: str, chain: Close
 
 
 def test_joint_without_limits_is_left_alone(nao: RobotModel, chain: ClosedChain) -> None:
-    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
     q = np.full(hinged.n, 0.3)
     e = error(JointCentering(), State(hinged, q))
     np.testing.assert_array_equal(e[hinged.passive], [0.0, 0.0])

@@ -49,7 +49,7 @@ struct Profile {
 };
 
 // Where a reference is that follows a signal: arrays that Python fills before each tick.
-struct Followed {
+struct InputValues {
     const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
 };
 
@@ -59,7 +59,7 @@ struct Reference {
     Profile turning;
     bool turns = false, moves = false;
     double c[3], RT[9], omega[3];
-    Followed followed;
+    InputValues followed;
 
     void begin() {
         std::copy(c_0, c_0 + 3, c);

@@ -32,7 +32,7 @@ constexpr double NOISE = 1e-06;
 constexpr double SHORTEN = 0.5;
 constexpr double SHORTEST = 0.0009765625;
 
-// coopqp.qp_law.way_back
+// coopqp.qp_law.limit_recovery
 constexpr double LEAST_RECOVERY = 0.02;
 constexpr double LEAST_MOTION = 0.0001;
 constexpr double KEPT = 0.995;

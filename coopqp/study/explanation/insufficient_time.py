@@ -16,8 +16,8 @@ from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import held_up, speed_share
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.rerun import arrival, rerun
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import Place
@@ -33,7 +33,7 @@ FALLS = 0.1
 WORTH_TELLING = 0.02
 
 
-def explain(leg: Leg, goal: Goal, place: Place, base: RunExplanation) -> RunExplanation:
+def explain(leg: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation) -> RunExplanation:
     """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
     goal.look(leg.q[-1])
     if goal.miss <= 1.0:
@@ -62,7 +62,13 @@ def explain(leg: Leg, goal: Goal, place: Place, base: RunExplanation) -> RunExpl
 
 
 def _too_short(
-    leg: Leg, goal: Goal, after: Leg, held: Sequence[Share], base: RunExplanation, *, slow: bool
+    leg: ExplainedPhase,
+    goal: Goal,
+    after: ExplainedPhase,
+    held: Sequence[Share],
+    base: RunExplanation,
+    *,
+    slow: bool,
 ) -> RunExplanation:
     """Of a run that gets nearer in the longer rerun ``after``."""
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
@@ -78,7 +84,7 @@ def _too_short(
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
 
 
-def _rests(leg: Leg, place: Place, held: Sequence[Share]) -> str:
+def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
     """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
@@ -97,7 +103,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
     return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
 
 
-def _leash(leg: Leg) -> str:
+def _leash(leg: ExplainedPhase) -> str:
     """Commands that had to wait for the measured joints; empty where they had not."""
     limits = leg.scenario.limits
     leash = [limit for limit in limits if limit.heeds_measured]
@@ -109,7 +115,7 @@ def _leash(leg: Leg) -> str:
     return f"{said}; without it the goal is reached (tried)"
 
 
-def _misled(leg: Leg) -> str:
+def _misled(leg: ExplainedPhase) -> str:
     """That what the controller was not told keeps it from the goal; empty where it does not."""
     perfect = Disturbance()
     if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
@@ -118,12 +124,12 @@ def _misled(leg: Leg) -> str:
     return f"{said}; 'coopqp calibrate' may find out what"
 
 
-def _out_of_budget(leg: Leg) -> bool:
+def _out_of_budget(leg: ExplainedPhase) -> bool:
     cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
     return sum(bool(cut & set(causes)) for causes in leg.causes[-LAST:]) > MANY
 
 
-def _budget(leg: Leg, base: RunExplanation) -> RunExplanation:
+def _budget(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     kappa, most = leg.problem.kappa, 1.0 / leg.problem.dt
     text = f"the loops' budget is used up (kappa {kappa:g})"
     if kappa >= most * (1.0 - 1e-9):
@@ -135,7 +141,7 @@ def _budget(leg: Leg, base: RunExplanation) -> RunExplanation:
     return base.because("budget", said, tried=not after.missed)
 
 
-def _motors(leg: Leg) -> str:
+def _motors(leg: ExplainedPhase) -> str:
     """Motors that were at their limits; empty where none was."""
     effort = leg.problem.chain.model.effortLimit
     tau = leg.tau[-LAST:]
@@ -150,14 +156,14 @@ def _motors(leg: Leg) -> str:
     return f"{words.listed(names)} {verb}"
 
 
-def _falls(before: Leg, after: Leg) -> bool:
+def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     """Whether more time brought it nearer."""
     part, error = before.missed[0]
     later = next(e for p, e in zip(after.parts, after.errors, strict=True) if p.name == part.name)
     return bool(later < (1.0 - FALLS) * error)
 
 
-def _pushed(leg: Leg, goal: Goal) -> str:
+def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
     """What pushes an impedance away at the end; empty where nothing does, or it still moves.
 
     In the end a steady force moves its springs, F = K e, by F/K: that is no goal that was missed

@@ -2,14 +2,14 @@
 #pragma once
 #include <memory>
 
-#include "core/survey.hpp"
+#include "core/trajectory_evaluation.hpp"
 #include "reading.hpp"
 
 namespace KERNEL_MODULE {
 
-class Survey {
+class TrajectoryEvaluation {
   public:
-    explicit Survey(const nb::dict& d) {
+    explicit TrajectoryEvaluation(const nb::dict& d) {
         auto arena = std::make_unique<coopqp::Arena>();
         auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
         std::vector<coopqp::Level> levels;
@@ -23,7 +23,7 @@ class Survey {
         std::vector<coopqp::Fixed> points;
         for (std::size_t i = 0; i < joints.size(); i++)
             points.push_back({joints[i], {places[3 * i], places[3 * i + 1], places[3 * i + 2]}});
-        survey_ = std::make_unique<coopqp::Survey>(std::move(arena), std::move(model),
+        survey_ = std::make_unique<coopqp::TrajectoryEvaluation>(std::move(arena), std::move(model),
                                                    std::move(levels), std::move(primitives),
                                                    std::move(points));
     }
@@ -47,7 +47,7 @@ class Survey {
     }
 
   private:
-    std::unique_ptr<coopqp::Survey> survey_;
+    std::unique_ptr<coopqp::TrajectoryEvaluation> survey_;
 };
 
 }  // namespace KERNEL_MODULE

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from coopqp.base.spec import Array
 from coopqp.execution.instants import arm_points
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.mark import (
-    CircleMark,
-    LineMark,
-    Mark,
-    PlaneMark,
-    PointMark,
-    PoseMark,
-    PostureMark,
-    RelativeMark,
-    SolidMark,
-    SphereMark,
-    TrackedMark,
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    PostureMarker,
+    RelativeMarker,
+    SolidMarker,
+    SphereMarker,
+    TrackedMarker,
     asked,
 )
 from coopqp.report.cells import plugin_name
@@ -117,7 +117,7 @@ def shown_marks(
 
 
 def _through_time(
-    marks: dict[int, tuple[Mark, ...]], name: str, place: Place, *, limit: bool
+    marks: dict[int, tuple[Marker, ...]], name: str, place: Place, *, limit: bool
 ) -> list[Shown]:
     """Marks by frame, which may come and go; one that stays is one."""
     found: list[Shown] = []
@@ -139,39 +139,39 @@ class Place:
     def __init__(self, scenario: Scenario) -> None:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
 
-    def drawn(self, mark: Mark) -> tuple[str, Json]:
+    def drawn(self, mark: Marker) -> tuple[str, Json]:
         """The kind and what is drawn."""
         match mark:
-            case PointMark():
+            case PointMarker():
                 return "goals", {"at": mark.at}
-            case LineMark():
+            case LineMarker():
                 return self._line(mark)
-            case PlaneMark():
+            case PlaneMarker():
                 return "planes", {"corners": self._patch(mark)}
-            case CircleMark():
+            case CircleMarker():
                 values = {"center": mark.center, "normal": mark.normal, "radius": mark.radius}
                 return "circles", values
-            case SphereMark():
+            case SphereMarker():
                 return "spheres", {"center": mark.center, "radius": mark.radius}
-            case SolidMark():
+            case SolidMarker():
                 return SOLID, {"solid": mark}
-            case PoseMark():
+            case PoseMarker():
                 axes = {"axes": self._axes(mark.rotation)}
                 where = mark.position
                 return ("orientations", axes) if where is None else ("poses", {"at": where} | axes)
-            case TrackedMark() | PostureMark() | RelativeMark():
+            case TrackedMarker() | PostureMarker() | RelativeMarker():
                 return self._carried(mark)
 
-    def _carried(self, mark: TrackedMark | PostureMark | RelativeMark) -> tuple[str, Json]:
+    def _carried(self, mark: TrackedMarker | PostureMarker | RelativeMarker) -> tuple[str, Json]:
         """What moves with the robot."""
         match mark:
-            case TrackedMark():
+            case TrackedMarker():
                 return TRACKED, {"point": mark.point}
-            case PostureMark():
+            case PostureMarker():
                 return POSTURE, {"goal": mark.goal}
         return RELATIVE, {"at": mark.position, "axes": self._axes(mark.rotation)}
 
-    def _line(self, line: LineMark) -> tuple[str, Json]:
+    def _line(self, line: LineMarker) -> tuple[str, Json]:
         """Ends of a piece of it, or the way from the object."""
         d = line.direction
         way = LINE_SHARE * self._size * d
@@ -185,7 +185,7 @@ class Place:
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 
-    def _patch(self, plane: PlaneMark) -> Array:
+    def _patch(self, plane: PlaneMarker) -> Array:
         """Corners of a patch of a plane, shape (4, 3) [m]."""
         n = plane.normal
         middle = self._start - n * (n @ (self._start - plane.through))

@@ -24,7 +24,7 @@ from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
-from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.trace import Trace
 
 #: From this share on what a contact bears is used up.
@@ -37,7 +37,7 @@ SETTINGS = ("squeeze", "safety")
 SPARE = 1.05
 
 
-def lost(leg: Leg, base: RunExplanation) -> RunExplanation | None:
+def lost(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
     """How the object was lost until the end of a leg; None where it was held."""
     presses = any(grasp.contact for grasp in leg.problem.chain.grasps.values())
     if not presses or not leg.scenario.plant.takes_torques:
@@ -54,7 +54,7 @@ def lost(leg: Leg, base: RunExplanation) -> RunExplanation | None:
     return base.because("lost", said, tried=True if holds else None, time=time)
 
 
-def _culprits(leg: Leg, trace: Trace, tick: int) -> str:
+def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
     """Which hands, and by what, when what contacts bear was first used up."""
     slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
     k = int(slipped[0]) if len(slipped) else tick
@@ -67,7 +67,7 @@ def _culprits(leg: Leg, trace: Trace, tick: int) -> str:
     return words.listed([f"{why} at {words.listed(arms)}" for why, arms in by_why.items()])
 
 
-def _used_up(leg: Leg, trace: Trace, k: int) -> list[tuple[str, str]]:
+def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
     """The hands in which a contact is at the end of what it bears in a tick, and what ends it."""
     robot, found = [arm.name for arm in leg.scenario.robot_model.arms], []
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
@@ -87,7 +87,7 @@ def _used_up(leg: Leg, trace: Trace, k: int) -> list[tuple[str, str]]:
     return found
 
 
-def _friction(leg: Leg) -> str:
+def _friction(leg: ExplainedPhase) -> str:
     """The friction that would do, where the controller was told of more than there is."""
     there = leg.scenario.disturbance.friction
     if there >= 1.0:
@@ -100,11 +100,11 @@ def _friction(leg: Leg) -> str:
     return f"{needed:g} of the modelled friction instead of {there:g}"
 
 
-def _with_friction(leg: Leg, friction: float) -> Trace | None:
+def _with_friction(leg: ExplainedPhase, friction: float) -> Trace | None:
     return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
 
 
-def _pressing(leg: Leg) -> str:
+def _pressing(leg: ExplainedPhase) -> str:
     """The setting of the controller that would do."""
     for other, setting in _firmer(leg.controller):
         if _again(leg, controllers={**leg.scenario.controllers, leg.name: other}) is not None:
@@ -123,7 +123,7 @@ def _firmer(chosen: Controller) -> Iterator[tuple[Controller, str]]:
             return
 
 
-def _again(leg: Leg, **changed: Any) -> Trace | None:
+def _again(leg: ExplainedPhase, **changed: Any) -> Trace | None:
     """The run with something changed; None where the object is lost in it all the same."""
     try:
         trace = run(replace(leg.scenario, **changed), controller=leg.name)

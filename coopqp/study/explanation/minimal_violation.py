@@ -36,7 +36,7 @@ NOTHING = 1e-4
 
 
 @dataclass(frozen=True)
-class Excess:
+class Violation:
     """By how much one limit is exceeded.
 
     Attributes:
@@ -50,7 +50,7 @@ class Excess:
     space: int | None = None
 
 
-def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Excess]:
+def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Violation]:
     """The least of several local minima; none where the goal is lost from all starts.
 
     At these configurations the goal holds and the loops are closed.
@@ -60,21 +60,21 @@ def least_excess(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Excess
     return min(found, key=_total, default=[])
 
 
-def excess_at(room: Room, qs: Array) -> list[Excess]:
+def excess_at(room: Room, qs: Array) -> list[Violation]:
     """The largest excess of each limit along configurations, shape (T, n)."""
     found = []
     for (i, side), row in room.sides.items():
         out = room.lower[i] - qs[:, i] if side == "lower" else qs[:, i] - room.upper[i]
-        found.append(Excess(row, float(out.max())))
+        found.append(Violation(row, float(out.max())))
     rooms = np.array([room.at(q) for q in qs])
     for space in dict.fromkeys(room.owners):
         own = np.flatnonzero(np.array(room.owners) == space)
         row = room.rows[own[rooms[-1, own].argmin()]]
-        found.append(Excess(row, float(-rooms[:, own].min()), space))
+        found.append(Violation(row, float(-rooms[:, own].min()), space))
     return [excess for excess in found if excess.amount > NOTHING]
 
 
-def _total(found: Sequence[Excess]) -> float:
+def _total(found: Sequence[Violation]) -> float:
     return sum(
         x.amount * (METRE if x.space is not None or x.row.unit == "m" else 1.0) for x in found
     )
@@ -115,7 +115,7 @@ class _Programs:
         spaces = len(joints) + np.arange(len(self._room.owners))
         self._qp.G[spaces, 2 * n + np.array(self._room.owners, int)] = -1.0
 
-    def shrink(self, start: Array) -> list[Excess] | None:
+    def shrink(self, start: Array) -> list[Violation] | None:
         """A local minimum near a start; None where the goal is lost."""
         q, step = self._back(start), STEP
         merit, off = self._merit(q)

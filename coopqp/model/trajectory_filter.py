@@ -19,7 +19,7 @@ import pinocchio as pin
 from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, RuckigError
 
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.signal import Course, Instant, Kind, matrix, quaternion_of
+from coopqp.signal import Instant, Kind, Trajectory, matrix, quaternion_of
 
 #: Within these there is always a way; they are those of arms, and wider [SI].
 VELOCITIES, ACCELERATIONS, JERKS = (1e-3, 100.0), (1e-3, 1e4), (1e-3, 1e6)
@@ -31,7 +31,7 @@ ROUNDING = 1e-9
 
 
 @spec
-class Pace:
+class MotionLimits:
     """How fast a reference may go."""
 
     velocity: Positive = 0.25
@@ -79,12 +79,12 @@ class _Bounds:
     jerk: Array
 
 
-def _bounds(kind: Kind, pace: Pace) -> _Bounds:
+def _bounds(kind: Kind, pace: MotionLimits) -> _Bounds:
     columns = np.array(list(_columns(kind, pace))).T
     return _Bounds(*columns)
 
 
-def _columns(kind: Kind, pace: Pace) -> Iterator[Array]:
+def _columns(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
     """The three bounds of each axis."""
     along = np.array([pace.velocity, pace.acceleration, pace.jerk])
     about = np.array([pace.angular_velocity, pace.angular_acceleration, pace.angular_jerk])
@@ -98,7 +98,7 @@ def _columns(kind: Kind, pace: Pace) -> Iterator[Array]:
         yield about / math.sqrt(3.0)
 
 
-class Limiter(Course):
+class TrajectoryFilter(Trajectory):
     """A reference that follows what it is told to.
 
     Args:
@@ -113,7 +113,7 @@ class Limiter(Course):
 
     moves = True
 
-    def __init__(self, kind: Kind, pace: Pace, dt: float, value: Array) -> None:
+    def __init__(self, kind: Kind, pace: MotionLimits, dt: float, value: Array) -> None:
         super().__init__(kind, value)
         count = kind.rates
         self.acceleration = np.zeros(count)

@@ -59,7 +59,7 @@ Rotation = Annotated[Array, PlainValidator(_rotation)]
 
 
 @spec
-class PointMark:
+class PointMarker:
     """A point."""
 
     at: Point
@@ -67,7 +67,7 @@ class PointMark:
 
 
 @spec
-class LineMark:
+class LineMarker:
     """A line without ends."""
 
     direction: UnitVector
@@ -77,7 +77,7 @@ class LineMark:
 
 
 @spec
-class PlaneMark:
+class PlaneMarker:
     """A plane without ends."""
 
     normal: UnitVector
@@ -87,7 +87,7 @@ class PlaneMark:
 
 
 @spec
-class CircleMark:
+class CircleMarker:
     """A circle, the line and not the disc."""
 
     center: Point
@@ -99,7 +99,7 @@ class CircleMark:
 
 
 @spec
-class SphereMark:
+class SphereMarker:
     """The surface of a ball."""
 
     center: Point
@@ -109,7 +109,7 @@ class SphereMark:
 
 
 @spec
-class SolidMark:
+class SolidMarker:
     """A body that stands still; seen where it is at first, in all frames."""
 
     kind: Literal["mesh", "box", "cylinder", "capsule", "sphere", "ellipsoid"]
@@ -125,7 +125,7 @@ class SolidMark:
 
 
 @spec
-class PoseMark:
+class PoseMarker:
     """Axes of a frame."""
 
     rotation: Rotation
@@ -135,7 +135,7 @@ class PoseMark:
 
 
 @spec
-class TrackedMark:
+class TrackedMarker:
     """The point of the object that a task steers; its way is drawn."""
 
     point: Vector3 = (0.0, 0.0, 0.0)
@@ -143,7 +143,7 @@ class TrackedMark:
 
 
 @spec
-class PostureMark:
+class PostureMarker:
     """Values that joints go to; drawn as the arms would stand, other joints as they are."""
 
     goal: dict[str, float | list[float]] | list[float]
@@ -151,7 +151,7 @@ class PostureMark:
 
 
 @spec
-class RelativeMark:
+class RelativeMarker:
     """Axes of a frame that moves with the first arm."""
 
     rotation: Rotation
@@ -160,32 +160,34 @@ class RelativeMark:
     """Its origin, in that arm's object frame; not in the world as the others."""
 
 
-Mark = (
-    PointMark
-    | LineMark
-    | PlaneMark
-    | CircleMark
-    | SphereMark
-    | SolidMark
-    | PoseMark
-    | TrackedMark
-    | PostureMark
-    | RelativeMark
+Marker = (
+    PointMarker
+    | LineMarker
+    | PlaneMarker
+    | CircleMarker
+    | SphereMarker
+    | SolidMarker
+    | PoseMarker
+    | TrackedMarker
+    | PostureMarker
+    | RelativeMarker
 )
 
 
 def marks_fault(marks: object) -> str:
     """What of something given as marks is none; empty where all are."""
-    *others, last = (kind.__name__ for kind in get_args(Mark))
+    *others, last = (kind.__name__ for kind in get_args(Marker))
     if not isinstance(marks, tuple | list):
         return f"{type(marks).__name__}, needs a tuple of marks"
-    strange = [mark for mark in marks if not isinstance(mark, Mark)]
+    strange = [mark for mark in marks if not isinstance(mark, Marker)]
     if not strange:
         return ""
     return f"{type(strange[0]).__name__} among its marks, needs {', '.join(others)} or {last}"
 
 
-def asked(name: str, marks: Callable[[], Sequence[Mark]], faults: list[str]) -> tuple[Mark, ...]:
+def asked(
+    name: str, marks: Callable[[], Sequence[Marker]], faults: list[str]
+) -> tuple[Marker, ...]:
     """The marks of a task or a limit; none where its code raises or gives something else.
 
     Args:

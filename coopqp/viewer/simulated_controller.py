@@ -50,7 +50,7 @@ class HandFeed:
         self.inputs.step(state, self.arrived)
 
 
-class Lane:
+class SimulatedController:
     """A law that is played.
 
     Raises:
@@ -76,7 +76,7 @@ class Lane:
     @property
     def keeps_limits(self) -> bool:
         """Whether the law promises to."""
-        return "limits" in self.run.controller.heeds
+        return "limits" in self.run.controller.supports
 
     @property
     def state(self) -> State:

@@ -34,7 +34,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
 from coopqp.qp_law.level import Given, Level
-from coopqp.qp_law.safety import LoopProbe, drift_gain
+from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status
 from coopqp.task import TaskStack
 
@@ -48,7 +48,7 @@ KEPT = 0.995
 INSIDE = 1.0 - 1e-4
 
 
-class WayBack:
+class LimitRecovery:
     """What a tick may do at all: limits, and how joints outside of them come back.
 
     Attributes:
@@ -60,7 +60,11 @@ class WayBack:
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
-        self.probe, self.problem, self._nothing = LoopProbe(problem), problem, TaskStack((), start)
+        self.probe, self.problem, self._nothing = (
+            StepVerification(problem),
+            problem,
+            TaskStack((), start),
+        )
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0
@@ -139,9 +143,9 @@ class WayBack:
 class DriftShare:
     """The largest share of the drift correction, and a motion v that does it."""
 
-    def __init__(self, way_back: WayBack, damping: Damping) -> None:
-        self._way_back, self._damping = way_back, damping
-        self._level = way_back.level(damping, slows=True)
+    def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
+        self._way_back, self._damping = limit_recovery, damping
+        self._level = limit_recovery.level(damping, slows=True)
         self.share, self.v = 1.0, self._level.v
 
     def find(self, state: State) -> tuple[Status, ...]:

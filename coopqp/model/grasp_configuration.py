@@ -29,7 +29,7 @@ WEIGHT_SUM = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hold:
+class GraspConfiguration:
     """Which arms hold the object, how, and since when.
 
     Attributes:
@@ -98,7 +98,7 @@ class Hold:
         released: Collection[str],
         p_WO: Array,
         X_WO: Mapping[str, pin.SE3],
-    ) -> Hold:
+    ) -> GraspConfiguration:
         """The same robot with other arms holding the object, where everything is now.
 
         Args:
@@ -124,7 +124,7 @@ class Hold:
         return {arm: X.actInv(X_WO[arm]) for arm, X in X_WE.items()}
 
 
-def take_hold(
+def attach(
     robot: RobotModel,
     q_start: Array,
     grasps: Grasp | Mapping[str, Grasp],
@@ -133,7 +133,7 @@ def take_hold(
     alpha: Mapping[str, float] | None = None,
     passive_start: Mapping[str, float] | None = None,
     released: Collection[str] = (),
-) -> Hold:
+) -> GraspConfiguration:
     """The first hold of a robot's arms on an object.
 
     Args:
@@ -166,7 +166,7 @@ def take_hold(
         )
         for arm in robot.arms
     }
-    hold = Hold(
+    hold = GraspConfiguration(
         robot=robot,
         grasps=by_arm,
         passive=passive,
@@ -216,7 +216,7 @@ def _with_passive_start(
     return extended
 
 
-def _object_at_start(hold: Hold) -> tuple[Array, dict[str, pin.SE3]]:
+def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3]]:
     """The object's place, and where each arm carries it, as grasp or start says, eq. (1).
 
     A released arm's grasp tells where the object would be in its hand.
@@ -238,7 +238,7 @@ def _object_at_start(hold: Hold) -> tuple[Array, dict[str, pin.SE3]]:
     return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
 
 
-def _check_reach(hold: Hold, model: pin.Model, data: pin.Data) -> None:
+def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> None:
     """Refuse joints that are where no robot is; rounding would be all that is left of a motion."""
     for name, X_WJ in list(zip(model.names, data.oMi, strict=True))[1:]:
         away = float(np.linalg.norm(X_WJ.translation))
@@ -248,7 +248,7 @@ def _check_reach(hold: Hold, model: pin.Model, data: pin.Data) -> None:
             raise GraspError(words).at(*(["robot"] if own else ["grasps", name.rpartition(".")[0]]))
 
 
-def _agreed_pose(hold: Hold, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
+def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
     """Pose of the object at the start, after checking that all that is given agrees.
 
     Args:

@@ -1,5 +1,5 @@
 // The way back of joints that are outside their limits, before all tasks, as
-// coopqp.qp_law.way_back: a level of its own, in which each of them wants to be inside again.
+// coopqp.qp_law.limit_recovery: a level of its own, in which each of them wants to be inside again.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,9 +12,9 @@ namespace coopqp {
 
 constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the drift correction
 
-class WayBack {
+class LimitRecovery {
   public:
-    WayBack(const Model& model, const Settings& settings, const Rows& rows, const Loops& loops,
+    LimitRecovery(const Model& model, const Settings& settings, const Rows& rows, const Loops& loops,
             const Limits& limits, const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), s_(settings), limits_(limits), levels_{of_all_joints(model, arena)},
           cascade_(model, settings, rows, loops, limits, kept, levels_, arena) {}

@@ -15,9 +15,9 @@ import numpy as np
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import Needed, RunExplanation
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.excess import Excess, excess_at, least_excess
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.minimal_violation import Violation, excess_at, least_excess
 from coopqp.study.explanation.rerun import arrival, rerun, without_places
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.search import NEAR, Search
@@ -32,7 +32,7 @@ STARTS = 5
 
 
 @dataclass(frozen=True)
-class Cure:
+class SuggestedRelaxation:
     """Amounts, and what came of trying them.
 
     Attributes:
@@ -42,8 +42,8 @@ class Cure:
         time: that it takes then, where that is more than the run has [s].
     """
 
-    needs: tuple[Excess, ...]
-    after: Leg | None
+    needs: tuple[Violation, ...]
+    after: ExplainedPhase | None
     time: float | None = None
 
     @property
@@ -53,8 +53,8 @@ class Cure:
 
 
 def by_geometry(
-    leg: Leg, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
-) -> Cure | None:
+    leg: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
+) -> SuggestedRelaxation | None:
     """Amounts that would do where limits keep a leg from its goal; None where none were found."""
     needs = least_needs(goal, leg.room, found)
     report(0.5)
@@ -65,7 +65,7 @@ def by_geometry(
     return by_rerun(leg, goal) or first
 
 
-def by_rerun(leg: Leg, goal: Goal | None) -> Cure | None:
+def by_rerun(leg: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | None:
     """What is enough by construction: the overrun of a run without limits of place.
 
     Where the goal is given, more time is tried as well.
@@ -79,7 +79,7 @@ def by_rerun(leg: Leg, goal: Goal | None) -> Cure | None:
     return _tried(leg, _told(excess_at(leg.room, free.q)), goal)
 
 
-def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Excess, ...]:
+def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
     """The least of what was found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [found.start]
@@ -90,7 +90,9 @@ def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Excess,
     return _told(least_excess(goal, room, starts))
 
 
-def _tried(leg: Leg, needs: tuple[Excess, ...], goal: Goal | None) -> Cure | None:
+def _tried(
+    leg: ExplainedPhase, needs: tuple[Violation, ...], goal: Goal | None
+) -> SuggestedRelaxation | None:
     """A rerun with what would have to be given, as it is told."""
     if not needs:
         return None
@@ -100,18 +102,18 @@ def _tried(leg: Leg, needs: tuple[Excess, ...], goal: Goal | None) -> Cure | Non
             limit = leg.room.limits[need.space]
             eased = limit.eased(need.amount)
             if eased is None:
-                return Cure(needs, None)
+                return SuggestedRelaxation(needs, None)
             limits = tuple(eased if other is limit else other for other in limits)
     wider = {need.row: need.amount for need in needs if need.space is None}
     after = rerun(leg, wider=wider, limits=limits)
     if after.missed and goal:
         late = rerun(leg, longer=True, wider=wider, limits=limits)
         if not late.missed:
-            return Cure(needs, late, arrival(goal, late))
-    return Cure(needs, after)
+            return SuggestedRelaxation(needs, late, arrival(goal, late))
+    return SuggestedRelaxation(needs, after)
 
 
-def _told(found: Sequence[Excess]) -> tuple[Excess, ...]:
+def _told(found: Sequence[Violation]) -> tuple[Violation, ...]:
     """What limits would have to give, as it is told; the largest first."""
     told = [replace(excess, amount=_rounded_up(excess.amount)) for excess in found]
     return tuple(sorted(told, key=lambda need: -need.amount))
@@ -125,7 +127,7 @@ def _rounded_up(amount: float) -> float:
 
 
 def with_cure(
-    base: RunExplanation, shares: Sequence[Share], cure: Cure | None, *more: str
+    base: RunExplanation, shares: Sequence[Share], cure: SuggestedRelaxation | None, *more: str
 ) -> RunExplanation:
     """That limits hold a run back, and what would do."""
     said = "; ".join([words.holding(shares), _said(cure, shares), *more])
@@ -138,7 +140,7 @@ def with_cure(
     return base.because("limits", said, shares, needed=needed, tried=cure.reached, time=cure.time)
 
 
-def _said(cure: Cure | None, shares: Sequence[Share]) -> str:
+def _said(cure: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
     """What would do, and whether it was seen to."""
     if cure is None:
         return "even without limits of place the law does not get there"
@@ -158,7 +160,7 @@ def _said(cure: Cure | None, shares: Sequence[Share]) -> str:
     return f"{text}{time} (tried: reached)"
 
 
-def needed(needs: Sequence[Excess], *, alone: bool = True) -> str:
+def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
     """Amounts that limits would have to give, each beside its limit; the verb with the first."""
     said: list[str] = []
     for need in needs:

@@ -13,15 +13,15 @@ struct Fixed {
     double p[3];
 };
 
-// Where it is written, an instant after the other; see coopqp.kernel.survey.
+// Where it is written, an instant after the other; see coopqp.kernel.trajectory_evaluation.
 struct Surveyed {
     double *e, *rate, *moved, *p_WO, *R_WO, *loop_error, *points;
 };
 
-class Survey {
+class TrajectoryEvaluation {
   public:
     // Tasks are those of one level, of which no row is Python's.
-    Survey(std::unique_ptr<Arena> arena, std::unique_ptr<Model> model, std::vector<Level> levels,
+    TrajectoryEvaluation(std::unique_ptr<Arena> arena, std::unique_ptr<Model> model, std::vector<Level> levels,
            std::vector<Primitive> primitives, std::vector<Fixed> points)
         : arena_(std::move(arena)), model_(std::move(model)), kinematics_(*model_),
           levels_(std::move(levels)), points_(std::move(points)) {

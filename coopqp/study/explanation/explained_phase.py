@@ -13,7 +13,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
 from coopqp.execution.controller_run import controller_of
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Followed
+from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, missed_of, parts_of, placed
 from coopqp.study.explanation.room import Room
@@ -21,12 +21,12 @@ from coopqp.trace import InputTrace, Trace, followed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leg:
+class ExplainedPhase:
     """A phase of a run.
 
     Attributes:
         scenario: as the controller holds it, :meth:`Scenario.held_by`. name: the controller's.
-        problem: what it was built for; without limits where it heeds none.
+        problem: what it was built for; without limits where it supports none.
         index: in the schedule. phase: its name, empty where there is one only.
         first: its first tick.
         q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
@@ -75,7 +75,7 @@ class Leg:
         count = sum(not causes[0].usable for causes in self.causes)
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
-    def followed(self, k: int) -> Followed:
+    def followed(self, k: int) -> InputValues:
         """What was made of the inputs in a tick of the leg."""
         return followed(self.inputs, self.first + k)
 
@@ -86,7 +86,7 @@ class Leg:
         return Goal(chain, tasks, self.t_end, self.followed(len(self.v)))
 
 
-def legs(scenario: Scenario, trace: Trace) -> Iterator[Leg]:
+def legs(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
     """The phases of a run, each with its own chain.
 
     Args:
@@ -109,9 +109,9 @@ def legs(scenario: Scenario, trace: Trace) -> Iterator[Leg]:
             words = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {words}")
         ticks = slice(first, end)
-        yield Leg(
+        yield ExplainedPhase(
             scenario=scenario, name=trace.controller, index=i, phase=phase.name, first=first,
-            problem=problem if "limits" in controller.heeds else replace(problem, limits=()),
+            problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
             parts=parts, errors=tuple(errors[name] for name in names), inputs=trace.inputs,

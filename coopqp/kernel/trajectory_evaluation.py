@@ -39,7 +39,7 @@ class Surveyed:
     points: Array
 
 
-class Survey:
+class TrajectoryEvaluation:
     """Looks at all instants of a motion at once; :func:`survey` makes it.
 
     Args:
@@ -56,7 +56,7 @@ class Survey:
         self._chain, self._rows, self._points = chain, len(levels.flat[0]["gain"]), len(points)
         axes = chain.once(turned)
         places = [axes[joint].T @ p for joint, p in points]
-        self._look = found.Survey({
+        self._look = found.TrajectoryEvaluation({
             "model": flat_model(chain),
             "levels": levels.flat,
             "primitives": levels.primitives,
@@ -94,7 +94,7 @@ class Survey:
 
 def survey(
     chain: ClosedChain, tasks: Sequence[Task], start: State, points: Sequence[tuple[int, Array]]
-) -> Survey | None:
+) -> TrajectoryEvaluation | None:
     """What looks along motions of a chain; None where rows are Python's, or follow signals.
 
     Args:
@@ -112,10 +112,10 @@ def survey(
         return None
     if len(levels.flat[0]["gain"]) != rows:  # a posture of some joints has no rows for the others
         return None
-    return Survey(chain, levels, points)
+    return TrajectoryEvaluation(chain, levels, points)
 
 
-def loop_survey(chain: ClosedChain) -> Survey | None:
+def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
     """What looks at the object and the loops alone, wherever the chain starts; None as above.
 
     Args:
@@ -124,7 +124,7 @@ def loop_survey(chain: ClosedChain) -> Survey | None:
     return chain.once(_loop_survey)
 
 
-def _loop_survey(chain: ClosedChain) -> Survey | None:
+def _loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
     return survey(chain, (), State(chain), ())
 
 
