@@ -1,4 +1,4 @@
-"""What a calibration says: a table, sentences, and lines to paste into the scenario."""
+"""Results of a calibration: a table, sentences, and lines to paste into the scenario."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def table(found: Calibration) -> Table:
 
 
 def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
-    """What was found, and how far it can be believed."""
+    """The offsets' effect, and how reliable they are."""
     yield (
         f"The hands were {_both(found.before)} apart from what the model says (root mean square, "
         f"{found.ticks} tick{'s' * (found.ticks > 1)}); with these offsets {_both(found.after)}"
@@ -73,20 +73,16 @@ def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
 
 
 def as_json(found: Calibration) -> dict[str, Any]:
-    """All numbers of it; what is not shown is null."""
+    """All numbers; those that the motion does not show are null."""
     return {
         "offsets": [dataclasses.asdict(offset) for offset in found.offsets],
         "object_in_hand": {
             arm: _pose(_object_in_hand(found, arm)) for arm in found.chain.hold.holders
         },
         "start": dict(zip(found.chain.joint_names, found.chain.q_start.tolist(), strict=True)),
-        "before": found.before.tolist(),
-        "after": found.after.tolist(),
-        "noise": found.noise.tolist(),
+        **{key: getattr(found, key).tolist() for key in ("before", "after", "noise")},
         "predicted": None if found.predicted is None else found.predicted.tolist(),
-        "explains": found.explains,
-        "hidden": found.hidden,
-        "ticks": found.ticks,
+        **{key: getattr(found, key) for key in ("explains", "hidden", "ticks")},
     }
 
 
@@ -111,7 +107,7 @@ def yaml_text(found: Calibration, scenario: Scenario) -> str:
 
 
 def _settings(grasp: Grasp) -> dict[str, Any]:
-    """What a grasp has been told."""
+    """Fields of a grasp that are not the default."""
     return {
         field.name: getattr(grasp, field.name)
         for field in dataclasses.fields(grasp)

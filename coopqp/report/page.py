@@ -166,7 +166,7 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
     yield (
         "All arms hold one object, so the joints are not free: whatever they do, every hand has "
         "to stay where it holds the object. This condition is the closed loop. The loop error is "
-        "what steps of finite length still let open; the drift correction κ pulls it back."
+        "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
     of_forces = list(_forces(comparison))
     yield from of_forces
@@ -215,10 +215,10 @@ def _laws(comparison: Comparison) -> Iterator[str]:
     )
     yield (
         "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
-        "closed, but they do not know the joint limits; the null-space variant leans away from "
-        "limits and cannot stop there. The QP solves a small optimisation problem in every "
-        f"control period, with two hard conditions: the loop stays closed, {bounded}. "
-        "It follows the task as well as these allow."
+        "closed, but they do not know the joint limits; the null-space variant follows a gradient "
+        "away from limits, projected into the null space, and cannot stop at them. The QP solves a "
+        "small optimisation problem in every control period, with two hard conditions: the loop "
+        f"stays closed, {bounded}. It follows the task as well as these allow."
     )
     yield (
         "So the curves are much alike while no limit is in the way. Where one is, the QP stops at "

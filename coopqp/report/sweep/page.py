@@ -8,22 +8,11 @@ from pathlib import Path
 from string import Template
 
 import coopqp
+from coopqp.report import style as styles
 from coopqp.report.files import write_one
 from coopqp.report.page import breakable, script_json, text
 from coopqp.report.strict_json import finite
-from coopqp.report.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    ORANGE,
-    OTHER_DASHES,
-    OTHER_WIDTHS,
-    PURPLE,
-    QP_WIDTH,
-    SKY,
-    VERMILION,
-    Style,
-)
+from coopqp.report.style import OTHER_DASHES, OTHER_WIDTHS, QP_WIDTH, Style
 from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import Study, scenario_of_row
@@ -34,17 +23,16 @@ from coopqp.study.sweep.variant import DONE
 HERE = Path(__file__).parent
 NAME = "report.html"
 ROWS = "rows"  # folder with the scenarios of the worst rows
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-MOST_LIMITS = 12  # that are shown for each controller
+COLORS = (
+    styles.BLUE, styles.VERMILION, styles.GREEN, styles.PURPLE, styles.ORANGE, styles.SKY,
+    styles.BLACK,
+)  # fmt: skip
+MAX_LIMITS = 12  # that are shown for each controller
 WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 
 
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
-    """Write ``report.html``, and the scenarios that it links to.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write ``report.html``, and the scenarios that it links to."""
     binned, error = Binned.of(study, columns), worst_error(columns)
     worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
     numbers = columns.numbers("row")
@@ -66,13 +54,13 @@ def render(
     places: dict[int, int],
 ) -> str:
     """The page as text; ``places`` are the study's numbers of the worst rows in the columns."""
-    styles = [_style(k) for k in range(len(binned.controllers))]
+    drawn = [_style(k) for k in range(len(binned.controllers))]
     measures = [name for name in columns.kinds if name.startswith("task_error.")]
     data = {
         "controllers": list(binned.controllers),
-        "colors": [style.color for style in styles],
-        "dashes": [style.dash for style in styles],
-        "widths": [style.width for style in styles],
+        "colors": [style.color for style in drawn],
+        "dashes": [style.dash for style in drawn],
+        "widths": [style.width for style in drawn],
         "axes": [axis.as_json() for axis in binned.axes],
         "maps": list(binned.maps()),
         "bands": {name: binned.bands(columns.numbers(name)) for name in (*measures, MARGIN)},
@@ -89,7 +77,7 @@ def render(
         blocked="".join(_limits(line) for line in summary.lines),
         legend="".join(
             f"<span>{style.swatch()} {breakable(name)}</span>"
-            for style, name in zip(styles, binned.controllers, strict=True)
+            for style, name in zip(drawn, binned.controllers, strict=True)
         ),
         worst="".join(
             _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
@@ -106,7 +94,7 @@ def _read(name: str) -> str:
 
 
 def _style(k: int) -> Style:
-    """The first lies under the others and each of these under the next."""
+    """The first is drawn below the others, each of these below the next."""
     dashes, widths = ("", *OTHER_DASHES), (QP_WIDTH, *OTHER_WIDTHS)
     color = COLORS[k % len(COLORS)]
     return Style(color, dashes[k % len(dashes)], widths[min(k, len(widths) - 1)])
@@ -139,7 +127,7 @@ def _table(heads: Sequence[str], rows: Iterator[Sequence[str]] | Sequence[Sequen
 
 
 def _cell(head: str, cell: str) -> str:
-    """With its heading, for pages that are too narrow for columns."""
+    """With its heading, for narrow pages without columns."""
     words = re.sub(r"<[^>]*>", " ", head.replace("<wbr>", ""))
     kind = ' class="words"' if head in WORDS else ""
     return f'<td{kind} data-heading="{words.strip()}">{cell}</td>'
@@ -170,30 +158,28 @@ def _named(k: int, controller: str) -> str:
 def _reasons(summary: Summary) -> str:
     if not summary.reasons:
         return ""
-    items = "".join(
-        f"<li><b>{count:,}</b> {text(reason)}</li>"
-        for reason, count in list(summary.reasons.items())[:MOST_LIMITS]
-    )
-    more = len(summary.reasons) - MOST_LIMITS
+    reasons = list(summary.reasons.items())[:MAX_LIMITS]
+    items = "".join(f"<li><b>{count:,}</b> {text(reason)}</li>" for reason, count in reasons)
+    more = len(summary.reasons) - MAX_LIMITS
     rest = f"<li>and {more} other reasons</li>" if more > 0 else ""
     done = any(line.states.get(DONE) for line in summary.lines)
-    said = "" if done else '<p class="hint"><b>No row is done</b>, so there are no figures.</p>'
+    none = "" if done else '<p class="hint"><b>No row is done</b>, so there are no figures.</p>'
     return (
-        f"{said}<details{'' if done else ' open'}><summary>Why rows are not done</summary>"
+        f"{none}<details{'' if done else ' open'}><summary>Why rows are not done</summary>"
         f'<ul class="notes">{items}{rest}</ul></details>'
     )
 
 
-def _paired(found: Sequence[Pair]) -> str:
-    if not found:
+def _paired(pairs: Sequence[Pair]) -> str:
+    if not pairs:
         return ""
     heads = [
-        f"Less {breakable(found[0].reference)}, on the same variants", "both succeed", "only this",
+        f"Less {breakable(pairs[0].reference)}, on the same variants", "both succeed", "only this",
         "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
-        *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in found[0].numbers),
+        *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in pairs[0].numbers),
     ]  # fmt: skip
     rows = []
-    for p in found:
+    for p in pairs:
         counts = (p.success.both, p.success.only_one, p.success.only_reference, p.success.neither)
         values = [points(p.success.difference), *map(difference, p.numbers.values())]
         rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *map(_unbroken, values)])
@@ -205,26 +191,26 @@ def _paired(found: Sequence[Pair]) -> str:
 
 
 def _unbroken(lines: str) -> str:
-    """Lines that are not broken where the page is narrow."""
+    """Lines that are not broken on narrow pages."""
     return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
 
 
 def _limits(line: Line) -> str:
-    """Bars: how often a limit was in the way, or was broken."""
-    short = _bars("ends at it, short of the goal", line.blocked_by, line.success.of)
+    """Bars: how often a limit has blocked the way, or was violated."""
+    blocked = _bars("ends at it, short of the goal", line.blocked_by, line.success.of)
     beyond = _bars("goes beyond it", line.broken, line.success.of)
-    bars = short + beyond or '<p class="hint">No limit in the way, none broken.</p>'
+    bars = blocked + beyond or '<p class="hint">No limit in the way, none broken.</p>'
     return f"<div><h3>{breakable(line.controller)}</h3>{bars}</div>"
 
 
 def _bars(title: str, counts: dict[str, int], of: int) -> str:
     if not counts:
         return ""
-    most = max(counts.values())
+    width = 50.0 / max(counts.values())
     rows = "".join(
         f'<div class="limit"><span>{breakable(name)}</span>'
-        f'<b style="width:{100.0 * n / most * 0.5:.1f}%"></b>{n:,} ({100.0 * n / of:.1f} %)</div>'
-        for name, n in list(counts.items())[:MOST_LIMITS]
+        f'<b style="width:{width * n:.1f}%"></b>{n:,} ({100.0 * n / of:.1f} %)</div>'
+        for name, n in list(counts.items())[:MAX_LIMITS]
     )
     return f'<p class="hint">{title}</p>{rows}'
 
