@@ -21,7 +21,7 @@ from coopqp.base.errors import CoopqpError, InternalError, one_line
 BAD_INPUT = 2  # the same that click uses for wrong options
 OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
 INTERRUPTED, TERMINATED = 130, 143  # 128 and the signal's number, as shells have it
-#: What a stream says that takes no more; files of ours are said by name.
+#: Errors of a full output stream; those of files have a name.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 REPORT = (
     "this is a fault of coopqp, please report it with the command and its files; "
@@ -40,7 +40,7 @@ class Command(click.Command):
         debug = ctx.params.get("debug", False)
         try:
             with warnings.catch_warnings(), _terminable():
-                if not debug:  # numpy's on what overflows; what comes of it is checked and said
+                if not debug:  # of numpy on overflows; results are checked
                     warnings.simplefilter("ignore", RuntimeWarning)
                 result = super().invoke(ctx)
                 sys.stdout.flush()  # what cannot be written is known now, and not when Python ends

@@ -78,7 +78,7 @@ def play(
     try:
         viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
     except CoopqpError:
-        player.save()  # what was played is not lost for the page
+        player.save()  # the recording survives the page
         raise
     except KeyboardInterrupt:
         words = f"ended after {player.controllers[0].t:.2f} s"

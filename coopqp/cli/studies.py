@@ -128,14 +128,14 @@ def calibrate(
     run, scenario = read_trace(trace, catalog)
     name, q = measured_run(run, scenario, controller)
     held = scenario.held_by(name)
-    found = find(held.chain, q, encoders=encoders)
+    result = find(held.chain, q, encoders=encoders)
     if as_json:
-        click.echo(strict_json.text(report.as_json(found)))
+        click.echo(strict_json.text(report.as_json(result)))
         return
-    console().print(report.table(found))
-    for sentence in report.sentences(found, encoders=encoders):
+    console().print(report.table(result))
+    for sentence in report.sentences(result, encoders=encoders):
         click.echo(sentence)
-    click.echo(f"\n{report.yaml_text(found, held)}", nl=False)
+    click.echo(f"\n{report.yaml_text(result, held)}", nl=False)
 
 
 @click.command()
@@ -234,7 +234,7 @@ def _kept_goals(path: Path | None) -> Iterator[tuple[list[Any], Callable[[Any], 
         words = "has no goals of this version of coopqp; give another --out"
         raise CoopqpError(f"'{path}' {words}")
     with Journal.opened(path, head) as journal:
-        known = [kept(found["goal"]) for _, found in records(path) if found]
+        known = [kept(record["goal"]) for _, record in records(path) if record]
         yield known, lambda goal: journal.append([(None, {"goal": asdict(goal)})])
 
 

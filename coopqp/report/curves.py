@@ -61,11 +61,11 @@ class Window:
     top: float
 
 
-def thinned(t: Array, y: Array, count: int = MAX_POINTS) -> tuple[Array, Array]:
+def thinned(t: Array, y: Array) -> tuple[Array, Array]:
     """Keep the smallest and the largest value of each stretch, so that no peak is lost."""
-    if len(y) <= count:
+    if len(y) <= MAX_POINTS:
         return t, y
-    edges = np.linspace(0, len(y), count // 2 + 1).astype(int)
+    edges = np.linspace(0, len(y), MAX_POINTS // 2 + 1).astype(int)
     kept = {0, len(y) - 1}
     for a, b in itertools.pairwise(edges.tolist()):
         kept |= {a + int(y[a:b].argmin()), a + int(y[a:b].argmax())}
@@ -73,9 +73,9 @@ def thinned(t: Array, y: Array, count: int = MAX_POINTS) -> tuple[Array, Array]:
     return t[order], y[order]
 
 
-def listed(values: Array, digits: int = 7) -> list[float | None]:
+def listed(values: Array) -> list[float | None]:
     """Numbers for JSON, short; what is not finite becomes null."""
-    return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values.tolist()]
+    return [float(f"{v:.7g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
 def curve(name: str, style: Style, t: Array, y: Array, *, steps: bool = False) -> Json:
@@ -128,11 +128,11 @@ def upright(t: float, text: str, *, after: bool = False) -> Json:
     return {"shapes": [shape], "annotations": [UPRIGHT | place]}
 
 
-def layout(end: float, y: Json, *levels: Json, height: int = HEIGHT) -> Json:
+def layout(end: float, y: Json, *levels: Json) -> Json:
     """Of a figure over time."""
     axis = {"gridcolor": GRID, "zeroline": False, "linecolor": "#999", "ticks": "outside"}
     return {
-        "height": height,
+        "height": HEIGHT,
         "margin": {"l": 56, "r": 12, "t": 8, "b": 38},
         "font": FONT | {"color": INK},
         "showlegend": False,
@@ -173,12 +173,11 @@ def window(low: float, high: float, lines: Sequence[Array], reach: float) -> Win
     return Window(bottom - pad, top + pad)
 
 
-def log_window(lines: Sequence[Array], floor: float, *levels: float) -> Window:
+def log_window(lines: Sequence[Array], floor: float, level: float) -> Window:
     """Show all but the rare dips towards zero; at least two decades."""
     values = np.maximum(np.concatenate([y[np.isfinite(y)] for y in lines]), floor)
-    bottom = min(float(np.percentile(values, 3)), *levels) if levels else np.percentile(values, 3)
-    top = max(float(values.max()), *levels, 0.0)
-    return Window(float(bottom) / 3.0, max(3.0 * top, 100.0 * float(bottom)))
+    bottom, top = min(float(np.percentile(values, 3)), level), max(float(values.max()), level, 0.0)
+    return Window(bottom / 3.0, max(3.0 * top, 100.0 * bottom))
 
 
 def off_chart(shown: Window, lines: Mapping[str, Array], unit: str = "") -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from rich.text import Text
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
+from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
@@ -82,7 +83,7 @@ def study(
     if phase is not None and phase not in phases:
         raise UnknownNameError("phase", phase, phases)
     number = phases.index(phase) if phase else 0
-    times, path, refused = _way(scenario)
+    times, path, refused = _run(scenario)
     if refused and number:
         raise refused
     # Where its first controller is when the phase begins.
@@ -95,12 +96,18 @@ def study(
     rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = [joints.get(name, name) for name in scheme] if scheme is not None else None
-    found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
+    analysis = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
     kept = slice(first, last + 1, max(1, (last - first) // MAX_POINTS))
-    measure = _along(times[kept] - times[first], path[kept], tasks, state)
-    return Study(scenario, phases[number], found, _between(chain), times[kept], measure, refused)
+    measure = []
+    for t, q in zip(times[kept] - times[first], path[kept], strict=True):
+        state.t, state.q[:] = float(t), q
+        state.update()
+        tasks.update(state)
+        measure.append(manipulability(chain, q, tasks.J))
+    on_the_way = times[kept], np.array(measure)
+    return Study(scenario, phases[number], analysis, _between(chain), *on_the_way, refused)
 
 
 def _between(chain: ClosedChain) -> Forces | None:
@@ -110,23 +117,13 @@ def _between(chain: ClosedChain) -> Forces | None:
         return None
 
 
-def _way(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
-    """Times and joints of its first controller's run; of the start where that is refused."""
+def _run(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
+    """Times and joints of the first controller's run; of the start where that is refused."""
     try:
         trace = run(scenario, controller=next(iter(scenario.controllers)))
     except CoopqpError as error:
         return np.zeros(1), scenario.chain.q_start[None], error
     return trace.t, trace.q, None
-
-
-def _along(times: Array, path: Array, tasks: TaskStack, state: State) -> Array:
-    measure = []
-    for t, q in zip(times, path, strict=True):
-        state.t, state.q[:] = float(t), q
-        state.update()
-        tasks.update(state)
-        measure.append(manipulability(state.chain, q, tasks.J))
-    return np.array(measure)
 
 
 def as_json(result: Study) -> dict[str, Any]:
@@ -149,11 +146,11 @@ def as_json(result: Study) -> dict[str, Any]:
     return written
 
 
-def _forces_json(found: Forces | None) -> dict[str, Any] | None:
+def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     """Ranks by arm and pair, and the range of the squeeze."""
-    if found is None:
+    if internal is None:
         return None
-    ranks = found.transmission
+    ranks = internal.transmission
     return {
         "dimensions": ranks.dimensions,
         "all": dataclasses.asdict(ranks.all),
@@ -167,10 +164,10 @@ def _forces_json(found: Forces | None) -> dict[str, Any] | None:
         ],
         "squeeze": [
             {"arms": s.arms, "least": _bound_json(s.least), "most": _bound_json(s.most)}
-            for s in found.squeezes
+            for s in internal.squeezes
         ],
-        "load": _bound_json(found.load),
-        "safety": found.safety,
+        "load": _bound_json(internal.load),
+        "safety": internal.safety,
     }
 
 
@@ -194,7 +191,7 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     ]
     lines += [("redundant loop row", name, "") for name in m.dropped]
     lines += [
-        (f"task '{task.name}', {task.rows} rows", "", _free(task.rank, task.weakest))
+        (f"task '{task.name}', {counted(task.rows, 'row')}", "", _free(task.rank, task.weakest))
         for task in m.tasks
     ]
     if len(m.tasks) > 1:
@@ -209,16 +206,16 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     return lines
 
 
-def _force_rows(found: Forces) -> list[tuple[str, str, str]]:
+def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
     """What decides the internal wrenches, and the range of the squeeze."""
-    ranks = found.transmission
+    ranks = internal.transmission
     lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.words)]
     for arm in ranks.arms:
         borne = "".join(f"; borne: {force_words(screw)}" for screw in arm.borne)
         lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.words}{borne}"))
     if len(ranks.pairs) > 1:
         lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in ranks.pairs]
-    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in found.squeezes]
+    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in internal.squeezes]
     return lines
 
 

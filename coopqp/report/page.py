@@ -38,7 +38,7 @@ def render(comparison: Comparison) -> str:
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
         version=text(__version__),
-        facts=_facts(comparison),
+        facts=" · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison)),
         summary=_summary(comparison, looks),
         notes="".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes),
         how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison)),
@@ -77,10 +77,6 @@ def breakable(name: str) -> str:
 
 def _read(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
-
-
-def _facts(comparison: Comparison) -> str:
-    return " · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison))
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
@@ -136,8 +132,8 @@ def _pane(name: str, style: Style) -> str:
 def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
     words = "".join(
-        f'<p class="hint"><b>{text(word)}</b>: {text(said)}</p>'
-        for word, said in group.words.items()
+        f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
+        for word, meaning in group.words.items()
     )
     shown = f'<div class="grid">{"".join(map(_figure, group.figures))}</div>'
     folded = (

@@ -62,7 +62,7 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
         why = str(error)
         raise
     finally:
-        with suppress(Exception):  # nobody is left to be told
+        with suppress(Exception):  # there is nobody left to tell
             bridge.say(why)
             topics.wait()
 
@@ -86,7 +86,7 @@ def _node(arguments: Sequence[str]) -> Iterator[Any]:
     except ImportError:
         words = "rclpy; source the setup.bash of a ROS 2 whose Python this is (docs/ros.md)"
         raise MissingDependencyError("'coopqp ros'", words=words) from None
-    # Its own handlers would cut the node off before the robot is told to stand still.
+    # Its own handlers would cut the node off before the robot is commanded to stop.
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: BLE001 - each of its layers has its own
@@ -156,7 +156,7 @@ class _Topics:
         self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
 
     def subscribe(self, kind: str, topic: str, take: Any) -> None:
-        """Subscribe, as to sensors: what is lost is not sent again.
+        """Subscribe, with the QoS of sensors: lost messages are not sent again.
 
         Raises:
             CoopqpError: no topic can be called so.

@@ -77,22 +77,22 @@ def drawn(controller: SimulatedController, bodies: Sequence[Surface]) -> Control
 
 def outlines(controller: SimulatedController, place: Place) -> Array:
     """The tasks' markers as line segments, shape (s, 2, 3) [m]."""
-    state, found = controller.state, [np.zeros((0, 2, 3))]
+    state, segments = controller.state, [np.zeros((0, 2, 3))]
     for task in controller.run.problem.tasks:
         for mark in asked(task.name, partial(task.marks, state), []):
             kind, values = place.drawn(mark)
             match kind:
                 case "planes":
-                    found.append(_closed(np.array(values["corners"])))
+                    segments.append(_closed(np.array(values["corners"])))
                 case "lines":
-                    found.append(np.array(values["ends"])[None])
+                    segments.append(np.array(values["ends"])[None])
                 case "circles":
-                    found.append(_circle(**values))
+                    segments.append(_circle(**values))
                 case "spheres":
-                    found += [_circle(normal=n, **values) for n in np.eye(3)]
+                    segments += [_circle(normal=n, **values) for n in np.eye(3)]
                 case "directions":
-                    found.append(np.array([[state.p_WO, state.p_WO + values["way"]]]))
-    return np.concatenate(found)
+                    segments.append(np.array([[state.p_WO, state.p_WO + values["way"]]]))
+    return np.concatenate(segments)
 
 
 def _joint_pose(state: State, joint: int | None) -> pin.SE3:

@@ -131,11 +131,13 @@ class Recording:
             if field.start and field.phase < len(phases):
                 _follow(phases[field.phase]["tasks"][field.task], field)
                 inputs.setdefault(field.name, input_limits(scenario))
-        beside = Path() if scenario.folder is None else folder.resolve()
-        paths = {name: str(beside / FOLDER / file) for name, file in names.items()}
+        base = Path() if scenario.folder is None else folder.resolve()
+        paths = {name: str(base / FOLDER / file) for name, file in names.items()}
         if inputs:
             data["inputs"] = fed(inputs, paths)
-        data["controllers"] = self._controllers(data)
+        own = list(scenario.controllers)
+        given = data.get("controllers") or own
+        data["controllers"] = [given[own.index(n)] if n in own else n for n in self._names]
         return data
 
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
@@ -166,12 +168,6 @@ class Recording:
             slots = phases[phase]["tasks"] if kind == "tasks" else secondary
             (fields,) = slots[number].values()
             fields[field] = round(value) if field == "priority" else value
-
-    def _controllers(self, data: dict[str, Any]) -> list[Any]:
-        """The played ones, as the file has them."""
-        own = list(self._scenario.controllers)
-        given = data.get("controllers") or own
-        return [given[own.index(name)] if name in own else name for name in self._names]
 
 
 def _spelled(slot: Any) -> dict[str, Any]:

@@ -251,11 +251,11 @@ class Handle:
 
 def handles(scenario: Scenario, steered: Sequence[SteeredField]) -> tuple[Handle, ...]:
     """One for each task of which something can be dragged."""
-    found: dict[tuple[int, int], list[SteeredField]] = {}
+    by_task: dict[tuple[int, int], list[SteeredField]] = {}
     for field in steered:
-        found.setdefault((field.phase, field.task), []).append(field)
+        by_task.setdefault((field.phase, field.task), []).append(field)
     every = []
-    for (phase, number), own in found.items():
+    for (phase, number), own in by_task.items():
         task = scenario.schedule[phase].tasks[number]
         moves, turns = any(f.kind.numbers for f in own), any(f.kind.turns for f in own)
         point = np.array(getattr(task, "point", (0.0, 0.0, 0.0)), float)

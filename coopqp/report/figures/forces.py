@@ -31,8 +31,7 @@ def hands(chart: Chart) -> list[Figure]:
     figures = []
     for i, arm in enumerate(_arms(chart)):
         normal, use, edge = (
-            _with_signal(chart, "normal_force", partial(_column, name=name, i=i))
-            for name in ("normal_force", "friction_use", "edge_use")
+            _of_hand(chart, name, i) for name in ("normal_force", "friction_use", "edge_use")
         )
         title = f"Friction that {arm} needs over what there is"
         figures.append(chart.plain(f"Normal force of {arm}", "N", normal))
@@ -98,12 +97,12 @@ def _with_signal(chart: Chart, signal: str, of: Callable[[Trace], Array | None])
     return chart.lines(lambda trace: of(trace) if signal in trace.signals else None)
 
 
+def _of_hand(chart: Chart, signal: str, i: int) -> Lines:
+    return _with_signal(chart, "normal_force", lambda t: t.signals[signal][:, i])
+
+
 def _arms(chart: Chart) -> list[str]:
     return [arm.name for arm in chart.chain.robot.arms]
-
-
-def _column(trace: Trace, name: str, i: int) -> Array:
-    return trace.signals[name][:, i]
 
 
 def _largest(trace: Trace, signal: str, part: slice) -> Array | None:

@@ -115,8 +115,8 @@ class Tilt:
 
     def goal(self, marks: Sequence[Marker]) -> float:
         """The goal of a task with an orientation [degrees], or NaN."""
-        found = [mark for mark in marks if isinstance(mark, PoseMarker)]
-        return float(self.of(np.zeros((1, 3)), found[0].rotation[None])[0]) if found else np.nan
+        poses = [mark for mark in marks if isinstance(mark, PoseMarker)]
+        return float(self.of(np.zeros((1, 3)), poses[0].rotation[None])[0]) if poses else np.nan
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """About one axis to the goal [degrees]; NaN for a goal that turns."""
@@ -154,7 +154,7 @@ def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
 
 def targets(chart: Chart, quantity: Quantity) -> list[Target]:
     """The goals of a quantity of all tasks of all phases."""
-    scenario, trace, t, found = chart.comparison.scenario, chart.any, chart.any.t, []
+    scenario, trace, t, every = chart.comparison.scenario, chart.any, chart.any.t, []
     instants = chart.instants(trace, MAX_INSTANTS)
     for number, (phase, rows) in enumerate(zip(scenario.schedule, instants, strict=True)):
         first = int(rows[0])
@@ -166,20 +166,13 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
                 continue
             way, times = task.way, (t[rows] - t[first]).tolist()
             share = np.array([way.at(now)[0] if way else 1.0 for now in times])
-            starts = _starts(chart, number, first) if (share < 1.0).any() else {}
-            references = {
-                name: quantity.reference(start, marks, share) for name, start in starts.items()
-            }
-            found.append(Target(task.name, t[rows], goal, references))
-    return found
-
-
-def _starts(chart: Chart, phase: int, first: int) -> dict[str, pin.SE3]:
-    """Where each controller's references begin."""
-    return {
-        name: chart.problems(name)[phase].chain.object_pose(chart.traces[name].commanded[first])
-        for name in chart.names
-    }
+            references = {}
+            for name in chart.names if (share < 1.0).any() else ():
+                chain = chart.problems(name)[number].chain
+                start = chain.object_pose(chart.traces[name].commanded[first])
+                references[name] = quantity.reference(start, marks, share)
+            every.append(Target(task.name, t[rows], goal, references))
+    return every
 
 
 def _points(chart: Chart) -> list[tuple[float, float, float]]:

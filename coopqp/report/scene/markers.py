@@ -84,7 +84,7 @@ def shown_marks(
     scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
 ) -> list[Shown]:
     """The markers of the tasks of all phases and of the limits, at ticks; errors become faults."""
-    place, found = Place(scenario), []
+    place, every = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
@@ -94,29 +94,29 @@ def shown_marks(
                 k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
                 for k, t in times.items()
             }
-            found += _through_time(marks, task.name, place, limit=False)
+            every += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
             name = plugin_name(limit)
             marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
-            found += _through_time(marks, name, place, limit=True)
-    return found
+            every += _through_time(marks, name, place, limit=True)
+    return every
 
 
 def _through_time(
     marks: dict[int, tuple[Marker, ...]], name: str, place: Place, *, limit: bool
 ) -> list[Shown]:
     """Markers by frame, which may come and go; one that stays is one."""
-    found: list[Shown] = []
-    seen: dict[tuple[int, str], Shown] = {}
+    every: list[Shown] = []
+    current: dict[tuple[int, str], Shown] = {}
     for k, marks_then in marks.items():
         for i, mark in enumerate(marks_then):
             kind, values = place.drawn(mark)
-            shown = seen.get((i, kind))
+            shown = current.get((i, kind))
             if shown is None or shown.frames["last"] < k - 1:
-                shown = seen[i, kind] = Shown(kind, name, limit, k)
-                found.append(shown)
+                shown = current[i, kind] = Shown(kind, name, limit, k)
+                every.append(shown)
             shown.values.append(values)
-    return found
+    return every
 
 
 class Place:
@@ -205,18 +205,18 @@ def carried(
     marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
 ) -> dict[str, list[Json]]:
     """By kind, for ``playback.js``."""
-    found: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
+    every: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
     for mark in marks:
         own = frames[mark.first : mark.first + len(mark.values)]
         if mark.kind == TRACKED:
             moved = np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
-            found["tracked"].append(mark.frames | {"points": short(trace.position[own] + moved)})
+            every["tracked"].append(mark.frames | {"points": short(trace.position[own] + moved)})
         elif mark.kind == POSTURE:
             arms = _posture(scenario, trace, mark, own)
-            found["postures"] += [mark.frames | {"points": points} for points in arms]
+            every["postures"] += [mark.frames | {"points": points} for points in arms]
         elif mark.kind == RELATIVE:
-            found["relatives"].append(mark.frames | _relative(scenario, trace, mark, own))
-    return found
+            every["relatives"].append(mark.frames | _relative(scenario, trace, mark, own))
+    return every
 
 
 def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> list[Any]:

@@ -45,7 +45,8 @@ def scene(comparison: Comparison) -> Json:
     """Everything that is drawn, for ``playback.js``."""
     scenario, traces = comparison.scenario, comparison.traces
     first = next(iter(traces.values()))
-    frames = frame_indices(len(first.t))
+    last = len(first.t) - 1
+    frames = np.unique(np.linspace(0, last, min(last + 1, MAX_FRAMES)).round().astype(np.int64))
     looks = styles(traces)
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
@@ -77,11 +78,6 @@ def scene(comparison: Comparison) -> Json:
             for name, trace in traces.items()
         ],
     }
-
-
-def frame_indices(rows: int) -> NDArray[np.int64]:
-    """Rows that are shown, evenly spread, first and last among them."""
-    return np.unique(np.linspace(0, rows - 1, min(rows, MAX_FRAMES)).round().astype(np.int64))
 
 
 def _body(body: Body) -> Json:
@@ -185,8 +181,8 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    found = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
-    return {name: values.round(DECIMALS).tolist() for name, values in found.items()}
+    corners = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
+    return {name: values.round(DECIMALS).tolist() for name, values in corners.items()}
 
 
 def _rims(points: Array, middle: Array) -> Array:

@@ -36,24 +36,17 @@ def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Pat
     binned, error = Binned.of(study, columns), worst_error(columns)
     worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
     numbers = columns.numbers("row")
-    places = {row: int(numbers[row]) for rows in worst for row in rows}
-    for place in places.values():
-        path = folder / ROWS / f"{place}.yaml"
+    for row in (row for rows in worst for row in rows):
+        path = folder / ROWS / f"{int(numbers[row])}.yaml"
         if not path.exists():
-            write_one(path, scenario_of_row(study, place)[0])
-    write_one(folder / NAME, render(study, columns, summary, binned, worst, places))
+            write_one(path, scenario_of_row(study, int(numbers[row]))[0])
+    write_one(folder / NAME, _render(study, columns, summary, binned, worst))
     return folder / NAME
 
 
-def render(
-    study: Study,
-    columns: Columns,
-    summary: Summary,
-    binned: Binned,
-    worst: Sequence[Sequence[int]],
-    places: dict[int, int],
+def _render(
+    study: Study, columns: Columns, summary: Summary, binned: Binned, worst: Sequence[Sequence[int]]
 ) -> str:
-    """The page as text; ``places`` are the study's numbers of the worst rows in the columns."""
     drawn = [_style(k) for k in range(len(binned.controllers))]
     measures = [name for name in columns.kinds if name.startswith("task_error.")]
     data = {
@@ -80,7 +73,7 @@ def render(
             for style, name in zip(drawn, binned.controllers, strict=True)
         ),
         worst="".join(
-            _worst(name, rows, [axis.name for axis in binned.axes], columns, places)
+            _worst(name, rows, [axis.name for axis in binned.axes], columns)
             for name, rows in zip(binned.controllers, worst, strict=True)
         ),
         data=script_json(finite(data)),
@@ -148,11 +141,8 @@ def _line(k: int, line: Line, names: Sequence[str]) -> list[str]:
     reached = f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-"
     quantiles = [*(line.errors[name] for name in names), line.margin]
     shown = [f"{a:.3g}, {b:.3g}" if a == a else "-" for a, b in quantiles]
-    return [_named(k, line.controller), *states, line.success.percent(1), reached, *shown]
-
-
-def _named(k: int, controller: str) -> str:
-    return f'<i style="background:{COLORS[k % len(COLORS)]}"></i>{breakable(controller)}'
+    name = f'<i style="background:{COLORS[k % len(COLORS)]}"></i>{breakable(line.controller)}'
+    return [name, *states, line.success.percent(1), reached, *shown]
 
 
 def _reasons(summary: Summary) -> str:
@@ -182,17 +172,13 @@ def _paired(pairs: Sequence[Pair]) -> str:
     for p in pairs:
         counts = (p.success.both, p.success.only_one, p.success.only_reference, p.success.neither)
         values = [points(p.success.difference), *map(difference, p.numbers.values())]
-        rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *map(_unbroken, values)])
+        lines = (f'<span class="lines">{v.replace(chr(10), "<br>")}</span>' for v in values)
+        rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *lines])
     hint = (
         '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
         "median of the differences, with order statistics as its interval, and the sign test.</p>"
     )
     return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
-
-
-def _unbroken(lines: str) -> str:
-    """Lines that are not broken on narrow pages."""
-    return f'<span class="lines">{lines.replace(chr(10), "<br>")}</span>'
 
 
 def _limits(line: Line) -> str:
@@ -215,18 +201,17 @@ def _bars(title: str, counts: dict[str, int], of: int) -> str:
     return f'<p class="hint">{title}</p>{rows}'
 
 
-def _worst(
-    name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns, places: dict[int, int]
-) -> str:
+def _worst(name: str, rows: Sequence[int], varied: Sequence[str], columns: Columns) -> str:
     head = f"<h3>{breakable(name)}</h3>"
     if not rows:
         return f"{head}<p class='hint'>No row is done that does not succeed.</p>"
     errors = [x for x in columns.kinds if x.startswith("task_error.")]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
+    numbers = columns.numbers("row")[list(rows)].astype(int)
     table = [
-        [f'<a href="{ROWS}/{places[row]}.yaml">{places[row]}</a>', *(v[k] for v in values)]
-        for k, row in enumerate(rows)
+        [f'<a href="{ROWS}/{number}.yaml">{number}</a>', *(v[k] for v in values)]
+        for k, number in enumerate(numbers)
     ]
     heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
     return f'{head}<div class="worst">{_table(heads, table)}</div>'

@@ -94,7 +94,7 @@ def sentences(summary: Summary) -> Iterator[str]:
     """Why rows are not done, the most frequent reasons first."""
     reasons = summary.reasons.items()
     for reason, count in list(reasons)[:MAX_REASONS]:
-        yield f"{count:,} rows: {reason}"
+        yield f"{count:,} {'row' if count == 1 else 'rows'}: {reason}"
     if len(reasons) > MAX_REASONS:
         yield f"and {len(reasons) - MAX_REASONS} other reasons"
 
@@ -129,10 +129,10 @@ def shown(study: Study) -> Iterator[Callable[[State], None]]:
     if not errors.is_terminal:
         yield print_line
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[words]}"))
     with Progress(*columns, console=errors, transient=True) as bars:
-        bar = bars.add_task(study.name, total=None, said="begins")
-        yield lambda s: bars.update(bar, total=s.total, completed=s.done, said=words(s))
+        bar = bars.add_task(study.name, total=None, words="begins")
+        yield lambda s: bars.update(bar, total=s.total, completed=s.done, words=words(s))
 
 
 def words(state: State) -> str:
