@@ -34,14 +34,14 @@ def render(comparison: Comparison) -> str:
         for group in parts
         for figure in (*group.figures, *group.folded)
     ]
-    return Template(_read("page.html")).substitute(
+    return Template(asset("page.html")).substitute(
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
         version=text(__version__),
         facts=" · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison)),
         summary=_summary(comparison, looks),
         notes="".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes),
-        how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison)),
+        how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_toasset(comparison)),
         legend=_legend(looks),
         columns=PANES_A_ROW.get(len(looks), 3),
         panes="".join(_pane(name, style) for name, style in looks.items()),
@@ -51,12 +51,10 @@ def render(comparison: Comparison) -> str:
         audit_hidden="" if audit.audited(comparison.traces) else "hidden",
         scene=script_json(scene(comparison)),
         figures=script_json(plots),
-        css=_read("page.css"),
+        css=asset("page.css"),
         plotly=get_plotlyjs(),
-        playback_js="".join(
-            _read(f"scene/{name}.js") for name in ("surfaces", "camera", "playback")
-        ),
-        curves_js=_read("curves.js"),
+        playback_js="".join(asset(f"scene/{x}.js") for x in ("surfaces", "camera", "playback")),
+        curves_js=asset("curves.js"),
     )
 
 
@@ -75,7 +73,8 @@ def breakable(name: str) -> str:
     return text(name).replace("_", "_<wbr>")
 
 
-def _read(name: str) -> str:
+def asset(name: str) -> str:
+    """A text file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
 
 
@@ -95,9 +94,7 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
 
 def _row(comparison: Comparison, name: str, style: Style) -> str:
     row = cells(comparison.traces[name], comparison.metrics[name])
-    entries = "".join(
-        _entry(row[key], column, wraps=key in WRAPPING) for key, column in COLUMNS.items()
-    )
+    entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
         f'<td class="verdict">{text(comparison.verdicts[name])}</td>{entries}</tr>'
@@ -105,7 +102,7 @@ def _row(comparison: Comparison, name: str, style: Style) -> str:
 
 
 def _entry(cell: Cell, column: Column, *, wraps: bool) -> str:
-    """The heading comes again where a page is too narrow for columns."""
+    """With its heading, for narrow pages without columns."""
     first, *more = map(text, cell.lines)
     lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
     kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
@@ -157,7 +154,7 @@ def _figure(figure: Figure) -> str:
     )
 
 
-def how_to_read(comparison: Comparison) -> Iterator[str]:
+def how_toasset(comparison: Comparison) -> Iterator[str]:
     """Paragraphs: the closed loop, what forces are in the run, and what the laws do."""
     yield (
         "All arms hold one object, so the joints are not free: whatever they do, every hand has "

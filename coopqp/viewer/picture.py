@@ -40,10 +40,12 @@ def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
     bodies, faults = robot_bodies(robot)
     marks = (mark for limit in scenario.limits for mark in limit.marks(0.0))
     solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMarker)]
-    names = scenario.chain.joint_names
-    joints = [names.index(robot.model.names[b.joint]) if b.joint else None for b in bodies]
-    drawn = zip((*joints, *(None for _ in solids)), (*bodies, *solids), strict=True)
-    return tuple(Surface(j, b.surface.vertices, b.surface.corners) for j, b in drawn), tuple(faults)
+    index = scenario.chain.joint_names.index
+    drawn = (
+        (index(robot.model.names[b.joint]) if b.joint else None, b.surface)
+        for b in (*bodies, *solids)
+    )
+    return tuple(Surface(joint, s.vertices, s.corners) for joint, s in drawn), faults
 
 
 def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:

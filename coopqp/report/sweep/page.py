@@ -10,7 +10,7 @@ from string import Template
 import coopqp
 from coopqp.report import style as styles
 from coopqp.report.files import write_one
-from coopqp.report.page import breakable, script_json, text
+from coopqp.report.page import asset, breakable, script_json, text
 from coopqp.report.strict_json import finite
 from coopqp.report.style import OTHER_DASHES, OTHER_WIDTHS, QP_WIDTH, Style
 from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
@@ -20,7 +20,6 @@ from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
 from coopqp.study.sweep.variant import DONE
 
-HERE = Path(__file__).parent
 NAME = "report.html"
 ROWS = "rows"  # folder with the scenarios of the worst rows
 COLORS = (
@@ -60,7 +59,7 @@ def _render(
         "margin": MARGIN,
         "flows": binned.flows(),
     }
-    return Template(_read("page.html")).substitute(
+    return Template(asset("sweep/page.html")).substitute(
         title=text(study.name),
         version=text(coopqp.__version__),
         facts=_facts(study, summary),
@@ -77,13 +76,9 @@ def _render(
             for name, rows in zip(binned.controllers, worst, strict=True)
         ),
         data=script_json(finite(data)),
-        css=(HERE.parent / "page.css").read_text(encoding="utf-8") + _read("page.css"),
-        js=_read("page.js"),
+        css=asset("page.css") + asset("sweep/page.css"),
+        js=asset("sweep/page.js"),
     )
-
-
-def _read(name: str) -> str:
-    return (HERE / name).read_text(encoding="utf-8")
 
 
 def _style(k: int) -> Style:
