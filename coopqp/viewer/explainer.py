@@ -56,8 +56,7 @@ class _Explainer:
             standing = explain_standing(self._bounded, tasks, snapshot.q, rests=snapshot.rests)
             active, detail = self._tick(snapshot)
         except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
-            why = f"cannot be explained: {type(error).__name__}: {error}"
-            return Explanation(False, "", (), why)
+            return Explanation(detail=f"cannot be explained: {type(error).__name__}: {error}")
         return Explanation(standing.blocked, standing.sentence, active, detail)
 
     def _tick(self, snapshot: Snapshot) -> tuple[tuple[str, ...], str]:

@@ -28,14 +28,6 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class ControllerStyle:
-    """How a controller is shown; its colour is such as "#0072B2"."""
-
-    name: str
-    color: str
-
-
-@dataclass(frozen=True)
 class Gizmo:
     """A handle to drag in a phase: name of its task, whether it can be moved and turned."""
 
@@ -63,7 +55,7 @@ class PageSetup:
     """All that does not change while a scenario is played.
 
     Attributes:
-        bodies: of the robot and its surroundings.
+        laws: colour such as "#0072B2" by controller. bodies: of the robot and its surroundings.
         size: edges of the object [m]. low, high: corners of the visible space [m].
         dials: gains and the like. knobs: inputs without a gizmo, a number each.
         phases: names; one for scenarios without phases.
@@ -73,7 +65,7 @@ class PageSetup:
 
     title: str
     description: str
-    laws: tuple[ControllerStyle, ...]
+    laws: Mapping[str, str]
     bodies: tuple[Surface, ...]
     size: tuple[float, float, float]
     low: Array
@@ -193,7 +185,7 @@ class Snapshot:
 class Explanation:
     """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
 
-    blocked: bool
-    sentence: str
-    active: tuple[str, ...]
-    detail: str
+    blocked: bool = False
+    sentence: str = ""
+    active: tuple[str, ...] = ()
+    detail: str = ""

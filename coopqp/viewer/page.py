@@ -130,7 +130,7 @@ class Panel:
 
     def _choice(self) -> None:
         """Which controllers are visible; nothing to choose where there is one."""
-        names = [law.name for law in self._setup.laws]
+        names = list(self._setup.laws)
         if len(names) == 1:
             return
         choice = self._gui.add_dropdown("law", [*names, OVERLAID, APART], names[0])
@@ -211,9 +211,9 @@ def _status(frame: Frame, setup: PageSetup) -> str:
 
 def _table(frame: Frame, setup: PageSetup) -> str:
     rows = []
-    for i, (look, drawn) in enumerate(zip(setup.laws, frame.laws, strict=True)):
-        mark = f'<span style="color:{look.color}">&#9632;</span>'
-        name = f"<b>{escape(look.name)}</b>" if i == frame.main else escape(look.name)
+    for i, ((law, color), drawn) in enumerate(zip(setup.laws.items(), frame.laws, strict=True)):
+        mark = f'<span style="color:{color}">&#9632;</span>'
+        name = f"<b>{escape(law)}</b>" if i == frame.main else escape(law)
         wrong = f'<div style="color:{TONES["broken"]}">{escape(drawn.broken)}</div>'
         words = escape(drawn.words) + (wrong if drawn.broken else "")
         rows.append(f'<div style="margin-bottom:0.25em">{mark} {name}: {words}</div>')
@@ -226,7 +226,7 @@ def _legend(setup: PageSetup) -> str:
         "near its limit": css(NEAR),
         "at it": css(AT),
         "past it": css(BEYOND),
-        "object": setup.laws[0].color,
+        "object": next(iter(setup.laws.values())),
         "way to the goal": css(GOAL),
     }
     if setup.forces:

@@ -23,7 +23,6 @@ from coopqp.viewer import picture
 from coopqp.viewer.messages import (
     Action,
     ControllerFrame,
-    ControllerStyle,
     Dial,
     ExplainedController,
     Explanation,
@@ -40,7 +39,6 @@ SLOWEST, FASTEST = 0.05, 4.0
 #: Range of the slider of a force whose input has no bounds [N, N m].
 MAX_FORCE = 100.0
 ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
-NO_EXPLANATION = Explanation(False, "", (), "")
 
 
 class Player:
@@ -81,7 +79,7 @@ class Player:
         self._hands |= {field.name: list(field.start) for field in self._steered if field.start}
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
-        self.explanation, self._changed, self.note = NO_EXPLANATION, False, ""
+        self.explanation, self._changed, self.note = Explanation(), False, ""
         self.tick()
 
     @property
@@ -119,7 +117,7 @@ class Player:
             self.speed = float(np.clip(value[0], SLOWEST, FASTEST))
         elif what == "main":
             self._main = int(action.which) % len(self.controllers)
-            self.explanation = NO_EXPLANATION
+            self.explanation = Explanation()
         elif what == "save":
             self.save()
         else:
@@ -127,7 +125,7 @@ class Player:
 
     def explainer_ended(self) -> None:
         """Show explanations no more."""
-        self.has_explainer, self.explanation = False, NO_EXPLANATION
+        self.has_explainer, self.explanation = False, Explanation()
 
     def save(self) -> Path | None:
         """Write the recording; where nothing can be written the note says why."""
@@ -145,11 +143,10 @@ class Player:
         """All that does not change."""
         low, high = picture.space(self.scenario, self._bodies)
         keeps = {c.name: "limits" in c.run.controller.supports for c in self.controllers}
-        styles = chosen_styles(keeps)
         return PageSetup(
             title=self.scenario.name,
             description=self.scenario.description,
-            laws=tuple(ControllerStyle(name, styles[name].color) for name in keeps),
+            laws={name: style.color for name, style in chosen_styles(keeps).items()},
             bodies=self._bodies,
             size=self.scenario.held.size,
             low=low,

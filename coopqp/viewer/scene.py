@@ -185,7 +185,7 @@ class _Controller:
         self, server: Any, setup: PageSetup, i: int, send: Callable[[Action], None]
     ) -> None:
         scene = server.scene
-        self._bodies, self._color = setup.bodies, rgb(setup.laws[i].color)
+        self._bodies, self._color = setup.bodies, rgb(list(setup.laws.values())[i])
         self._send, self._root = send, scene.add_frame(f"/law{i}", show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [

@@ -207,9 +207,8 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
     count = len(chart.any.tasks)
     order = sorted(range(count), key=lambda i: -max(1.0, _end_error(chart, i)))
     shown, rest = sorted(order[:MAX_FIRST]), sorted(order[MAX_FIRST:])
-    return [f for i in shown for f in _of_task(chart, i)], [
-        f for i in rest for f in _of_task(chart, i)
-    ]
+    first, others = ([f for i in part for f in _of_task(chart, i)] for part in (shown, rest))
+    return first, others
 
 
 def _end_error(chart: Chart, i: int) -> float:
