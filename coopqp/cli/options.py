@@ -143,7 +143,6 @@ def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | Non
 
 
 def _warn(scenario: Any) -> None:
-    """Print what a scenario's robot leaves out."""
     for line in scenario.robot_model.warnings:
         say(f"warning: {line}")
 

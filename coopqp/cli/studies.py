@@ -322,7 +322,6 @@ def _records(count: int) -> str:
 
 
 def _print(study: Any, folder: Path, *, as_json: bool) -> None:
-    """Write the page and print the table."""
     from coopqp.report import strict_json
     from coopqp.report.sweep import table
     from coopqp.report.sweep.page import write
@@ -348,7 +347,6 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
 
 
 def _show(study: Any, folder: Path, row: int) -> None:
-    """Write a row's scenario and compare on it."""
     from coopqp.cli.scenarios import compare_on
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS

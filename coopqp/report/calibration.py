@@ -127,7 +127,6 @@ def _pose(X: pin.SE3) -> dict[str, Any]:
 
 
 def _flow(value: Any) -> str:
-    """A value in one line of YAML."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_flow(v)}" for key, v in value.items()) + "}"
     if isinstance(value, tuple | list):

@@ -200,7 +200,6 @@ def _forces(comparison: Comparison) -> Iterator[str]:
 
 
 def _laws(comparison: Comparison) -> Iterator[str]:
-    """Pseudoinverses and QPs."""
     bounded = (
         "and no joint goes beyond its limits"
         if comparison.scenario.limits

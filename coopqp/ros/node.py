@@ -123,7 +123,6 @@ def _received(node: Any) -> Iterator[None]:
 
 
 def _parameters(node: Any) -> tuple[RosSettings, Mapping[str, list[str]]]:
-    """The parameters that are set, and the joints of each controller."""
     names = RosSettings.__dataclass_fields__
     given = {name: value for name in names if (value := _parameter(node, name)) is not None}
     if "controllers" not in given:

@@ -110,7 +110,6 @@ class Panel:
         self._set(self._status, _box("ended"))
 
     def _set(self, handle: Any, text: str) -> None:
-        """Send a text that has changed."""
         if self._texts.get(id(handle)) != text:
             self._texts[id(handle)] = handle.content = text
 

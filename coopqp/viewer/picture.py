@@ -178,7 +178,6 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
 
 
 def _hands(state: State, robot: RobotModel) -> Array:
-    """Positions of the hands, by the robot's arms, shape (arms, 3) [m]."""
     places = []
     for arm in robot.arms:
         frame = robot.model.frames[robot.model.getFrameId(arm.tip)]

@@ -158,6 +158,5 @@ class _Clock:
 
 
 def _same(one: ExplainedController, other: ExplainedController) -> bool:
-    """Whether the explainer need not build anew."""
     same = (one.law, one.dials, len(one.starts)) == (other.law, other.dials, len(other.starts))
     return same and all((a == b).all() for a, b in zip(one.starts, other.starts, strict=True))

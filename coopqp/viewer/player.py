@@ -84,7 +84,6 @@ class Player:
 
     @property
     def _controller(self) -> SimulatedController:
-        """The one that is explained."""
         return self.controllers[self._main]
 
     def tick(self) -> None:
@@ -259,7 +258,6 @@ class Player:
         return low, high
 
     def _steer(self, action: Action) -> None:
-        """A gizmo, the object, a dial or a knob."""
         controller, which, value = self._controller, action.which, action.value
         targets = controller.targets()
         if action.what == "drag" and isinstance(which, int) and which < len(self._handles):
@@ -306,7 +304,6 @@ class Player:
         return np.concatenate([picture.outlines(controller, self._place), *ways])
 
     def _verdict(self, controller: SimulatedController, drawn: ControllerFrame) -> tuple[Tone, str]:
-        """The sentence on the controller that is explained."""
         if drawn.broken:
             return "broken", _sentence(drawn.broken, drawn.words)
         if stale := controller.state.inputs.stale:

@@ -157,7 +157,6 @@ def _followed_fields(task: Task) -> Iterator[tuple[str, Kind]]:
 
 
 def _own(scenario: Scenario) -> Iterator[SteeredField]:
-    """Fields that follow inputs of the scenario's own."""
     for i, phase in enumerate(scenario.schedule):
         for j, task in enumerate(phase.tasks):
             for name, kind in _followed_fields(task) if not task.of_forces else ():

@@ -93,7 +93,6 @@ def _torque(chart: Chart, i: int) -> Figure:
 
 
 def _with_signal(chart: Chart, signal: str, of: Callable[[Trace], Array | None]) -> Lines:
-    """A quantity of every trace that has a signal."""
     return chart.lines(lambda trace: of(trace) if signal in trace.signals else None)
 
 

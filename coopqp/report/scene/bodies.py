@@ -85,16 +85,9 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
 
 def solid_body(solid: SolidMarker) -> Body:
     """What stands in the world, as a body of the base."""
-    shape = Shape(
-        frame="universe",
-        placement=pin.SE3(solid.rotation, solid.position),
-        kind=solid.kind,
-        size=solid.size,
-        mesh=solid.mesh,
-    )
-    surface, _ = _surface(shape)
-    (few,) = _within([moved(surface, shape.placement)], MAX_TRIANGLES)
-    return Body(0, None, few)
+    surface, _ = _surface(solid)
+    placed = moved(surface, pin.SE3(solid.rotation, solid.position))
+    return Body(0, None, _within([placed], MAX_TRIANGLES)[0])
 
 
 def body_places(
@@ -205,7 +198,7 @@ def moved(surface: Triangles, X: pin.SE3) -> Triangles:
     return Triangles(surface.vertices @ X.rotation.T + X.translation, surface.corners)
 
 
-def _surface(shape: Shape) -> tuple[Triangles, str]:
+def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
     """The surface of a shape, about its own origin, and why its mesh cannot be read."""
     size = shape.size
     if shape.kind == "mesh":

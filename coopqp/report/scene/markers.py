@@ -167,7 +167,6 @@ class Place:
         return "lines", {"ends": [middle - way, middle + way]}
 
     def _axes(self, rotation: Array) -> Array:
-        """The axes as rows."""
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 

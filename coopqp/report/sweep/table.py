@@ -58,7 +58,6 @@ def paired(summary: Summary) -> Table | None:
 
 
 def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> Table:
-    """A table with a column of controllers and some of numbers."""
     out = Table(
         title=Text(one_line(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD,
         padding=(0, 1), show_edge=False,
