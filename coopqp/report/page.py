@@ -41,7 +41,7 @@ def render(comparison: Comparison) -> str:
         facts=" · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison)),
         summary=_summary(comparison, looks),
         notes="".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes),
-        how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_toasset(comparison)),
+        how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison)),
         legend=_legend(looks),
         columns=PANES_A_ROW.get(len(looks), 3),
         panes="".join(_pane(name, style) for name, style in looks.items()),
@@ -154,7 +154,7 @@ def _figure(figure: Figure) -> str:
     )
 
 
-def how_toasset(comparison: Comparison) -> Iterator[str]:
+def how_to_read(comparison: Comparison) -> Iterator[str]:
     """Paragraphs: the closed loop, what forces are in the run, and what the laws do."""
     yield (
         "All arms hold one object, so the joints are not free: whatever they do, every hand has "
