@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 from stress import goals
+from walks import vector
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -30,7 +31,6 @@ from coopqp.signals import Circle
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
 from coopqp.state import State
-from coopqp.study.statistics.draw import vector
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, Orientation, PointOnPoint
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
+from walks import vector, walk
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -30,7 +31,6 @@ from coopqp.profile import Profile
 from coopqp.rollout import drive
 from coopqp.solver import Solver, Status
 from coopqp.state import State
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from walks import vector, walk
 
 from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, OnInfeasible
@@ -14,7 +15,6 @@ from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
 from coopqp.solver import Solver
 from coopqp.solvers.daqp import Daqp
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 

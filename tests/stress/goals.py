@@ -12,12 +12,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
+from walks import vector
 
 from coopqp.checked import Array, cross
 from coopqp.checked import Pose as PoseValue
 from coopqp.closed_chain import ClosedChain
 from coopqp.profile import KINDS, Profile
-from coopqp.study.statistics.draw import vector
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,

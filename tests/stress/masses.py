@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from walks import vector, walk
 
 from coopqp.checked import Array
 from coopqp.closed_chain import ClosedChain
@@ -35,7 +36,6 @@ from coopqp.profile import Profile
 from coopqp.rollout import drive
 from coopqp.solver import Solver
 from coopqp.state import State
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import JointCentering
 

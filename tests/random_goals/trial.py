@@ -25,11 +25,11 @@ from coopqp.errors import CoopqpError
 from coopqp.plants import Kinematic
 from coopqp.rollout import rollout
 from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.statistics.draw import arenas, draw
-from coopqp.study.statistics.reach import holds_inside
 from coopqp.task import Task
 from coopqp.tasks import JointLimitBarrier
 from coopqp.trace import Trace
+from random_goals.draw import arenas, draw
+from random_goals.reach import holds_inside
 
 AFTER = 2.5  # time after the references have arrived [s]
 HERE = Engine()
