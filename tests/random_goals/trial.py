@@ -24,7 +24,7 @@ from coopqp.disturbance import Disturbance
 from coopqp.errors import CoopqpError
 from coopqp.plants import Kinematic
 from coopqp.rollout import rollout
-from coopqp.study.engine import Engine, Lost, Share
+from coopqp.study.engine import Engine, Lost
 from coopqp.task import Task
 from coopqp.tasks import JointLimitBarrier
 from coopqp.trace import Trace
@@ -126,8 +126,7 @@ def statistics(
     before = {(goal.robot, goal.seed): goal for goal in known}
     mine = engine.share.taken(asked)
     done = [before[one] for one in mine if one in before]
-    alone = replace(engine, share=Share())
-    for (robot, own), goal in alone.results(_goals, [x for x in mine if x not in before]):
+    for (robot, own), goal in engine.results(_goals, [x for x in mine if x not in before]):
         if isinstance(goal, Lost):
             raise CoopqpError(f"{robot}, seed {own}: {goal.reason}")
         done.append(goal)

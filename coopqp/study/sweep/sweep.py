@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
-from coopqp.study.engine import Engine, Lost, Share
+from coopqp.study.engine import Engine, Lost
 from coopqp.study.sweep.folder import check_folder, identity
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
@@ -95,8 +95,7 @@ def sweep(
         missing = index.missing(mine)
         there = len(mine) - len(missing)
         state = Progress(len(mine), there, there, damaged=index.damaged)
-        alone = replace(engine, share=Share())
-        for batch in alone.batches(partial(run_variants, job=job), _Variants(study, missing)):
+        for batch in engine.batches(partial(run_variants, job=job), _Variants(study, missing)):
             found = [
                 (variant.index, lost_rows(job, rows.reason) if isinstance(rows, Lost) else rows)
                 for variant, rows in batch
@@ -110,22 +109,14 @@ def sweep(
     return state
 
 
-class _Variants(Sequence[Variant]):
+class _Variants:
     """Variants that are made when they are asked for."""
 
-    def __init__(self, study: Study, numbers: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+    def __init__(self, study: Study, numbers: NDArray[np.int64]) -> None:
         self._study, self._numbers = study, numbers
 
     def __len__(self) -> int:
         return len(self._numbers)
 
-    @overload
-    def __getitem__(self, index: int) -> Variant: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Variant]: ...
-
-    def __getitem__(self, index: int | slice) -> Variant | Sequence[Variant]:
-        if isinstance(index, slice):
-            return _Variants(self._study, self._numbers[index])
+    def __getitem__(self, index: int) -> Variant:
         return self._study.variant(int(self._numbers[index]))
