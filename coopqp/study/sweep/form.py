@@ -22,17 +22,8 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import STRICT, Words, file_model
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.study.sweep import space
-from coopqp.study.sweep.points import METHODS, MOST
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES
 from coopqp.study.sweep.study import CONTROLLERS, SEED
-
-GRID = "grid"
-SAMPLES = {
-    "sobol": "Points of Sobol's sequence, even from the first on; best a power of two.",
-    "random": "Points, each by itself.",
-    "latin_hypercube": "Points, in each dimension in as many even parts.",
-    GRID: "Every level with every other; this many levels where none are said.",
-}
-assert set(SAMPLES) == {*METHODS, GRID}
 
 
 def _variation(value: Any) -> Any:
@@ -67,7 +58,7 @@ def _samples(value: Any) -> Any:
         if key not in SAMPLES:
             raise ValueError(unknown_name("way to sample", key, SAMPLES))
     if len(asked) != 1:
-        ways = ", ".join((GRID, *METHODS))
+        ways = ", ".join((GRID, *(way for way in SAMPLES if way != GRID)))
         raise ValueError(f"found {len(asked)}; needs one of {ways}, such as sobol: 1024")
     return named
 

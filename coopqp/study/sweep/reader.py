@@ -19,11 +19,19 @@ from coopqp.scenario.checks import refuse
 from coopqp.scenario.form import check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
-from coopqp.study.sweep import points as sampling
-from coopqp.study.sweep.form import GRID, StudyFile, read_form
+from coopqp.study.sweep.form import StudyFile, read_form
 from coopqp.study.sweep.path import located, put
-from coopqp.study.sweep.points import MOST, Points
-from coopqp.study.sweep.space import Box, Listed, Normal, Variation
+from coopqp.study.sweep.space import (
+    GRID,
+    MOST,
+    Box,
+    Listed,
+    Normal,
+    Points,
+    Variation,
+    drawn,
+    grid,
+)
 from coopqp.study.sweep.study import CONTROLLERS, Study, Varied
 from coopqp.wording import dotted
 
@@ -217,7 +225,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     method, count = form.sampled
     if method != GRID:
         dimensions = sum(one.over.dimensions for one in varied)
-        return sampling.drawn(method, count, dimensions, form.samples.seed), varied
+        return drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
         own = one.over.levels(count)
@@ -232,7 +240,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
         words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return sampling.grid(levels), found
+    return grid(levels), found
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

@@ -14,8 +14,7 @@ import numpy as np
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import YamlFile
 from coopqp.study.sweep.path import put
-from coopqp.study.sweep.points import Points
-from coopqp.study.sweep.space import Variation
+from coopqp.study.sweep.space import Points, Variation
 
 CONTROLLERS = "controllers"
 SEED = "seed"
