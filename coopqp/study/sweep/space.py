@@ -144,7 +144,7 @@ class Normal(Variation):
         return (0,)
 
     def tried(self) -> list[Any]:
-        return [self.mean]
+        return [self.at(np.full(1, 0.5))]
 
 
 @dataclass(frozen=True)
