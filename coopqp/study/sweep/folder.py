@@ -28,6 +28,7 @@ from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
 from coopqp.study.sweep.study import CONTROLLERS, Study
+from coopqp.study.sweep.variant import Folders
 from coopqp.wording import dotted
 
 #: Modules of shipped plug-ins; their files count as the version.
@@ -109,8 +110,19 @@ MOST_KEYS = 4  # that are named
 AWAY = "give another --out, or move the folder away"
 
 
-def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
-    """Refuse what is not the folder of this study.
+def head_for(study: Study, folders: Folders) -> dict[str, Any]:
+    """What a journal says of its study."""
+    return {
+        "name": study.name,
+        "identity": identity(study),
+        "study": [str(study.file.path), study.file.text],
+        "scenario": list(map(str, study.scenario_text)),
+        "folders": [[str(one) for one in kind] for kind in folders],
+    }
+
+
+def check_folder(folder: Path, own: dict[str, Any]) -> None:
+    """Refuse what is not the folder of the study with this head.
 
     Raises:
         CoopqpError: it is a file, or holds a comparison, results without their journal, or another
@@ -128,24 +140,24 @@ def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
         raise CoopqpError(f"'{folder}' has {NAME}, but {why}; {AWAY}")
     for path in found:
         head = head_of(path) or {}
-        if different := list(_different(head, study, identity)):
+        if different := list(_different(head, own)):
             words = f"'{folder}' belongs to another study ('{head.get('name')}'), or an older one"
             raise CoopqpError(
                 f"{words}: {', '.join(different)} differ{'' if len(different) > 1 else 's'}; {AWAY}"
             )
 
 
-def _different(head: dict[str, Any], study: Study, identity: dict[str, str]) -> Iterator[str]:
+def _different(head: dict[str, Any], own: dict[str, Any]) -> Iterator[str]:
     """What is not the same, with its keys; the points follow from the study."""
-    texts = {"study": (study.file.path, study.file.text), "scenario": study.scenario_text}
-    parts = [part for part in PARTS if head["identity"].get(part) != identity.get(part)]
+    one, other = head["identity"], own["identity"]
+    parts = [part for part in PARTS if one.get(part) != other.get(part)]
     for part in parts:
         if part == "points" and "study" in parts:
             continue
         keys: list[str] = []
-        if part in texts:
-            before = parsed(Path(head[part][0]), head[part][1]).data
-            keys = list(_keys(before, parsed(*texts[part]).data))
+        if part in ("study", "scenario"):
+            before, now = (parsed(Path(x[part][0]), x[part][1]).data for x in (head, own))
+            keys = list(_keys(before, now))
         more = f" and {len(keys) - MOST_KEYS} more" if len(keys) > MOST_KEYS else ""
         told = f" ({', '.join(keys[:MOST_KEYS])}{more})" if keys else ""
         yield f"{PARTS[part]}{told}"

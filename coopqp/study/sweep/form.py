@@ -25,6 +25,8 @@ from coopqp.study.sweep import space
 from coopqp.study.sweep.space import GRID, MOST, SAMPLES
 from coopqp.study.sweep.study import CONTROLLERS, SEED
 
+NAMED = "needs the path of a scenario, or the name of a shipped one"
+
 
 def _variation(value: Any) -> Any:
     if not isinstance(value, dict) or len(value) != 1:
@@ -36,16 +38,13 @@ def _variation(value: Any) -> Any:
     return value
 
 
-def _scenario(value: Any) -> Any:
-    if not isinstance(value, str) or not value:
-        raise ValueError("needs the path of a scenario, or the name of a shipped one")
-    return value
+def _filled(kind: type, words: str) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        if not isinstance(value, kind) or not value:
+            raise ValueError(words)
+        return value
 
-
-def _paths(value: Any) -> Any:
-    if not isinstance(value, dict) or not value:
-        raise ValueError("is empty; needs a path of the scenario: what to vary it over")
-    return value
+    return BeforeValidator(check)
 
 
 def _samples(value: Any) -> Any:
@@ -106,13 +105,13 @@ class StudyFile(BaseModel):
 
     model_config = STRICT
 
-    scenario: Annotated[str, Field(min_length=1), BeforeValidator(_scenario)] = Field(
+    scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
         description="A file beside the study, or the name of a shipped scenario."
     )
     vary: Annotated[
         dict[str, Annotated[Over, BeforeValidator(_variation)]],
         Field(min_length=1),
-        BeforeValidator(_paths),
+        _filled(dict, "is empty; needs a path of the scenario: what to vary it over"),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
     samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
         description="A way to sample and how many variants, and a seed (0)."

@@ -21,17 +21,7 @@ from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep.form import StudyFile, read_form
 from coopqp.study.sweep.path import located, put
-from coopqp.study.sweep.space import (
-    GRID,
-    MOST,
-    Box,
-    Listed,
-    Normal,
-    Points,
-    Variation,
-    drawn,
-    grid,
-)
+from coopqp.study.sweep.space import GRID, MOST, Listed, Points, Variation, drawn, grid
 from coopqp.study.sweep.study import CONTROLLERS, Study, Varied
 from coopqp.wording import dotted
 
@@ -161,7 +151,7 @@ def _controllers(
         if f": {CONTROLLERS}" in fault.place
     ]
     yield from found
-    names = list(map(_name, chosen)) if not found else []
+    names = [] if found else list(map(_name, chosen))
     for i, taken in taken_names(names):
         words = f"{taken}; give this one another, such as {{{names[i]}: {{name: other}}}}"
         yield Wrong(place, words, ["choice", i])
@@ -230,12 +220,11 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     for one in varied:
         own = one.over.levels(count)
         if not all(own):
-            normal = isinstance(one.over, Normal)
-            cure = "values: [...]" if normal else "levels, or say samples: {grid: LEVELS}"
+            some = all(one.over.levels(1))
+            cure = "levels, or say samples: {grid: LEVELS}" if some else "values: [...]"
             wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {cure}"))
         levels += own
-        over = one.over.gridded(own) if isinstance(one.over, Box) else one.over
-        found.append(replace(one, over=over))
+        found.append(replace(one, over=one.over.gridded(own)))
     if math.prod(levels) > MOST:
         words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
         wrong.append(Wrong(["samples"], words))

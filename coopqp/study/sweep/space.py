@@ -76,6 +76,10 @@ class Variation(ABC):
     def levels(self, count: int) -> tuple[int, ...]:
         """How many levels a grid has in each dimension; ``count`` where none is said, 0 if none."""
 
+    def gridded(self, levels: Sequence[int]) -> Variation:
+        """The same with levels."""
+        return self
+
     @abstractmethod
     def tried(self) -> list[Any]:
         """Values that stand for all, to see whether the key takes them."""
@@ -121,7 +125,6 @@ class Box(Variation):
         return tuple(1 if s.low == s.high else s.count or count for s in self.sides)
 
     def gridded(self, levels: Sequence[int]) -> Box:
-        """The same with levels."""
         sides = zip(self.sides, levels, strict=True)
         return replace(self, sides=tuple(replace(side, count=n) for side, n in sides))
 

@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.study.engine import Engine, Lost
-from coopqp.study.sweep.folder import check_folder, identity
+from coopqp.study.sweep.folder import check_folder, head_for
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
 from coopqp.study.sweep.study import Study, Variant
-from coopqp.study.sweep.variant import job_of, lost_rows, run_variants
+from coopqp.study.sweep.variant import Folders, job_of, lost_rows, run_variants
 
-Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
-"""With the user's own tasks, and plug-ins."""
 HERE = Engine()
 
 
@@ -29,12 +27,9 @@ class Progress:
     """How far a sweep is.
 
     Attributes:
-        total: variants of this share.
-        before: of them, those that were there when it began.
-        done: of them, those that are there.
-        states: of the rows that came since, by state.
+        total: variants of this share; so many were there ``before``, and are ``done``.
+        states: of the rows that came since it began.
         damaged: records that were not as they were written; what they said is done again.
-        begun: when [s].
     """
 
     total: int
@@ -71,7 +66,7 @@ def sweep(
         study: what is asked.
         folder: for its journal and results; made if it does not exist.
         engine: where, and which share; on all cores when omitted.
-        folders: with the plug-ins that the study's catalogue was made from.
+        folders: that the study's catalogue was made from.
         progress: called after each batch.
 
     Raises:
@@ -79,16 +74,9 @@ def sweep(
             at the scheduler's address.
     """
     needs_arrow()
-    own = identity(study)
-    check_folder(folder, study, own)
+    head = head_for(study, folders)
+    check_folder(folder, head)
     job = job_of(study, folders)
-    head = {
-        "name": study.name,
-        "identity": own,
-        "study": [str(study.file.path), study.file.text],
-        "scenario": list(map(str, study.scenario_text)),
-        "folders": [[str(one) for one in kind] for kind in folders],
-    }
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = Index(folder, study)
