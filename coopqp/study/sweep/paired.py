@@ -1,4 +1,4 @@
-"""One controller against another on the same variants, by what differs from variant to variant.
+"""How often a controller succeeds, and it against another on the same variants.
 
 Variants differ more than controllers do. Two intervals, one for each controller, overlap for that
 alone; the interval and the test of the difference do not see it.
@@ -27,13 +27,7 @@ TAIL = 0.025  # of it, on each side
 
 @dataclass(frozen=True)
 class Share:
-    """How often something was so.
-
-    Attributes:
-        count: so often.
-        of: in so many.
-        low, high: 95 % interval of the share, Wilson.
-    """
+    """How often something was so, of how many, and the 95 % interval of the share."""
 
     count: int
     of: int
@@ -49,12 +43,7 @@ class Share:
 
 
 def wilson(count: int, of: int) -> Share:
-    """The share with its 95 % interval (Wilson 1927), which holds near 0 and 1 and for few as well.
-
-    Args:
-        count: how often.
-        of: in how many; 0 to 1 is the interval of none.
-    """
+    """A share with its interval (Wilson 1927), which holds near 0 and 1 and for few as well."""
     if not of:
         return Share(0, 0, 0.0, 1.0)
     p, spread = count / of, Z * Z / of
@@ -88,12 +77,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Success:
-    """How often two controllers succeed on the same variants.
-
-    Attributes:
-        both, only_one, only_reference, neither: variants.
-        difference: of the shares; McNemar's test.
-    """
+    """On how many variants two controllers succeed, and the difference of the shares."""
 
     both: int
     only_one: int
@@ -103,16 +87,10 @@ class Success:
 
 
 def success(one: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Success:
-    """Compare on which variants two controllers succeed.
-
-    Args:
-        one: whether the one does, for each variant, shape (n,).
-        reference: whether the other does, shape (n,).
-    """
-    counts = [int(x.sum()) for x in (one & reference, one & ~reference, reference & ~one)]
-    both, b, c = counts
-    n = len(one)
-    return Success(both, b, c, n - both - b - c, _of_shares(b, c, n))
+    """Compare whether two controllers succeed, for each variant, shapes (n,)."""
+    counts = (one & reference, one & ~reference, reference & ~one, ~one & ~reference)
+    both, b, c, neither = (int(x.sum()) for x in counts)
+    return Success(both, b, c, neither, _of_shares(b, c, len(one)))
 
 
 def _of_shares(b: int, c: int, n: int) -> Difference:
@@ -127,12 +105,7 @@ def _of_shares(b: int, c: int, n: int) -> Difference:
 
 
 def median(one: Array, reference: Array) -> Difference:
-    """Compare numbers of two controllers.
-
-    Args:
-        one: for each variant, shape (n,); what is no difference, as that of a NaN, does not count.
-        reference: the same of the other.
-    """
+    """Compare numbers of two controllers, shapes (n,); a NaN is no difference."""
     with np.errstate(invalid="ignore"):  # of two infinite errors
         found = one - reference
     found = np.sort(found[~np.isnan(found)])

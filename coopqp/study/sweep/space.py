@@ -172,29 +172,29 @@ class Points:
     """Points of the unit cube.
 
     Attributes:
-        of_grid: levels in each dimension; empty for others.
-        drawn: the others, shape (count, dimensions); empty for a grid.
+        levels: of a grid, in each dimension; empty for others.
+        drawn: others, shape (count, dimensions); empty for a grid.
     """
 
     count: int
-    of_grid: tuple[int, ...]
+    levels: tuple[int, ...]
     drawn: Array
 
     def at(self, index: int) -> Array:
         """A point, shape (dimensions,); of a grid in the middle of a level's part."""
-        if not self.of_grid:
+        if not self.levels:
             point: Array = self.drawn[index]
             return point
-        found = np.empty(len(self.of_grid))
-        for k in reversed(range(len(self.of_grid))):
-            index, level = divmod(index, self.of_grid[k])
-            found[k] = (level + 0.5) / self.of_grid[k]
+        found = np.empty(len(self.levels))
+        for k in reversed(range(len(self.levels))):
+            index, level = divmod(index, self.levels[k])
+            found[k] = (level + 0.5) / self.levels[k]
         return found
 
     @property
     def digest(self) -> str:
         """A hash; libraries may draw otherwise one day."""
-        return sha256(repr(self.of_grid).encode() + self.drawn.tobytes()).hexdigest()[:16]
+        return sha256(repr(self.levels).encode() + self.drawn.tobytes()).hexdigest()[:16]
 
 
 def grid(levels: Sequence[int]) -> Points:
