@@ -1,6 +1,6 @@
 # make demo   set up .venv, run the demo, say where the page is
 # make test   the same with the test tools, and run the suite
-# make lint   style, types, direction of imports
+# make lint   style, types, direction of imports, the size of the house
 # make docs   the site, in out/docs; warnings are errors
 # make links  asks the internet whether what pages link to is there
 # make bench  one tick side by side with Pink
@@ -27,6 +27,7 @@ lint: .venv/installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.house
 
 docs: .venv/installed-docs
 	$(BIN)/sphinx-build -W --keep-going -q -d out/doctrees docs out/docs

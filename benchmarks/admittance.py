@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import coopqp
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.admittance import Admittance, stability_limit
 from coopqp.closed_loop.section import section
 from coopqp.controllers import QPController

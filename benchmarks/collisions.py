@@ -32,19 +32,19 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from collision_robots import CASES, Case, Oracle, bodies_of_rows
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, Pose
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import drive
 from coopqp.limit import Limit, LimitRows
 from coopqp.limits import JointPosition, JointVelocity, Obstacle, Obstacles, SelfCollision
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.profile import Profile
-from coopqp.rollout import drive
 from coopqp.scenario.loader import load
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.tasks import JointCentering
 from coopqp.tasks import Pose as PoseTask
 

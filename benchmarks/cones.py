@@ -24,18 +24,17 @@ from scipy import sparse
 from scipy.linalg import null_space
 
 import coopqp
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import into_contacts
-from coopqp.contact import Contact
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import drive
+from coopqp.grasp import Contact
 from coopqp.grasps import PointContact
-from coopqp.plant import PlantModel
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import RigidBody
-from coopqp.rollout import drive
 from coopqp.solver import Status
-from coopqp.state import State
 
 TICKS, EVERY = 500, 8  # every eighth of 4 s: lifted, tilted, carried
 ROUNDING = 1e-4  # of a cost, as solvers tell it

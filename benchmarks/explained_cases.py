@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Workspace
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task

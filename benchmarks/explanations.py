@@ -24,7 +24,7 @@ import numpy as np
 from explained_cases import ROBOTS, Case, blocked, far, pairs, scipy_distance
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.limits import Workspace
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.scenario import Scenario

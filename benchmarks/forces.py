@@ -14,16 +14,16 @@ from dataclasses import replace
 import numpy as np
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Controller
 from coopqp.controllers import PassiveGraspPid, TorqueQp, WrenchSplit
-from coopqp.disturbance import Disturbance, Push
+from coopqp.execution.rollout import rollout
 from coopqp.grasps import Rigid
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
 from coopqp.metrics.slip_distance import SlipDistance
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.plant import Disturbance, Push
 from coopqp.plants import RigidBody
-from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

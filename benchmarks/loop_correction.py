@@ -21,16 +21,15 @@ import numpy as np
 
 import coopqp
 from coopqp.controller import Command
-from coopqp.disturbance import Disturbance, Slip
+from coopqp.execution.rollout import rollout
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.metrics.gap import Gap
 from coopqp.metrics.internal_force import InternalForce
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel, Slip
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.trace import Trace
 
 PLANTS: dict[str, Plant] = {"rigid_body": RigidBody(), "mujoco": Mujoco()}

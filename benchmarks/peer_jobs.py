@@ -15,10 +15,10 @@ import numpy as np
 import pinocchio as pin
 from test_scaling import job as ring_job
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import axis_of
 from coopqp.scenario.loader import load
 from coopqp.signals import Input

@@ -19,9 +19,9 @@ from peer_jobs import TARGET, TICKS, Job
 from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask, RelativeFrameTask
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.signal import POINT, Course, Followed
+from coopqp.signal import POINT, InputValues, Trajectory
 
 Motion = Callable[[], tuple[float, float]]
 DAMPING = 1e-6
@@ -55,8 +55,8 @@ def _coopqp(job: Job, engine: Literal["kernel", "python"]) -> Motion:
 
     def motion() -> tuple[float, float]:
         state = built.start()
-        target = Course(POINT, state.p_WO)
-        state.inputs = Followed()
+        target = Trajectory(POINT, state.p_WO)
+        state.inputs = InputValues()
         state.inputs[TARGET] = target
         value, targets = target.value, job.targets
 

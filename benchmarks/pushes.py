@@ -16,14 +16,13 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.controllers import TorqueQp
-from coopqp.disturbance import Disturbance, Push
-from coopqp.memory import Memory
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import Memory
+from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals.circle import Circle
@@ -63,7 +62,7 @@ def with_masses(chain: ClosedChain, *, arms: float = 1.0, held: float = 1.0) -> 
     hold = chain.hold
     robot = replace(chain.robot, model=model)
     box = replace(chain.held, mass=held * chain.held.mass)
-    return ClosedChain.take_hold(robot, chain.q_start, hold.grasps, box)
+    return ClosedChain.attach(robot, chain.q_start, hold.grasps, box)
 
 
 def told(chain: ClosedChain, trace: Trace, gain: float, noise: float = 0.0) -> Array:

@@ -28,7 +28,7 @@ import numpy as np
 
 import coopqp
 from coopqp import OnlineLoop, real_time
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 SCENARIO = Path(__file__).parents[1] / "examples" / "teleoperation" / "nao.yaml"
 LAG, STEP = 0.010, 0.001  # of the plant [s]

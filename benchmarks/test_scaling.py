@@ -22,18 +22,18 @@ from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask, RelativeFrameTask
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import drive
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.profile import Profile
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files.mdh import MdhParameters, MdhRow, Tip, build_model
-from coopqp.rollout import drive
 from coopqp.solvers import Daqp
 from coopqp.tasks import PointOnPoint
 
@@ -92,7 +92,7 @@ def job(count: int) -> ControlProblem:
     """The object goes to a point in a second."""
     robot = ring(count)
     q = robot.configuration({arm.name: READY for arm in robot.arms})
-    chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
     return ControlProblem(
         chain=chain,
         tasks=[

@@ -19,7 +19,7 @@ from pink.tasks import FrameTask, RelativeFrameTask
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controllers import QPController
-from coopqp.rollout import drive
+from coopqp.execution.rollout import drive
 from coopqp.scenario.scenario import Scenario
 
 TICKS = 300  # the scenario's length: every round does the whole motion

@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.checked import Pose
+from coopqp.base.spec import Pose
 from coopqp.controller import Controller
-from coopqp.controller_run import run
 from coopqp.controllers import PassiveGraspPid, TorqueQp
-from coopqp.controllers._margins import TorqueLoop, damped, largest, row_loop
 from coopqp.controllers.passive_grasp_pid import TorquePid
-from coopqp.disturbance import Disturbance, Push
+from coopqp.execution.controller_run import run
+from coopqp.model.profile import Profile
+from coopqp.plant import Disturbance, Push
 from coopqp.plants import RigidBody
-from coopqp.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import Pose as PoseTask
+from coopqp.torque_law.margins import TorqueLoop, damped, largest, row_loop
 
 GAIN = 25.0  # 1/s
 DTS = (0.001, 0.002, 0.005, 0.01)  # s

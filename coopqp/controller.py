@@ -6,35 +6,111 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
-from coopqp.checked import Array, finite, overshoot, spec, taken_names, type_name, vector
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, unknown_name
-from coopqp.limit import Limit
-from coopqp.loop_observer import LoopObserver
-from coopqp.memory import Memory
-from coopqp.not_finite import not_finite
+from coopqp.base.errors import InvalidValueError, unknown_name
+from coopqp.base.spec import Array, finite, overshoot, spec, taken_names, type_name, vector
+from coopqp.base.wording import Location, culprit, dotted
+from coopqp.limit import Limit, LimitRows
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import LoopObserver
+from coopqp.model.state import Memory, State
 from coopqp.solver import Budget, Solver, Status
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
-from coopqp.task import Task, refuse_impedances
-from coopqp.ticks import Ticks
-from coopqp.wording import Location, culprit, dotted
+from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
+from coopqp.trace import TickBatch
+
+
+def not_finite(
+    tasks: Sequence[Task],
+    limits: Sequence[Limit],
+    chain: ClosedChain,
+    state: State,
+    dt: float,
+) -> str:
+    """Which tasks and limits give NaN or infinite values at a state; empty if none does.
+
+    Each is bound once more; one that raises is not told of.
+
+    Args:
+        tasks: any, also those that ask for forces.
+        limits: any.
+        chain: theirs.
+        state: up to date.
+        dt: control period [s].
+    """
+    return "; ".join((*_tasks(tasks, chain, state), *_limits(limits, chain, state, dt)))
+
+
+def _tasks(tasks: Sequence[Task], chain: ClosedChain, state: State) -> Iterator[str]:
+    for task in tasks:
+        start = State(chain)
+        start.inputs = state.inputs.now()
+        try:
+            k = len(task.rows(chain))
+            columns = 6 * chain.holding if task.of_forces else chain.n
+            J = np.eye(columns) if task.joint_space else np.zeros((k, columns))
+            rows = TaskRows(np.zeros(k), J, np.zeros(k))
+            evaluate_all([(task.bind(start), rows)], state)
+        except Exception:  # noqa: BLE001 - code of plug-ins may raise anything; not asked here
+            continue
+        numbers = {"e": rows.e, "J": rows.J, "rate": rows.rate}
+        bad = [name for name, values in numbers.items() if not np.isfinite(values).all()]
+        if bad:
+            yield f"task '{task.name}' gives NaN or infinite values in {', '.join(bad)}"
+
+
+def _limits(limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float) -> Iterator[str]:
+    """Bounds and h may be infinite on the side that is free."""
+    for limit in limits:
+        try:
+            p, n = len(limit.rows(chain)), chain.n
+            free = np.full(n, -np.inf), np.full(n, np.inf)
+            rows = LimitRows(*free, np.zeros((p, n)), np.full(p, np.inf))
+            evaluate_all([(limit.bind(chain, dt), rows)], state)
+        except Exception:  # noqa: BLE001 - as above
+            continue
+        good = {
+            "lb": rows.lb < np.inf,
+            "ub": rows.ub > -np.inf,
+            "G": np.isfinite(rows.G),
+            "h": rows.h > -np.inf,
+        }
+        bad = [name for name, fine in good.items() if not fine.all()]
+        if bad:
+            name = type_name(type(limit))
+            yield f"limit '{name}' gives NaN or infinite values in {', '.join(bad)}"
+
+
+class InternalForceControl(Protocol):
+    """Who decides about the gap along one direction, because hands press there."""
+
+    along: Array
+    """That direction among all loops, a unit vector, shape (6 L,)."""
+    memory_sizes: Mapping[str, int]
+    """What a law must remember for it, see ``State.memory``."""
+
+    note: str
+    """What else is to be said of the last tick."""
+
+    def update(self, state: State) -> Status | None:
+        """Move the gap along it; what is wrong with the force, None if nothing is."""
+
 
 TELL_APART = "add 'name:' to tell them apart"
 
 OnInfeasible = Literal["scale", "hold", "stop"]
 
-Heeds = frozenset[Literal["limits", "modes", "priorities", "secondary", "on_infeasible", "forces"]]
+Features = frozenset[
+    Literal["limits", "modes", "priorities", "secondary", "on_infeasible", "forces"]
+]
 """Parts of a problem that a controller reads; what it does not name has no effect on it."""
 
-HEEDS_NOTHING: Heeds = frozenset()
-HEEDS_ALL: Heeds = frozenset({"limits", "modes", "priorities", "secondary", "on_infeasible"})
+NO_FEATURES: Features = frozenset()
+ALL_FEATURES: Features = frozenset({"limits", "modes", "priorities", "secondary", "on_infeasible"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +276,7 @@ class Law(ABC):
         *,
         torques: bool = False,
         gives_way: bool = False,
-        squeezer: Squeezer | None = None,
+        squeezer: InternalForceControl | None = None,
     ) -> None:
         if not gives_way:
             refuse_impedances(problem.tasks)
@@ -262,7 +338,7 @@ class Law(ABC):
         state.corrected = command.drift
         return command
 
-    def run(self, state: State, ticks: int) -> Ticks:
+    def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks on joints that do as told, with nothing that arrives from outside.
 
         Args:
@@ -276,13 +352,13 @@ class Law(ABC):
         state.update()
         return found
 
-    def _room(self, state: State, ticks: int) -> Ticks:
+    def _room(self, state: State, ticks: int) -> TickBatch:
         """For so many ticks from a state, whose memory is then this law's."""
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        return Ticks.room(ticks, self.problem.chain.n, len(state.memory.numbers))
+        return TickBatch.room(ticks, self.problem.chain.n, len(state.memory.numbers))
 
-    def _keep(self, state: State, found: Ticks, k: int) -> None:
+    def _keep(self, state: State, found: TickBatch, k: int) -> None:
         """One of them, by the tick: whatever a law has instead has been tried."""
         found.q[k], found.memory[k] = state.q, state.memory.numbers
         command = Law.step(self, state)
@@ -295,7 +371,7 @@ class Law(ABC):
         """A tick, after which the joints have done as told for dt.
 
         Args:
-            state: of :meth:`start`; written, :meth:`coopqp.state.State.advance`.
+            state: of :meth:`start`; written, :meth:`coopqp.model.state.State.advance`.
         """
         command = self.tick(state)
         state.advance(command.v, self.problem.dt)
@@ -374,8 +450,8 @@ class Controller(ABC):
 
     uses_solver: ClassVar[bool] = False
     """Whether it solves a QP, so that the scenario's solver matters."""
-    heeds: ClassVar[Heeds] = HEEDS_NOTHING
-    """What of the problem beside its tasks it reads. Who heeds limits promises to keep them."""
+    supports: ClassVar[Features] = NO_FEATURES
+    """What of the problem beside its tasks it reads. Who supports limits promises to keep them."""
 
     @property
     def commands_torques(self) -> bool:

@@ -12,11 +12,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, spec, type_name
-from coopqp.closed_chain import ClosedChain
-from coopqp.mark import Mark
-from coopqp.row import Row, Side
-from coopqp.state import State
+from coopqp.base.qp import Row, Side
+from coopqp.base.spec import Array, spec, type_name
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import Marker
+from coopqp.model.state import State
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
 ROUNDING = 1e-9
@@ -212,7 +212,7 @@ class Limit(ABC):
         """What of the chain it cannot or does not bound, one sentence each."""
         return self.unseen(chain)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, t: float) -> tuple[Marker, ...]:
         """What pictures show of it: where it is; nothing by default.
 
         Args:

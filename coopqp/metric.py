@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.trace import Trace
 
 

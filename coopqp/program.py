@@ -17,8 +17,8 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, Vector3, unit
-from coopqp.geometry import (
+from coopqp.base.spec import Array, Vector3, unit
+from coopqp.model.geometry import (
     TINY,
     Alignment,
     Approach,
@@ -27,9 +27,9 @@ from coopqp.geometry import (
     RotationError,
     polar,
 )
-from coopqp.profile import KINDS, Profile
-from coopqp.signal import ROTATION, Course, quaternion_of
-from coopqp.state import State
+from coopqp.model.profile import KINDS, Profile
+from coopqp.model.state import State
+from coopqp.signal import ROTATION, Trajectory, quaternion_of
 
 AT_ONCE = Profile(kind="step")
 WORLD = Reference()  # at rest, so that nobody ever writes to it
@@ -84,7 +84,7 @@ class Primitive:
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
     e_start: Sequence[float] = ()
-    goal: Course | None = None
+    goal: Trajectory | None = None
     phi: Sequence[float] = (0.0, 0.0, 0.0)
     Q_start: Array = field(default_factory=lambda: np.eye(3))
     length: float = 0.0
@@ -193,7 +193,7 @@ def radial(
 
 
 def lean(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
-    """An axis of the object goes to the reference's third, :class:`coopqp.geometry.Alignment`."""
+    """An axis of the object goes to the reference's third, ``geometry.Alignment``."""
     reference.update(start)
     a_O = unit((axis[0], axis[1], axis[2]))
     seen = polar(reference.RT @ start.R_WO @ a_O)
@@ -216,18 +216,18 @@ def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Pro
 
 
 def rotation(
-    goal: Course, profile: Profile, Q_start: Array, reference: Reference = WORLD
+    goal: Trajectory, profile: Profile, Q_start: Array, reference: Reference = WORLD
 ) -> Primitive:
-    """An orientation goes to its goal, :class:`coopqp.geometry.RotationError`."""
+    """An orientation goes to its goal, ``geometry.RotationError``."""
     return Primitive(
         kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile, goal=goal,
         phi=np.asarray(pin.log3(goal.R @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
     )  # fmt: skip
 
 
-def fixed(R: Array) -> Course:
+def fixed(R: Array) -> Trajectory:
     """A rotation that does not move, as a goal."""
-    return Course(ROTATION, quaternion_of(R))
+    return Trajectory(ROTATION, quaternion_of(R))
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
@@ -248,14 +248,14 @@ def evaluated(program: Sequence[Primitive], start: State) -> Fill:
         program: of one task, one primitive after the other.
         start: the state from which the references set out.
     """
-    moving: dict[int, Reference | Course] = {id(p.reference): p.reference for p in program}
-    goals: dict[int, Reference | Course] = {id(p.goal): p.goal for p in program if p.goal}
+    moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
+    goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
     seen: dict[tuple[int, Vector3], PointInReference] = {}
     for p in program:
         if p.kind in (Kind.POINT, Kind.RADIAL):
             place = PointInReference(p.point, p.reference, start.chain.n)
             seen.setdefault((id(p.reference), p.point), place)
-    moves = [*moving.values(), *goals.values()]
+    moves = [*goals.values(), *moving.values()]  # a reference may be a goal's place
     for move in moves:
         move.update(start)
     blocks, at = list[tuple[Fill, slice]](), 0

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, array, near
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array, array, near
 
 
 class Robot(ABC):

@@ -24,8 +24,8 @@ import pinocchio as pin
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import core_schema
 
-from coopqp.checked import Array, Direction, Pose, Vector3, cross, real, spec, unit
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array, Direction, Pose, Vector3, cross, real, spec, unit
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3
@@ -144,7 +144,7 @@ def of_twist(axes: tuple[str, ...]) -> Kind:
     return Kind("velocity", len(axes), columns=axes, velocity=True)
 
 
-class Course:
+class Trajectory:
     """Where something is and how it moves, in arrays that it reuses; at rest by itself.
 
     Args:
@@ -175,7 +175,7 @@ class Course:
         return matrix(self.value[self.kind.numbers :])
 
 
-class Followed(dict[str, Course]):
+class InputValues(dict[str, Trajectory]):
     """What is made of the inputs at an instant, by name.
 
     Attributes:
@@ -193,7 +193,7 @@ class Followed(dict[str, Course]):
         self.refused: tuple[str, ...] = ()
         self.arrived: dict[str, tuple[float, Array]] = {}
 
-    def want(self, name: str, kind: Kind, here: Array | None) -> Course | None:
+    def want(self, name: str, kind: Kind, here: Array | None) -> Trajectory | None:
         """The input of a name, if there is one yet.
 
         Raises:
@@ -207,12 +207,12 @@ class Followed(dict[str, Course]):
             self.wanted[name] = kind, here
         return self.get(name)
 
-    def now(self) -> Followed:
+    def now(self) -> InputValues:
         """The same, no more to be moved by whoever moves this."""
-        kept = Followed()
+        kept = InputValues()
         kept.stale, kept.refused = self.stale, self.refused
         for name, followed in self.items():
-            kept[name] = Course(followed.kind, followed.value)
+            kept[name] = Trajectory(followed.kind, followed.value)
             kept[name].rate[:] = followed.rate
         return kept
 
@@ -221,7 +221,7 @@ class Instant(Protocol):
     """When a signal is asked: the time and what has arrived by then. A ``State`` is one."""
 
     t: float
-    inputs: Followed
+    inputs: InputValues
 
 
 @dataclass
@@ -234,7 +234,7 @@ class Moment:
     """
 
     t: float = 0.0
-    inputs: Followed = field(default_factory=Followed)
+    inputs: InputValues = field(default_factory=InputValues)
 
 
 @spec
@@ -242,7 +242,7 @@ class Signal(ABC):
     """A plug-in in ``signals/``: where a reference is at each time."""
 
     @abstractmethod
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Prepare what does not change.
 
         Args:
@@ -265,7 +265,7 @@ def course(
     kind: Kind,
     start: Instant,
     here: Array | None = None,
-) -> Course:
+) -> Trajectory:
     """A field of a task as something to follow: a signal, or a constant.
 
     Args:
@@ -279,7 +279,7 @@ def course(
     """
     if isinstance(given, Signal):
         return given.bind(kind, start, here)
-    return Course(kind, kind.read(given))
+    return Trajectory(kind, kind.read(given))
 
 
 def matrix(quaternion: Array) -> Array:

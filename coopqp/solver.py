@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.qp import QP
+from coopqp.base.qp import QP
+from coopqp.base.spec import Array, Positive, spec
 
 
 class Status(enum.Enum):

@@ -20,15 +20,15 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from coopqp.checked import Array, NonNegative, Positive, spec, type_name
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
-from coopqp.mark import Mark
-from coopqp.profile import Profile
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, NonNegative, Positive, spec, type_name
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import Marker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, evaluated
-from coopqp.row import Row
 from coopqp.signal import Instant
-from coopqp.state import State
 
 Mode = Literal["soft", "hard", "scaled"]
 
@@ -178,7 +178,7 @@ class Task(ABC):
         """The rows by unit, in their order; one part for most tasks."""
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """What pictures show of it: where the goal is then, not the way there; nothing by default.
 
         Args:

@@ -13,9 +13,51 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.row import Row
-from coopqp.signal import Course, Followed, Kind, Moment
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
+from coopqp.signal import InputValues, Kind, Moment, Trajectory
+from coopqp.solver import Status
+
+
+@dataclass(frozen=True)
+class TickBatch:
+    """Many ticks at once, T of them.
+
+    Attributes:
+        q: before each and at the end, shape (T + 1, n) [rad, m].
+        v: of each command, shape (T, n) [rad/s, m/s].
+        causes: what became of each.
+        compiled: whether the kernel decided it, shape (T,).
+        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
+        memory: what the law remembered when each began, shape (T, .).
+        notes: what else is to be said of a tick that stood still, by tick.
+    """
+
+    q: Array
+    v: Array
+    causes: list[tuple[Status, ...]]
+    compiled: NDArray[np.bool_]
+    scale: Array
+    memory: Array
+    notes: dict[int, str] = field(default_factory=dict)
+
+    @staticmethod
+    def room(ticks: int, n: int, remembered: int) -> TickBatch:
+        """Arrays for so many ticks, every one optimal.
+
+        Args:
+            ticks: T.
+            n: joints.
+            remembered: how many numbers the law remembers.
+        """
+        return TickBatch(
+            np.zeros((ticks + 1, n)),
+            np.zeros((ticks, n)),
+            [(Status.OPTIMAL,)] * ticks,
+            np.zeros(ticks, bool),
+            np.ones(ticks),
+            np.zeros((ticks, remembered)),
+        )
 
 
 @dataclass(frozen=True)
@@ -72,13 +114,13 @@ class InputTrace:
     rate: Array
 
 
-def followed(inputs: Mapping[str, InputTrace], k: int) -> Followed:
+def followed(inputs: Mapping[str, InputTrace], k: int) -> InputValues:
     """What was made of the inputs in a tick; after the last as in it."""
-    found = Followed()
+    found = InputValues()
     for name, kept in inputs.items():
         row = min(k, len(kept.value) - 1)
         if row >= 0 and np.isfinite(kept.value[row]).all():
-            found[name] = Course(kept.kind, kept.value[row])
+            found[name] = Trajectory(kept.kind, kept.value[row])
             found[name].rate[:] = kept.rate[row]
     return found
 
@@ -289,7 +331,7 @@ class Trace:
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
-        heeds: what of the problem the law reads, :attr:`coopqp.controller.Controller.heeds`.
+        supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
         signals: what the plant told after each tick, by name, shape (T, .): see the plant.
@@ -334,7 +376,7 @@ class Trace:
     compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
     tick_us: Array = field(metadata={"join": _ticks})
     points: dict[str, Array] = field(metadata={"join": _points})
-    heeds: frozenset[str] = field(metadata={"join": _same})
+    supports: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
     unaudited: tuple[str, ...] = field(metadata={"join": _unaudited}, default=())
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
@@ -348,7 +390,7 @@ class Trace:
     @property
     def keeps_limits(self) -> bool:
         """Whether its controller promises to keep the scenario's limits."""
-        return "limits" in self.heeds
+        return "limits" in self.supports
 
     @property
     def ticks(self) -> int:

@@ -16,8 +16,8 @@ import numpy as np
 
 import coopqp
 from coopqp import Profile, Scenario, Trace
-from coopqp.checked import Array
-from coopqp.profile import KINDS
+from coopqp.base.spec import Array
+from coopqp.model.profile import KINDS
 from coopqp.tasks import JointCentering, PointOnPlane, Posture
 
 HERE = Path(__file__).parent / "pictures"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp import HeldObject, OnlineLoop, Profile, Scenario
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.robots import NaoT14
 from coopqp.tasks import JointCentering, PointOnPoint
 

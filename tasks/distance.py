@@ -10,14 +10,14 @@ Where the two points coincide u is the world's x axis: the row stays finite and 
 
 from __future__ import annotations
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, last_end
-from coopqp.mark import Mark, SphereMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, last_end
+from coopqp.model.marker import Marker, SphereMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, radial
 from coopqp.signal import Instant, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -55,11 +55,11 @@ class Distance(Task):
         of = self.point, self.profile
         return (radial(start, self._other(start), *of, self.length, planar=False),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """All points at the distance, and the point that goes there."""
         other = self._other(at)
         other.update(at)
-        return SphereMark(center=other.c, radius=self.length), TrackedMark(point=self.point)
+        return SphereMarker(center=other.c, radius=self.length), TrackedMarker(point=self.point)
 
     def _other(self, start: Instant) -> Reference:
         """The point in space."""

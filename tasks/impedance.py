@@ -22,13 +22,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import last_end, pose_course
-from coopqp.mark import Mark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.geometry import last_end, pose_course
+from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.signal import Instant, MovingPose
-from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
@@ -133,8 +133,8 @@ class Impedance(Task):
 
         return evaluate
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, and the object's origin."""
         goal = pose_course(self.goal, at)
         goal.update(at)
-        return PoseMark(rotation=goal.R, position=goal.value[:3]), TrackedMark()
+        return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

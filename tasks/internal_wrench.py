@@ -21,14 +21,14 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import squeeze_rows
 from coopqp.closed_loop.hands import Hand, hands, points
 from coopqp.closed_loop.section import COMPONENTS, UNITS, section
-from coopqp.errors import GraspError, UnknownNameError
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.signal import Kind, Reads, Signal, course
-from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 FORCE = Kind("component of a wrench", 1, columns=("value",))

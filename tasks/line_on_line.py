@@ -9,7 +9,7 @@ from the start to 0:
 
 with theta the angle between the axis and its wished direction, which goes from the start to d on
 the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the line; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the motion of the line; ``geometry.Alignment`` has them, and says what happens where
 the axis points the opposite way. Khalil and Dombre 2004.
 """
 
@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import LineMark, Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import LineMarker, Marker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -75,11 +75,11 @@ class LineOnLine(Task):
         axis = -np.array(self.axis) if against else np.array(self.axis)
         return offset, lean(start, line, axis.tolist(), self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The line, and the point of the object's own."""
         line = self._line(at)
         line.update(at)
-        return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+        return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
 
     def _line(self, start: Instant) -> Reference:
         held = {"point": self.point, "axis": self.axis}

@@ -15,14 +15,14 @@ plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import Mark, PlaneMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, tilt
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -69,11 +69,11 @@ class LineOnPlane(Task):
         height = point(start, plane, self.point, self.profile, (2,))
         return height, tilt(start, plane, self.axis, self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The plane, and the point of the object's line."""
         plane = self._plane(at)
         plane.update(at)
-        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
 
     def _plane(self, start: Instant) -> Reference:
         held = {"point": self.point}

@@ -29,10 +29,10 @@ import numpy as np
 from pydantic import Field
 from scipy.linalg import lapack
 
-from coopqp.checked import Array, spec
-from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.base.spec import Array, spec
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 Axis = Literal["x", "y", "z"]

@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from coopqp.checked import NonNegative, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import NonNegative, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 #: Share of the mean inertia that every joint has at least.

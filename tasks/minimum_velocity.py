@@ -12,10 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 

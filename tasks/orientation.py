@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import last_end
+from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
-from coopqp.mark import Mark, PoseMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import last_end
+from coopqp.model.marker import Marker, PoseMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, rotation
-from coopqp.signal import ROTATION, Course, Instant, MovingRotation, quaternion_of
-from coopqp.state import State
+from coopqp.signal import ROTATION, Instant, MovingRotation, Trajectory, quaternion_of
 from coopqp.task import Task
 
 
@@ -59,14 +59,14 @@ class Orientation(Task):
         goal.update(start)
         return (rotation(goal, self.profile, start.R_WO),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The orientation, wherever the object is."""
         goal = self._course(at)
         goal.update(at)
-        return (PoseMark(rotation=goal.R),)
+        return (PoseMarker(rotation=goal.R),)
 
-    def _course(self, start: Instant, here: Array | None = None) -> Course:
+    def _course(self, start: Instant, here: Array | None = None) -> Trajectory:
         if self.goal is not None:
             return self.goal.bind(ROTATION, start, here)
         R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        return Course(ROTATION, quaternion_of(R))
+        return Trajectory(ROTATION, quaternion_of(R))

@@ -9,20 +9,20 @@ shrinks from the start to 0:
 
 with theta the angle between the axis and its wished direction, which goes from the start to n on
 the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the plane; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the motion of the plane; ``geometry.Alignment`` has them, and says what happens where
 the axis points the opposite way. Khalil and Dombre 2004.
 """
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import Mark, PlaneMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -69,11 +69,11 @@ class PlaneOnPlane(Task):
         height = point(start, plane, self.point, self.profile, (2,))
         return height, lean(start, plane, self.axis, self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The plane, and the point of the object's own."""
         plane = self._plane(at)
         plane.update(at)
-        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
 
     def _plane(self, start: Instant) -> Reference:
         held = {"point": self.point, "axis": self.axis}

@@ -12,14 +12,14 @@ stay finite and the point leaves the axis.
 
 from __future__ import annotations
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import CircleMark, Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import CircleMarker, Marker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, radial
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -62,13 +62,13 @@ class PointOnCircle(Task):
         distance = radial(start, circle, *of, self.radius, planar=True)
         return distance, point(start, circle, *of, (2,))
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The circle, and the point that goes there."""
         circle = self._circle(at)
         circle.update(at)
         return (
-            CircleMark(center=circle.c, normal=circle.RT[2], radius=self.radius),
-            TrackedMark(point=self.point),
+            CircleMarker(center=circle.c, normal=circle.RT[2], radius=self.radius),
+            TrackedMarker(point=self.point),
         )
 
     def _circle(self, start: Instant) -> Reference:

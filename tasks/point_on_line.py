@@ -11,14 +11,14 @@ One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import LineMark, Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import LineMarker, Marker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -52,11 +52,11 @@ class PointOnLine(Task):
         """As primitives."""
         return (point(start, self._line(start), self.point, self.profile, (0, 1)),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The line, and the point that goes there."""
         line = self._line(at)
         line.update(at)
-        return LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+        return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
 
     def _line(self, start: Instant) -> Reference:
         held = {"point": self.point}

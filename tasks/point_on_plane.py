@@ -9,14 +9,14 @@ from where the point starts to 0:
 
 from __future__ import annotations
 
-from coopqp.checked import Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import Mark, PlaneMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -50,11 +50,11 @@ class PointOnPlane(Task):
         """As primitives."""
         return (point(start, self._plane(start), self.point, self.profile, (2,)),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The plane, and the point that goes there."""
         plane = self._plane(at)
         plane.update(at)
-        return PlaneMark(normal=plane.RT[2], through=plane.c), TrackedMark(point=self.point)
+        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
 
     def _plane(self, start: Instant) -> Reference:
         held = {"point": self.point}

@@ -8,14 +8,14 @@ goes from where the point is at the start to the goal g, be it at rest or a sign
 
 from __future__ import annotations
 
-from coopqp.checked import Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, last_end
-from coopqp.mark import Mark, PointMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, last_end
+from coopqp.model.marker import Marker, PointMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import POINT, Instant, MovingPoint, course
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -44,8 +44,8 @@ class PointOnPoint(Task):
         goal = Reference(self.goal, start=start, point=self.point)
         return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, and the point that goes there."""
         goal = course(self.goal, POINT, at)
         goal.update(at)
-        return PointMark(at=goal.value), TrackedMark(point=self.point)
+        return PointMarker(at=goal.value), TrackedMarker(point=self.point)

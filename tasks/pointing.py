@@ -6,7 +6,7 @@ the axis leans from it, in a basis normal to it that turns with it,
 
     e = theta u,   |e| = theta
 
-J and rate follow from a_dot = omega x a; :class:`coopqp.geometry.Alignment` has them, and says what
+J and rate follow from a_dot = omega x a; ``geometry.Alignment`` has them, and says what
 happens where the axis points the opposite way.
 """
 
@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from coopqp.checked import Direction, Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import LineMark, Mark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import LineMarker, Marker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, lean
 from coopqp.signal import Instant, MovingDirection
-from coopqp.state import State
 from coopqp.task import Task
 
 
@@ -55,11 +55,11 @@ class Pointing(Task):
         """As primitives."""
         return (lean(start, self._reference(start), self.axis, self.profile),)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The direction, wherever the object is."""
         reference = self._reference(at)
         reference.update(at)
-        return (LineMark(direction=reference.RT[2]),)
+        return (LineMarker(direction=reference.RT[2]),)
 
     def _reference(self, start: Instant) -> Reference:
         return Reference(direction=self.direction, turn=self.turn, start=start, axis=self.axis)

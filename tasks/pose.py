@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import PlaceOf, Reference, last_end, pose_course
-from coopqp.mark import Mark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import PlaceOf, Reference, last_end, pose_course
+from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -59,8 +59,8 @@ class Pose(Task):
         place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
         return place, rotation(goal, self.profile, start.R_WO)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, and the object's origin."""
         goal = pose_course(self.goal, at)
         goal.update(at)
-        return PoseMark(rotation=goal.R, position=goal.value[:3]), TrackedMark()
+        return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

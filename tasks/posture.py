@@ -14,15 +14,15 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError, under
-from coopqp.geometry import Approach, last_end
-from coopqp.mark import Mark, PostureMark
-from coopqp.profile import Profile
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
+from coopqp.base.spec import Array, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Approach, last_end
+from coopqp.model.marker import Marker, PostureMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.signal import Course, Instant, Reads, Signal, of_joints
-from coopqp.state import State
+from coopqp.signal import Instant, Reads, Signal, Trajectory, of_joints
 from coopqp.task import Evaluate, Task, TaskRows
 
 JointValues = Annotated[float | list[float] | Signal, Reads(float | list[float])]
@@ -91,13 +91,13 @@ class Posture(Task):
             ),
         )  # fmt: skip
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The arms as they shall stand, where that is constant."""
         if isinstance(self.goal, list):
-            return (PostureMark(goal=self.goal),)
+            return (PostureMarker(goal=self.goal),)
         given = self.goal.items() if isinstance(self.goal, dict) else ()
         goal = {key: value for key, value in given if not isinstance(value, Signal)}
-        return (PostureMark(goal=goal),) if goal else ()
+        return (PostureMarker(goal=goal),) if goal else ()
 
 
 class _Goal:
@@ -113,7 +113,7 @@ class _Goal:
     ) -> None:
         chain = start.chain
         self.value, self.rate = np.full(chain.n, np.nan), np.zeros(chain.n)
-        self._courses: list[tuple[list[int], Course]] = []
+        self._courses: list[tuple[list[int], Trajectory]] = []
         for joints, given in _given(goal, chain):
             at, kind = [chain.joint_names.index(joint) for joint in joints], of_joints(joints)
             if isinstance(given, Signal):

@@ -15,15 +15,15 @@ Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.checked import Array, Pose, Positive, Vector3, one_angle, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
+from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
-from coopqp.mark import LineMark, Mark, PoseMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import LineMarker, Marker, PoseMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, fixed, point, rotation
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -76,15 +76,15 @@ class Prismatic(Task):
         offset = point(start, line, self.point, self.profile, (0, 1))
         return offset, rotation(fixed(Q_goal), self.profile, line.RT @ start.R_WO, line)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The line, the point that goes there and, when it is given, the orientation."""
         line, R_goal = self._line(at), self._goal()
         RT_0 = line.RT.copy()
         line.update(at)
-        slide = LineMark(direction=line.RT[2], through=line.c), TrackedMark(point=self.point)
+        slide = LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
         if R_goal is None:
             return slide
-        return (*slide, PoseMark(rotation=line.RT.T @ RT_0 @ R_goal))
+        return (*slide, PoseMarker(rotation=line.RT.T @ RT_0 @ R_goal))
 
     def _line(self, start: Instant) -> Reference:
         held = {"point": self.point}

@@ -21,15 +21,15 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Pose, Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import UnknownNameError
-from coopqp.geometry import Approach, Reference, RotationError, last_end, pose_course
-from coopqp.mark import Mark, RelativeMark
-from coopqp.profile import Profile
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.spec import Pose, Positive, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Approach, Reference, RotationError, last_end, pose_course
+from coopqp.model.marker import Marker, RelativeMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.state import State
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 
@@ -112,11 +112,11 @@ class RelativeMotion(Task):
             ),
         )  # fmt: skip
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The goal, which moves with the first arm."""
         goal = pose_course(self.goal, at)
         goal.update(at)
-        return (RelativeMark(rotation=goal.R, position=goal.value[:3]),)
+        return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
 
     def _loop(self, chain: ClosedChain) -> int:
         """Number of the loop that the arm closes with the first."""

@@ -8,20 +8,20 @@ axes, the third along d, and h(t) the reference offset, which shrinks from the s
 
 with theta the angle between the axis and its wished direction, which goes from the start to d on
 the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the hinge; :class:`coopqp.geometry.Alignment` has them, and says what happens where
+the motion of the hinge; ``geometry.Alignment`` has them, and says what happens where
 the axis points the opposite way. Khalil and Dombre 2004.
 """
 
 from __future__ import annotations
 
-from coopqp.checked import Direction, Positive, Vector3, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Reference, Turn, last_end
-from coopqp.mark import LineMark, Mark, PointMark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.marker import LineMarker, Marker, PointMarker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.state import State
 from coopqp.task import Part, Task
 
 
@@ -68,14 +68,14 @@ class Revolute(Task):
         offset = point(start, hinge, self.point, self.profile, (0, 1, 2))
         return offset, lean(start, hinge, self.axis, self.profile)
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The hinge, and the point that goes there."""
         hinge = self._hinge(at)
         hinge.update(at)
         return (
-            LineMark(direction=hinge.RT[2], through=hinge.c),
-            PointMark(at=hinge.c),
-            TrackedMark(point=self.point),
+            LineMarker(direction=hinge.RT[2], through=hinge.c),
+            PointMarker(at=hinge.c),
+            TrackedMarker(point=self.point),
         )
 
     def _hinge(self, start: Instant) -> Reference:

@@ -15,14 +15,14 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Positive, Vector3, spec
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import last_end
-from coopqp.mark import Mark, TrackedMark
-from coopqp.profile import Profile
+from coopqp.base.spec import Positive, Vector3, spec
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.geometry import last_end
+from coopqp.model.marker import Marker, TrackedMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import PointOfObject, State
 from coopqp.program import Kind, Primitive
-from coopqp.signal import Course, Instant, Reads, Signal, of_twist
-from coopqp.state import PointOfObject, State
+from coopqp.signal import Instant, Reads, Signal, Trajectory, of_twist
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
@@ -112,9 +112,9 @@ class Twist(Task):
             ),
         )  # fmt: skip
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The point that moves."""
-        return (TrackedMark(point=self.point),)
+        return (TrackedMarker(point=self.point),)
 
     @property
     def _given(self) -> tuple[str, ...]:
@@ -123,8 +123,8 @@ class Twist(Task):
             return self.components or AXES
         return tuple(self.velocity)
 
-    def _course(self, start: Instant) -> Course:
+    def _course(self, start: Instant) -> Trajectory:
         kind = of_twist(self._given)
         if isinstance(self.velocity, Signal):
             return self.velocity.bind(kind, start, kind.zero)
-        return Course(kind, np.array(list(self.velocity.values())))
+        return Trajectory(kind, np.array(list(self.velocity.values())))

@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 import scipy.linalg
 
-from coopqp.checked import Array, Vector3, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.nao_t14 import HAND, arm_table
-from coopqp.state import State
 
 Walk = Callable[[ClosedChain, int], list[Array]]
 Closed = tuple[Array, Array]
@@ -77,7 +77,7 @@ def planar_pair() -> ClosedChain:
         "left": serial("l", [Parameters(d=0.4), Parameters(d=0.3), Parameters(d=0.25)]),
     }
     robot = robot_of("planar", arms, (0.1, 0.0, 0.0))
-    return ClosedChain.take_hold(
+    return ClosedChain.attach(
         robot, np.array([2.0, -0.9, -0.4, 1.1, 0.9, 0.4]), Rigid(), HeldObject()
     )
 
@@ -90,7 +90,7 @@ def spherical_pair() -> ClosedChain:
         "left": serial("l", [Parameters(gamma=2.0, alpha=0.9), *turn]),
     }
     robot = robot_of("spherical", arms, (0.1, 0.0, 0.2))
-    return ClosedChain.take_hold(
+    return ClosedChain.attach(
         robot, np.array([0.3, -0.5, 0.7, -0.2, 0.6, 0.4]), Rigid(), HeldObject()
     )
 
@@ -102,7 +102,7 @@ def short_pair() -> ClosedChain:
         "left": serial("l", [Parameters(d=0.3, alpha=0.3), Parameters(alpha=-1.2, d=0.3)]),
     }
     robot = robot_of("short", arms, (0.1, 0.05, 0.0))
-    return ClosedChain.take_hold(robot, np.array([0.3, -0.5, 0.7, -0.2]), Rigid(), HeldObject())
+    return ClosedChain.attach(robot, np.array([0.3, -0.5, 0.7, -0.2]), Rigid(), HeldObject())
 
 
 def three_arms() -> ClosedChain:
@@ -114,7 +114,7 @@ def three_arms() -> ClosedChain:
     arms = {"right": arm_table("R"), "left": arm_table("L"), "middle": third}
     right = np.array([0.7, -0.2, 1.2, 0.9, 0.1])
     q = np.concatenate([right, right * [1, -1, -1, -1, -1], [-0.3, -0.1, 0.4, 0.6, 0.2]])
-    return ClosedChain.take_hold(robot_of("three", arms, HAND), q, Rigid(), HeldObject())
+    return ClosedChain.attach(robot_of("three", arms, HAND), q, Rigid(), HeldObject())
 
 
 def closed_states(chain: ClosedChain, count: int, seed: int = 11) -> list[Closed]:
@@ -164,7 +164,7 @@ def heavy(chain: ClosedChain) -> ClosedChain:
             0.4 + 0.1 * joint, np.array([0.1, 0.01, 0.02]), np.diag([1e-3, 2e-3, 2.5e-3])
         )
     robot = replace(chain.robot, model=model)
-    return ClosedChain.take_hold(robot, chain.q_start, chain.grasps, BOX)
+    return ClosedChain.attach(robot, chain.q_start, chain.grasps, BOX)
 
 
 def small_arm(name: str, base: Parameters, joints: int) -> list[Row]:
@@ -196,17 +196,17 @@ def ring(arms: int, joints: int) -> ClosedChain:
         name="ring", model=model, arms=tuple(Arm(name=n, tip=f"{n}_tip") for n in names)
     )
     q = np.tile(np.linspace(0.4, 0.9, joints), arms) * np.resize([1.0, -0.7, 1.3], arms * joints)
-    return ClosedChain.take_hold(robot, q, Rigid(), BOX)
+    return ClosedChain.attach(robot, q, Rigid(), BOX)
 
 
 def stretched_pair() -> ClosedChain:
     """The planar pair with its right arm stretched out."""
     robot = planar_pair().robot
     q = np.array([1.2, 0.0, 0.0, 1.1, 0.9, 0.4])
-    return ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    return ClosedChain.attach(robot, q, Rigid(), HeldObject())
 
 
 def held(robot: RobotModel, q: Array | None = None) -> ClosedChain:
-    return ClosedChain.take_hold(
+    return ClosedChain.attach(
         robot, robot.configuration({}) if q is None else q, Rigid(), HeldObject()
     )

@@ -15,17 +15,17 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import Robot
 from coopqp.robot_files.keys import ArmJoints
 from coopqp.robots import Several
 from coopqp.robots.example_robot import ExampleRobot, robots
 from coopqp.robots.several import Placed
-from coopqp.row import names_of
 
 UR5 = ExampleRobot(name="ur5_robot", arms={"arm": ArmJoints(tip="ee_link")})
 BAXTER = ExampleRobot(
@@ -61,7 +61,7 @@ class Case:
         """The closed chain at the start."""
         robot = self.robot.build()
         q = robot.configuration(self.start)
-        return ClosedChain.take_hold(robot, q, Rigid(), self.held)
+        return ClosedChain.attach(robot, q, Rigid(), self.held)
 
 
 HERE = pin.SE3.Identity()

@@ -7,15 +7,15 @@ import pytest
 from chains import HANDS
 from laws import NEAR, STEP
 
-from coopqp.checked import Array
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.controller import Law
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Pose
 
 #: Six rows, of which firm hands leave four.
@@ -59,7 +59,7 @@ def started_outside(nao: RobotModel, grasp: str, joints: dict[str, float]) -> Cl
     q = np.asarray(nao.configuration(HANDS), float)
     for name, value in joints.items():
         q[nao.joint_names.index(name)] = value
-    return ClosedChain.take_hold(nao, q, GRASPS[grasp], HeldObject())
+    return ClosedChain.attach(nao, q, GRASPS[grasp], HeldObject())
 
 
 def beyond(chain: ClosedChain, q: Array) -> Array:

@@ -20,17 +20,17 @@ import numpy as np
 from stress import goals
 from walks import vector
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.profile import Profile
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.signals import Circle
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, Orientation, PointOnPoint
 

@@ -7,9 +7,9 @@ import pinocchio as pin
 import scipy.linalg
 from chains import Closed, with_mass
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.model.closed_chain import ClosedChain
 
 #: Of the object's mass, by arm.
 SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})

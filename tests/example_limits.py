@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from laws import DT
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.limit import Limit, LimitRows
 from coopqp.limits import (
     FollowingError,
@@ -20,7 +20,7 @@ from coopqp.limits import (
     Workspace,
 )
 from coopqp.limits.obstacles import RoundSize
-from coopqp.row import Row
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.trace import Trace
 
 TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))

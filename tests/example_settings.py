@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
 
 

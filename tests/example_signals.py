@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, Pose
+from coopqp.base.spec import Array, Pose
 from coopqp.signal import POSE, Kind, Signal
 from coopqp.signals import Circle, Input, Line, Waypoints
 

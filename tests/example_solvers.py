@@ -7,9 +7,8 @@ import pytest
 import scipy.optimize
 from example_settings import examples
 
-from coopqp.checked import Array
-from coopqp.qp import QP, Rows
-from coopqp.row import Kind, Row
+from coopqp.base.qp import QP, Kind, Row, Rows
+from coopqp.base.spec import Array
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.solvers import Qpsolvers
 from coopqp.solvers.qpsolvers import installed

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from coopqp.checked import Array
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Turn
-from coopqp.profile import Profile
-from coopqp.state import State
+from coopqp.base.spec import Array
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Turn
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,

@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import RunExplanation, explain_run

@@ -9,13 +9,13 @@ import numpy as np
 from example_signals import TIMES, near
 from example_tasks import EXAMPLES
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.profile import Profile
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.signal import DIRECTION, POINT, POSE, ROTATION, Kind, Signal, of_joints, of_twist
 from coopqp.signals import Waypoints
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import Twist
 

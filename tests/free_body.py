@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.state import State
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import Task, TaskRows
 
 

@@ -14,19 +14,19 @@ import pytest
 from chains import BOX, HANDS, Hinge, Walk
 from laws import DT, LIMITS, UNREACHABLE, problem
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.scenario import loader
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import find, shipped
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 SEED = 2014
@@ -68,19 +68,19 @@ def nao() -> RobotModel:
 @pytest.fixture(scope="session")
 def chain(nao: RobotModel) -> ClosedChain:
     """NAO holds a box firmly."""
-    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject())
+    return ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject())
 
 
 @pytest.fixture(scope="session")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """The same with a hinge in each hand, as in the paper's Table 2."""
-    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    return ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
 
 
 @pytest.fixture(scope="session")
 def hinged_box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """A box whose weight is not in its middle, between two hinges."""
-    return ClosedChain.take_hold(nao, chain.q_start, Hinge(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Hinge(), BOX)
 
 
 @pytest.fixture(scope="session")

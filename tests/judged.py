@@ -9,12 +9,11 @@ import numpy as np
 from oracle import UndeterminedError, optimum, plainly
 from side_by_side import ask_alike, laws, why
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status, written
-from coopqp.state import State
 
 SAME = 1e-10  # [rad/s, m/s]
 SAMPLES = 3  # of numbers that moved by their last digit

@@ -8,13 +8,13 @@ from typing import Any
 import laws
 from laws import LIMITS, STEP
 
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.controllers import QPController
+from coopqp.execution.comparison import Comparison
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Budget
-from coopqp.state import State
 from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.task import Task
 from coopqp.tasks import Pose

@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import drive, rollout
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.plants.kinematic import KinematicModel
-from coopqp.profile import Profile
-from coopqp.rollout import drive, rollout
 from coopqp.solver import Budget, Status
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.trace import Trace
 

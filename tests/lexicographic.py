@@ -24,13 +24,13 @@ import numpy as np
 import quadprog
 from oracle import LONG, Program, UndeterminedError, solved
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.nearest import LESS, MET, SLOW, WHOLE, blocked
 from coopqp.qp_law.safety import drift_gain
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import coopqp
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.simulated import SimulatedRobot
 from coopqp.scenario.scenario import Scenario

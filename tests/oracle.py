@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT
 from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
 from coopqp.qp_law.priorities import LaterLevel
 from coopqp.solver import Status
-from coopqp.state import State
 
 LONG = np.longdouble
 DEPENDENT, DOUBTFUL = 1e-12, 1e-5  # what is left of a row that depends on others, or nearly does
@@ -67,7 +67,11 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
             program, share, there = _first(level), 1.0, level.solution.v
         else:
             A = np.vstack([state.J_loop, decided])
-            program, share, there = _later(level, law.way_back.bounds, A, v), level.share, level.v
+            program, share, there = (
+                _later(level, law.limit_recovery.bounds, A, v),
+                level.share,
+                level.v,
+            )
         at_limits = np.flatnonzero(program.h - program.G @ there < ACTIVE).tolist()
         v = v + share * (solved(program, at_limits)[:n] - v)  # the step that is made
         decided = np.vstack([decided, *([law.exact.J] * (level is levels[0])), level.tasks.J])

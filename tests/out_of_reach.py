@@ -17,17 +17,17 @@ from stress.firmness import as_soft
 from stress.goals import Aim, pick
 from walks import walk
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.profile import KINDS, Profile
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import KINDS, Profile
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import written
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering
 

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.grasps import SurfaceContact
+from coopqp.model.closed_chain import ClosedChain
 
 
 def pressing(chain: ClosedChain, mass: float, half: float, **settings: Any) -> ClosedChain:
@@ -35,7 +35,7 @@ def pressing(chain: ClosedChain, mass: float, half: float, **settings: Any) -> C
         for arm, tip, sign in zip(chain.arms, tips, (1.0, -1.0), strict=True)
     }  # fmt: skip
     held = replace(chain.held, mass=mass, pose=None)
-    return ClosedChain.take_hold(chain.robot, chain.q_start, grasps, held)
+    return ClosedChain.attach(chain.robot, chain.q_start, grasps, held)
 
 
 def scenario_pads(name: str, mass: float, half: float, **settings: Any) -> ClosedChain:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import coopqp
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.scenario.loader import load
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from coopqp.controller import ControlProblem
 from coopqp.kernel.compiled import Outcome
 from coopqp.kernel.law import KernelLaw
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status, written
-from coopqp.state import State
 
 DAMPING, ERROR_DAMPING = 1e-6, 0.5
 

@@ -9,15 +9,15 @@ import pinocchio as pin
 import pytest
 from chains import Walk, planar_pair, short_pair, spherical_pair, three_arms
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.qp import names_of
+from coopqp.base.rank import matrix_rank
+from coopqp.base.spec import Array, Pose
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.rank import matrix_rank
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import names_of
-from coopqp.state import State
 
 H = 1e-5  # step of the central differences [rad]
 CHAINS: dict[str, Callable[[], ClosedChain]] = {
@@ -215,7 +215,7 @@ def test_rows_for_the_solver_stay_well_apart_when_the_loop_drifts(
 
 def test_grasp_given_for_one_hand_places_the_object(nao: RobotModel, chain: ClosedChain) -> None:
     pose = Pose(position=(0.0, 0.1, 0.02), rpy=(0.3, -0.2, 0.1))
-    held = ClosedChain.take_hold(
+    held = ClosedChain.attach(
         nao, chain.q_start, {"right": Rigid(object_in_hand=pose), "left": Rigid()}, HeldObject()
     )
     data = nao.model.createData()
@@ -230,7 +230,7 @@ def test_object_pose_in_degrees_is_where_the_object_starts(
     nao: RobotModel, chain: ClosedChain
 ) -> None:
     held = HeldObject(pose=Pose(position=(0.2, 0.0, 0.05), rpy_deg=(0.0, 0.0, 90.0)))
-    state = State(ClosedChain.take_hold(nao, chain.q_start, Rigid(), held))
+    state = State(ClosedChain.attach(nao, chain.q_start, Rigid(), held))
     np.testing.assert_allclose(state.p_WO, [0.2, 0, 0.05], atol=1e-15)
     np.testing.assert_allclose(state.R_WO, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
 
@@ -242,7 +242,7 @@ def test_grasps_that_put_the_object_in_two_places_do_not_close(
         arm: Rigid(object_in_hand=Pose(position=(0.0, 0.05, 0.0))) for arm in ("right", "left")
     }
     with pytest.raises(GraspError, match=r"does not close.*'left'.*mm.*degrees.*'right'"):
-        ClosedChain.take_hold(nao, chain.q_start, grasps, HeldObject())
+        ClosedChain.attach(nao, chain.q_start, grasps, HeldObject())
 
 
 def test_object_pose_that_contradicts_the_grasp_does_not_close(
@@ -251,27 +251,25 @@ def test_object_pose_that_contradicts_the_grasp_does_not_close(
     grasps = {"right": Rigid(object_in_hand=Pose()), "left": Rigid()}
     held = HeldObject(pose=Pose(position=(0.5, 0.0, 0.0)))
     with pytest.raises(GraspError, match=r"object\.pose"):
-        ClosedChain.take_hold(nao, chain.q_start, grasps, held)
+        ClosedChain.attach(nao, chain.q_start, grasps, held)
 
 
 def test_grasp_for_an_arm_the_robot_lacks_is_refused(nao: RobotModel, chain: ClosedChain) -> None:
     with pytest.raises(UnknownNameError, match=r"'lefft'; did you mean 'left'"):
-        ClosedChain.take_hold(
-            nao, chain.q_start, {"right": Rigid(), "lefft": Rigid()}, HeldObject()
-        )
+        ClosedChain.attach(nao, chain.q_start, {"right": Rigid(), "lefft": Rigid()}, HeldObject())
 
 
 def test_arm_without_a_grasp_is_named(nao: RobotModel, chain: ClosedChain) -> None:
     with pytest.raises(GraspError, match="left"):
-        ClosedChain.take_hold(nao, chain.q_start, {"right": Rigid()}, HeldObject())
+        ClosedChain.attach(nao, chain.q_start, {"right": Rigid()}, HeldObject())
 
 
 def test_one_arm_cannot_close_a_loop(nao: RobotModel, chain: ClosedChain) -> None:
     single = RobotModel(name="single", model=nao.model, arms=nao.arms[:1])
     with pytest.raises(GraspError, match="needs two"):
-        ClosedChain.take_hold(single, chain.q_start, Rigid(), HeldObject())
+        ClosedChain.attach(single, chain.q_start, Rigid(), HeldObject())
 
 
 def test_start_with_too_few_joints_is_refused(nao: RobotModel) -> None:
     with pytest.raises(InvalidValueError, match=r"\(10,\)"):
-        ClosedChain.take_hold(nao, np.zeros(9), Rigid(), HeldObject())
+        ClosedChain.attach(nao, np.zeros(9), Rigid(), HeldObject())

@@ -24,7 +24,7 @@ from scenario_files import LOADABLE, cut
 
 import coopqp
 from coopqp.controller import Controller
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.loader import load, with_solver
 from coopqp.scenario.scenario import Scenario

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from laws import DT, NEAR, problem
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.tasks import JointCentering, PointOnPoint
 
 

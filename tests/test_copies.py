@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from laws import NEAR, problem
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import PassiveGraspPid, QPController, TorqueQp
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 COPIES: dict[str, Callable[[Any], Any]] = {

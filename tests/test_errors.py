@@ -14,15 +14,15 @@ import pytest
 
 import coopqp
 from coopqp import ClosedChain, CoopqpError, InvalidValueError, State, UnknownNameError, spec
-from coopqp.checked import Pose, type_name
+from coopqp.base.spec import Pose, type_name
 from coopqp.closed_loop.constraint_equations import scheme
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, ObjectSpeed, Workspace
-from coopqp.profile import Profile
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
 from coopqp.report import strict_json
 from coopqp.robots import Several, Urdf
 from coopqp.scenario.catalog import Catalog
@@ -313,7 +313,7 @@ def entries(s: Scenario) -> dict[str, tuple[Build, str]]:
     def scenario(**changes: Any) -> Build:
         return lambda: coopqp.compare(replace(s, **changes))
 
-    hold = ClosedChain.take_hold
+    hold = ClosedChain.attach
     return {
         "chain, words": (
             lambda: hold(robot, ["a"] * n, rigid, held),

@@ -7,13 +7,13 @@ import pinocchio as pin
 import pytest
 from chains import three_arms
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, UnknownNameError
+from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 
 
 def poses(chain: ClosedChain, q: Array) -> dict[str, pin.SE3]:
@@ -103,7 +103,7 @@ def test_three_arms_lose_a_loop_for_each_that_lets_go(
 def test_when_the_leader_lets_go_the_others_share_the_object(nao: RobotModel) -> None:
     alpha = {"right": 1.0, "left": 0.0}
     q = nao.configuration({})
-    led = ClosedChain.take_hold(nao, q, Rigid(), HeldObject(), alpha=alpha)
+    led = ClosedChain.attach(nao, q, Rigid(), HeldObject(), alpha=alpha)
     assert led.handed_over(led.q_start, ["left"]).alpha.tolist() == [1.0, 0.0]
     other = led.handed_over(led.q_start, ["right"])
     assert (other.arms[0].name, other.alpha.tolist()) == ("left", [1.0, 0.0])
@@ -111,7 +111,7 @@ def test_when_the_leader_lets_go_the_others_share_the_object(nao: RobotModel) ->
 
 def test_a_released_hand_leaves_its_hinge_alone(nao: RobotModel, chain: ClosedChain) -> None:
     hinge = Revolute(axis=(1.0, 0.0, 0.0))
-    held = ClosedChain.take_hold(nao, chain.q_start, hinge, HeldObject())
+    held = ClosedChain.attach(nao, chain.q_start, hinge, HeldObject())
     turned = held.q_start.copy()
     turned[held.joint_names.index("left.hinge")] = 0.4
     alone = held.moved(turned).handed_over(turned, ["left"])

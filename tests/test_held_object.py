@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from coopqp.errors import InvalidValueError
-from coopqp.held_object import HeldObject
+from coopqp.base.errors import InvalidValueError
+from coopqp.model.held_object import HeldObject
 
 
 @pytest.mark.parametrize(

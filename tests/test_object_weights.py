@@ -11,15 +11,15 @@ import pytest
 from scenario_files import GOOD, write
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.robots import Several
 from coopqp.scenario.loader import load
-from coopqp.state import State
 
 H = 1e-5  # step of the central differences [rad]
 
@@ -52,7 +52,7 @@ def test_the_weighted_pose_moves_with_its_jacobian(
     robot, q = facing_arms()
     alpha = dict(zip((arm.name for arm in robot.arms), weights, strict=True))
     grasps = {arm.name: Revolute() if "left" in arm.name else Rigid() for arm in robot.arms}
-    chain = ClosedChain.take_hold(robot, q, grasps, HeldObject(), alpha=alpha)
+    chain = ClosedChain.attach(robot, q, grasps, HeldObject(), alpha=alpha)
     np.testing.assert_allclose(chain.alpha, weights)
     J = State(chain).J_task
     for direction in rng.normal(size=(20, chain.n)):
@@ -76,7 +76,7 @@ def test_leader_and_follower_is_the_pose_of_the_leader(
     """Also where the loops are open."""
     q_start = chain.q_start
     alpha = {("right", "left")[leader]: 1.0}
-    led = ClosedChain.take_hold(nao, q_start, Rigid(), HeldObject(), alpha=alpha)
+    led = ClosedChain.attach(nao, q_start, Rigid(), HeldObject(), alpha=alpha)
     for q in led.sample(rng, 20):
         state, X = State(led, q), object_pose(led, leader, q)
         np.testing.assert_allclose(state.p_WO, X.translation, atol=1e-14)
@@ -90,7 +90,7 @@ def test_leader_and_follower_is_the_pose_of_the_leader(
 
 def test_weights_matter_only_while_loops_are_open(nao: RobotModel, chain: ClosedChain) -> None:
     alpha = {"right": 0.8, "left": 0.2}
-    weighted = ClosedChain.take_hold(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
+    weighted = ClosedChain.attach(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
     here, there = State(chain), State(weighted)
     free = np.linalg.svd(here.J_rel)[2][6:].T
     np.testing.assert_allclose(here.J_task @ free, there.J_task @ free, atol=1e-12)
@@ -114,7 +114,7 @@ def test_weights_that_cannot_be_are_refused(
     nao: RobotModel, chain: ClosedChain, alpha: dict[str, float], error: type, message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        ClosedChain.take_hold(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
+        ClosedChain.attach(nao, chain.q_start, Rigid(), HeldObject(), alpha=alpha)
 
 
 def scenario_with(folder: Path, weights: str) -> Path:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
 
 KINDS = ("step", "constant_velocity", "trapezoid", "quintic")
 SMOOTH_KINDS = KINDS[1:]

@@ -10,24 +10,23 @@ import numpy as np
 import pytest
 from laws import LIMITS, NEAR, problem
 
-from coopqp import instants
 from coopqp.assessment import assess
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import MissingDependencyError
 from coopqp.controller import ControlProblem, Law
-from coopqp.controller_run import run
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
-from coopqp.errors import MissingDependencyError
+from coopqp.execution import instants
+from coopqp.execution.controller_run import run
+from coopqp.execution.rollout import rollout
 from coopqp.kernel import native
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.rollout import rollout
 from coopqp.scenario.loader import load, shipped
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint, Twist
-from coopqp.ticks import Ticks
-from coopqp.trace import Trace
+from coopqp.trace import TickBatch, Trace
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 
@@ -93,7 +92,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     kept = Law._room
 
-    def room(self: Law, state: State, ticks: int) -> Ticks:
+    def room(self: Law, state: State, ticks: int) -> TickBatch:
         found.append(ticks)
         return kept(self, state, ticks)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from example_tasks import SMOOTH, THROUGH, at
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.row import names_of
-from coopqp.state import State
+from coopqp.base.qp import names_of
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import PointOnPlane, PointOnPoint
 

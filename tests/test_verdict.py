@@ -11,11 +11,11 @@ import pytest
 from scenario_files import phased
 
 import coopqp
-from coopqp.comparison import Comparison, summarize
-from coopqp.controller_run import run
-from coopqp.disturbance import Disturbance
+from coopqp.execution.comparison import Comparison, summarize
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Workspace
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.report import audit
 from coopqp.report.cells import cells

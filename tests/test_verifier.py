@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from example_solvers import M, N, curvature, empty_qp, random_qp, solved
 
-from coopqp.checked import Array
-from coopqp.qp import QP
+from coopqp.base.qp import QP
+from coopqp.base.spec import Array
 from coopqp.solver import Budget, Solution, Status, Verifier
 from coopqp.solvers import Daqp
 

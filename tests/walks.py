@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.kernel.slide import Slide, slide
-from coopqp.rank import null_space
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 STEP, STEPS = 0.05, 40  # of a walk [rad]; so many ...
 NEWTON = 3  # iterations that close the loops after each

@@ -23,7 +23,7 @@ from coopqp.assessment.thresholds import (
     torn,
     within,
 )
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.solver import Status, causes_of
 from coopqp.trace import Trace
 

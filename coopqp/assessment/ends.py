@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.assessment.thresholds import SETTLED
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.trace import TaskInfo, Trace
 
 #: Units of what is asked of the hands' wrenches.

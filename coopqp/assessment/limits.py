@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT, HELD_UP, OUTSIDE, TOO_FAST, matters, rests
-from coopqp.checked import Array
-from coopqp.row import Row
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.trace import Trace
 
 #: Judged by the robot's limits; what cannot be braked any more shows when the place is overrun.

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import OSCILLATES
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 RATIO = 2.5  # path over range of an oscillation: more than once there and back
 TURNS = 1.1  # ... and of what may become one

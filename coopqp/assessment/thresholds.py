@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.limit import ROUNDING
+from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.solver import Budget
 
 

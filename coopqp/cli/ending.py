@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import click
 
-from coopqp.errors import CoopqpError, InternalError, one_line
+from coopqp.base.errors import CoopqpError, InternalError, one_line
 
 # Exit codes; docs/files.md has the list.
 BAD_INPUT = 2  # the same that click uses for wrong options
@@ -104,7 +104,7 @@ def _terminable() -> Iterator[None]:
 
 
 def _by_user(error: BaseException) -> bool:
-    from coopqp.wording import by_user  # brings in numpy, for which --help does not wait
+    from coopqp.base.wording import by_user  # brings in numpy, for which --help does not wait
 
     return by_user(error)
 
@@ -113,6 +113,6 @@ def _said(error: BaseException) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``."""
     if isinstance(error, MemoryError):
         return "out of memory"
-    from coopqp.wording import raised
+    from coopqp.base.wording import raised
 
     return raised(error)

@@ -58,7 +58,7 @@ def play(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.errors import CoopqpError
+    from coopqp.base.errors import CoopqpError
     from coopqp.viewer import play as viewer
     from coopqp.viewer.recording import check_folder
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from coopqp.errors import one_line
+from coopqp.base.errors import one_line
 
 SCENARIO = click.argument("scenario")
 
@@ -91,7 +91,7 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _check_jobs(jobs: int) -> None:
-    from coopqp.errors import InvalidValueError
+    from coopqp.base.errors import InvalidValueError
     from coopqp.study.engine.processes import cores
 
     if jobs > A_CORE and jobs > (most := A_CORE * cores()):
@@ -175,7 +175,7 @@ def say(line: str, *, aside: bool = True) -> None:
 
 def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool = False) -> None:
     """Say which parts of a scenario have no effect on which of the controllers that are to run."""
-    from coopqp.controller_run import controller_of
+    from coopqp.execution.controller_run import controller_of
     from coopqp.scenario.notes import notes
 
     chosen = controllers or list(scenario.controllers)

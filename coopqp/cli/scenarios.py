@@ -135,7 +135,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 @catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenario files, and study files; every fault is listed with its line."""
-    from coopqp.errors import CoopqpError, Fault, ScenarioError
+    from coopqp.base.errors import CoopqpError, Fault, ScenarioError
 
     faults: list[Fault] = []
     for name in scenarios:
@@ -178,8 +178,8 @@ def _build_all(scenario: Any, name: str) -> None:
     Raises:
         CoopqpError: all of them are refused; why the last one is.
     """
-    from coopqp.controller_run import built
-    from coopqp.errors import CoopqpError
+    from coopqp.base.errors import CoopqpError
+    from coopqp.execution.controller_run import built
 
     refused: dict[str, CoopqpError] = {}
     for controller in scenario.controllers:
@@ -229,7 +229,7 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
         out: folder for the report; none is written if None.
         as_json: whether to print JSON for machines.
     """
-    from coopqp.comparison import compare as run_all
+    from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
     from coopqp.report.terminal import console, progress_bars
 

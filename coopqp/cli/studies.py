@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
+from coopqp.base.errors import CoopqpError
+from coopqp.base.reading import absolute
 from coopqp.cli.options import JSON, WRITTEN, catalogued, read_tick, read_trace, say
-from coopqp.errors import CoopqpError
-from coopqp.reading import absolute
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -73,7 +73,7 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
     recorded; explain and replay work on the files as on RUN.
     """
-    from coopqp.errors import CoopqpError
+    from coopqp.base.errors import CoopqpError
     from coopqp.recordings.known import EXPORTS
     from coopqp.recordings.known import export as write
     from coopqp.study.trace_file import check_trace

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from coopqp.base.reading import absolute
 from coopqp.cli.options import (
     JSON,
     WRITTEN,
@@ -17,7 +18,6 @@ from coopqp.cli.options import (
     read_scenario,
     say,
 )
-from coopqp.reading import absolute
 
 
 @click.command()

@@ -7,7 +7,7 @@ With e the direction from one hand to the other, the hands approach each other a
 F is the measured squeeze. Force follows way, so that this integrates the force's error: none is
 left at rest, whatever the stiffness is. It enters through the loop correction, J_c v = -kappa (e_c
 - gap): along e the gap is where the hands have been told to go, gap' = v, and in all other
-directions it is the model's error (:mod:`coopqp.loop_observer`), which is blind along e. It would
+directions it is the model's error (``model.loop_observer``), which is blind along e. It would
 take the squeeze away otherwise.
 
 With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
@@ -32,14 +32,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import NonNegative, Positive, spec
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.felt import Felt
 from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
-from coopqp.errors import InvalidValueError
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 
 #: Share c of the gain with which hands as stiff as stated close in on the wanted force in one lag.
@@ -88,7 +88,7 @@ def stability_limit(delay: int) -> float:
     return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
 
 
-class Squeezer:
+class InternalForceControl:
     """Moves the gap of a loop so that two hands squeeze as they are asked to.
 
     Args:
@@ -186,7 +186,7 @@ class Squeezer:
         return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
 
 
-def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer | None:
+def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalForceControl | None:
     """What squeezes; None where no force is asked for.
 
     Args:
@@ -194,13 +194,13 @@ def squeezer(problem: ControlProblem, settings: Admittance | None) -> Squeezer |
         settings: None where nobody has stated a stiffness.
 
     Raises:
-        InvalidValueError: a force is asked for, and no stiffness is stated; as :class:`Squeezer`.
+        InvalidValueError: a force is asked for, and no stiffness is stated; as below.
     """
     if not problem.wrenches:
         return None
     if settings is None:
         raise InvalidValueError(unstated(problem.wrenches[0].name))
-    return Squeezer(problem, settings)
+    return InternalForceControl(problem, settings)
 
 
 def unstated(task: str) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.hands import Hand
 from coopqp.closed_loop.holding import OWN_WEIGHT, Bound, StaticHold
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 #: A mass that is nearer than this to the line between two fingertips is on it [m].
 ON_LINE = 1e-9

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.rank import independent_rows
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.rank import independent_rows
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 
 #: Condition number of G_p beyond which a scheme counts as singular.
 SINGULAR_CONDITION = 1e8

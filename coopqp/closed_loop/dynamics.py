@@ -24,12 +24,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.rank import independent_rows, null_space
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
 from coopqp.closed_loop.saddle import Saddle
-from coopqp.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.rank import independent_rows, null_space
+from coopqp.model.closed_chain import ClosedChain
 
 _NOTHING = np.zeros(0)
 

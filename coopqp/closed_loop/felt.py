@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, real
-from coopqp.wording import said
+from coopqp.base.spec import Array, real
+from coopqp.base.wording import said
 
 #: A hand that does more than this to an object is none [N, N m].
 MOST = 1e6

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.carrying import cannot_carry
 from coopqp.closed_loop.hands import Hand, hands
 from coopqp.closed_loop.holding import Bound, StaticHold
@@ -27,8 +27,8 @@ from coopqp.closed_loop.transmission import (
     transmission,
 )
 from coopqp.closed_loop.virtual_linkage import EDGES, FLAT, flatness, virtual_linkage
-from coopqp.contact import SAFETY
-from coopqp.errors import CoopqpError
+from coopqp.grasp import SAFETY
+from coopqp.model.closed_chain import ClosedChain
 
 #: What becomes of components of a section wrench, in the order in which it is told.
 FATES = {

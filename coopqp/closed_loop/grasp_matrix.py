@@ -29,8 +29,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 
 #: Shares sum to one within this.
 SHARE_SUM = 1e-9

@@ -11,13 +11,12 @@ import math
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.felt import Felt
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
 from coopqp.closed_loop.hands import hands, points
-from coopqp.memory import Memory
-from coopqp.state import State
+from coopqp.model.state import Memory, State
 
 
 class HandSensors:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.contact import Contact
+from coopqp.base.spec import Array
+from coopqp.grasp import Contact
+from coopqp.model.closed_chain import ClosedChain
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ the rounding, and counts as a constraint: rank(J_c) is too large and l - rank to
 
 Found by a walk: rows that resist less than ``SLACK`` count as none, and the joints go along what
 the others leave. A freedom is hidden where the whole walk opens the loops by no more than counts as
-closed (:mod:`coopqp.hold`) and fewer rows resist than J_c has rank. At a singular pose the walk
+closed (``model.hold``) and fewer rows resist than J_c has rank. At a singular pose the walk
 comes to poses where all rows resist, opens the loops by the square of its length, or comes back.
 """
 
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import RANK_TOLERANCE
+from coopqp.base.spec import Array
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.hold import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.rank import RANK_TOLERANCE
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
 #: Rows that open by less than this resist no motion [m for a unit of joint motion].
 SLACK = 1e-3

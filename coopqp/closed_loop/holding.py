@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
 from coopqp.closed_loop.hands import Hand, hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
+from coopqp.model.closed_chain import ClosedChain
 
 #: Multipliers below this share of the largest do not hold a program back.
 IDLE = 1e-6

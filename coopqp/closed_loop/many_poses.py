@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import axis_of
 
 Poses = tuple[Array, Array]

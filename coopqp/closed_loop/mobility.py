@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, seeded
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import matrix_rank, null_space
+from coopqp.base.spec import Array, seeded
+from coopqp.base.wording import counted
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
 from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
-from coopqp.errors import InvalidValueError
-from coopqp.rank import matrix_rank, null_space
-from coopqp.wording import counted
+from coopqp.model.closed_chain import ClosedChain
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000

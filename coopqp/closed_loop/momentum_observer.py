@@ -21,11 +21,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.errors import InvalidValueError
-from coopqp.memory import Memory
-from coopqp.rank import least_squares
+from coopqp.model.state import Memory
 
 
 class MomentumObserver:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.linalg import lapack
 
-from coopqp.checked import Array
-from coopqp.rank import least_squares
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array
 
 #: Reciprocal condition number below which a system counts as singular.
 SINGULAR = 1e-12

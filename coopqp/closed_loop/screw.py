@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 #: A rotation of 1 rad counts as much as a translation of this many metres.
 LENGTH = 0.1

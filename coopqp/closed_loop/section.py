@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
-from coopqp.errors import GraspError
 
 #: The rows of a section wrench, and their units.
 COMPONENTS = ("squeeze", "shear_up", "shear_side", "twist", "bend_up", "bend_side")

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
 from coopqp.closed_loop.hands import hands
 from coopqp.closed_loop.screw import LENGTH, Screw, axis_words, numbers, screw_of
 from coopqp.closed_loop.section import COMPONENTS, section
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
 
 #: Singular values below count as zero: starts are typed with four digits [m or rad for a joint].
 TOLERANCE = 1e-5

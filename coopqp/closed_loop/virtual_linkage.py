@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.errors import GraspError
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array
 
 #: The edges, by hands.
 EDGES = ((0, 1), (0, 2), (1, 2))

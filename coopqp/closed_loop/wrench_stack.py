@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.state import State
 from coopqp.task import Task, TaskRows, evaluate_all
 
 

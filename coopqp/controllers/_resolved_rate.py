@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controllers._stacked_rows import StackedRows
-from coopqp.rank import least_squares
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 Invert = Callable[[Array], NDArray[np.floating[Any]]]

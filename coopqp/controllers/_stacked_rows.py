@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.state import State
+from coopqp.model.state import State
 from coopqp.task import TaskStack
 
 

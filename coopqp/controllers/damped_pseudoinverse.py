@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.controller import Controller, ControlProblem, Heeds, Law
+from coopqp.base.spec import Array, Positive, spec
+from coopqp.controller import Controller, ControlProblem, Features, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 
 
@@ -19,7 +19,7 @@ from coopqp.controllers._resolved_rate import ResolvedRateLaw
 class DampedPseudoinverse(Controller):
     """Damped least squares: bounded near singular poses, pays with errors of task and loop."""
 
-    heeds: ClassVar[Heeds] = frozenset({"secondary"})
+    supports: ClassVar[Features] = frozenset({"secondary"})
 
     damping: Positive = 0.02
     """Singular values well below this are damped out [m/rad]."""

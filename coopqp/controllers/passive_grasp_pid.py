@@ -33,9 +33,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, NonNegative, spec
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import least_squares, null_space
+from coopqp.base.spec import Array, NonNegative, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.controllers._margins import (
+from coopqp.model.state import State
+from coopqp.solver import Status
+from coopqp.task import TaskStack
+from coopqp.torque_law.margins import (
     LEAST_DAMPING,
     TorqueLoop,
     VelocityLoop,
@@ -43,13 +48,8 @@ from coopqp.controllers._margins import (
     largest,
     require_damped_models,
 )
-from coopqp.controllers._reference_model import ReferenceModel, memory_of
-from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
-from coopqp.errors import InvalidValueError
-from coopqp.rank import least_squares, null_space
-from coopqp.solver import Status
-from coopqp.state import State
-from coopqp.task import TaskStack
+from coopqp.torque_law.reference_model import ReferenceModel, memory_of
+from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Positive, spec
+from coopqp.base.spec import Positive, spec
 from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 

@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Positive, spec
-from coopqp.controller import Controller, ControlProblem, Heeds, Law
+from coopqp.base.spec import Positive, spec
+from coopqp.controller import Controller, ControlProblem, Features, Law
 from coopqp.controllers._resolved_rate import ResolvedRateLaw
 
 
@@ -15,7 +15,7 @@ from coopqp.controllers._resolved_rate import ResolvedRateLaw
 class PseudoinverseNullSpace(Controller):
     """Classical law with null-space term, eq. (33)-(34): leans off limits, can't stop there."""
 
-    heeds: ClassVar[Heeds] = frozenset({"secondary"})
+    supports: ClassVar[Features] = frozenset({"secondary"})
 
     rcond: Positive = 1e-10
     """Singular values below this share of the largest count as zero."""

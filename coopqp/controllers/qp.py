@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from coopqp.checked import NonNegative, Positive, spec
+from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, squeezer
-from coopqp.controller import HEEDS_ALL, Controller, ControlProblem, Heeds, Law
+from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
 from coopqp.kernel.fit import required, why_not
 from coopqp.kernel.law import KernelLaw
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
@@ -17,7 +17,7 @@ class QPController(Controller):
     """QP each tick: tasks as objectives, loop closure and limits as hard constraints."""
 
     uses_solver: ClassVar[bool] = True
-    heeds: ClassVar[Heeds] = HEEDS_ALL | {"forces"}
+    supports: ClassVar[Features] = ALL_FEATURES | {"forces"}
 
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""

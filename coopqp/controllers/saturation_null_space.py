@@ -30,14 +30,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
-from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import least_squares, matrix_rank, null_space
+from coopqp.base.spec import Array, spec
+from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.controllers._stacked_rows import StackedRows
-from coopqp.errors import InvalidValueError
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.rank import least_squares, matrix_rank, null_space
 from coopqp.solver import Status
-from coopqp.state import State
 
 #: A bound counts as kept within this [rad/s, m/s]; what is over is cut off.
 ROUNDING = 1e-9
@@ -175,7 +175,7 @@ class SaturationNullSpaceLaw(Law):
 class SaturationNullSpace(Controller):
     """SNS (Flacco, De Luca, Khatib 2015): joints saturate, others take over, then tasks scale."""
 
-    heeds: ClassVar[Heeds] = frozenset({"limits"})
+    supports: ClassVar[Features] = frozenset({"limits"})
 
     def build(self, problem: ControlProblem) -> Law:
         """Two levels, the loops and all tasks.

@@ -31,26 +31,26 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import QP
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hand_sensors import HandSensors
 from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
-from coopqp.contact import SAFETY
-from coopqp.controller import Command, Controller, ControlProblem, Heeds, Law
-from coopqp.controllers._force_checks import require_forces
-from coopqp.controllers._hand_wrenches import HandWrenches, SplitName
-from coopqp.controllers._held_torques import HeldTorques
-from coopqp.controllers._impedances import Impedances, require_impedances
-from coopqp.controllers._margins import damped, largest, require_damped_models, row_loop
-from coopqp.controllers._reference_model import ReferenceModel
-from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
-from coopqp.controllers._torque_program import Costs, Layout, hard_rows, programs
-from coopqp.errors import InvalidValueError
-from coopqp.qp import QP
+from coopqp.controller import Command, Controller, ControlProblem, Features, Law
+from coopqp.grasp import SAFETY
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
-from coopqp.state import State
+from coopqp.torque_law.force_checks import require_forces
+from coopqp.torque_law.hand_wrenches import HandWrenches, SplitName
+from coopqp.torque_law.held_torques import HeldTorques
+from coopqp.torque_law.impedances import Impedances, require_impedances
+from coopqp.torque_law.margins import damped, largest, require_damped_models, row_loop
+from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
+from coopqp.torque_law.reference_model import ReferenceModel
+from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
 LEAST_TICKS = 4
@@ -241,7 +241,7 @@ class TorqueQp(Controller):
     """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
 
     uses_solver: ClassVar[bool] = True
-    heeds: ClassVar[Heeds] = frozenset({"limits", "modes", "priorities", "forces"})
+    supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
 
     integral: NonNegative = 0.3
     """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""

@@ -16,15 +16,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import independent_rows, least_squares, null_space
+from coopqp.base.spec import spec
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._stacked_rows import StackedRows
-from coopqp.errors import InvalidValueError
-from coopqp.rank import independent_rows, least_squares, null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 
 
 class TwoStepLaw(Law):

@@ -19,12 +19,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, spec
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._stacked_rows import StackedRows
-from coopqp.rank import least_squares
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 
 #: Least distance to a limit that counts, as a share of the joint's range.
 NEAREST = 1e-4

@@ -15,17 +15,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from coopqp.checked import Array, NonNegative, Positive, spec
+from coopqp.base.errors import GraspError
+from coopqp.base.rank import least_squares, null_space
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.grasp_matrix import Split, virtual_inertia, walker
 from coopqp.closed_loop.section import section
-from coopqp.controller import HEEDS_NOTHING, Command, Controller, ControlProblem, Heeds, Law
-from coopqp.controllers._hand_wrenches import HandWrenches
-from coopqp.controllers._margins import require_damped_models
-from coopqp.controllers._torque_level import TaskDynamics, require_motor_freedom
-from coopqp.errors import GraspError
-from coopqp.rank import least_squares, null_space
+from coopqp.controller import NO_FEATURES, Command, Controller, ControlProblem, Features, Law
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
+from coopqp.torque_law.hand_wrenches import HandWrenches
+from coopqp.torque_law.margins import require_damped_models
+from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Cost of joint accelerations that no task asks for.
 DAMPING = 1e-5
@@ -118,7 +118,7 @@ class WrenchSplitLaw(Law):
 class WrenchSplit(Controller):
     """Inverse dynamics with the load split by a formula and a fixed squeeze; knows no friction."""
 
-    heeds: ClassVar[Heeds] = HEEDS_NOTHING
+    supports: ClassVar[Features] = NO_FEATURES
 
     split: Literal["walker", "virtual_inertia", "minimum_norm"] = "virtual_inertia"
     """Which formula: shares of everything, virtual bodies, or the pseudoinverse."""

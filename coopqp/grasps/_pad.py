@@ -21,8 +21,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.checked import Array
-from coopqp.contact import BEYOND, NO_CONTACT, Contact
+from coopqp.base.spec import Array
+from coopqp.grasp import BEYOND, NO_CONTACT, Contact
 
 #: From a circle to the square inside it.
 INNER = 1.0 / np.sqrt(2.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import unit
+from coopqp.base.spec import unit
 
 Three = tuple[float, float, float]
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.contact import NO_CONTACT, Contact
-from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
+from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint
 from coopqp.grasps._ball import ball
 from coopqp.grasps._placed import check_range, placed
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import pinocchio as pin
 
-from coopqp.checked import Array, Direction, spec
+from coopqp.base.spec import Array, Direction, spec
 from coopqp.grasp import Grasp, PassiveJoint, axis_frame, range_fault
 
 

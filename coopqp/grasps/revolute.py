@@ -12,7 +12,7 @@ from typing import Literal
 
 import pinocchio as pin
 
-from coopqp.checked import Array, Direction, Vector3, spec
+from coopqp.base.spec import Array, Direction, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint, axis_frame, range_fault
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coopqp.checked import Array, spec
+from coopqp.base.spec import Array, spec
 from coopqp.grasp import Grasp, PassiveJoint
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from coopqp.checked import Array, Positive, Vector3, spec
+from coopqp.base.spec import Array, Positive, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps._ball import ball
 

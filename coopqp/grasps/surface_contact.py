@@ -7,9 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.contact import REACH, Contact
-from coopqp.grasp import Grasp, PassiveJoint
+from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
+from coopqp.grasp import REACH, Contact, Grasp, PassiveJoint
 from coopqp.grasps._pad import Pad
 from coopqp.grasps._placed import check_range, placed
 

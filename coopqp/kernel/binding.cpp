@@ -5,13 +5,13 @@
 
 #include "deciding.hpp"
 #include "sliding.hpp"
-#include "surveying.hpp"
+#include "trajectory_evaluation.hpp"
 
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
 using KERNEL_MODULE::Slide;
-using KERNEL_MODULE::Survey;
+using KERNEL_MODULE::TrajectoryEvaluation;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
@@ -35,9 +35,9 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);
-    nb::class_<Survey>(m, "Survey")
+    nb::class_<TrajectoryEvaluation>(m, "TrajectoryEvaluation")
         .def(nb::init<const nb::dict&>())
-        .def("look", &Survey::look);
+        .def("look", &TrajectoryEvaluation::look);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

@@ -7,17 +7,16 @@ from enum import IntEnum
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
 from coopqp.kernel.levels import Group, Levels
 from coopqp.kernel.limits import Limits
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.equations import ALL_OF_IT
-from coopqp.signal import Course
-from coopqp.state import State
+from coopqp.signal import Trajectory
 
 
 class Outcome(IntEnum):
@@ -123,7 +122,7 @@ class Compiled:
 
     def heard(
         self, state: State
-    ) -> tuple[tuple[str, Course | None, Array | None, Array | None], ...]:
+    ) -> tuple[tuple[str, Trajectory | None, Array | None, Array | None], ...]:
         """Inputs and the arrays of theirs that it was shown."""
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)

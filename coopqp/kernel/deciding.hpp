@@ -249,7 +249,7 @@ class Engine {
 
     bool waits() const { return !q_now_ || *stopped_ != 0.0; }
 
-    // As coopqp.state.State.advance.
+    // As coopqp.model.state.State.advance.
     void advance() {
         const double dt = kernel_->settings().dt;
         const double* v = kernel_->bound.v;

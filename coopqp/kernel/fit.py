@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
 from coopqp.controller import ControlProblem
-from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
 from coopqp.kernel.flat import flat_model, kept_rows
 from coopqp.limit import movers
+from coopqp.model.closed_chain import ClosedChain
 
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
 MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16

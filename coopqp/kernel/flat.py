@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import JointBounds, TwistBounds, opening
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import axis_of
 
 Flat = dict[str, Any]

@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
 from coopqp.kernel.levels import Group
 from coopqp.kernel.limits import Limits
-from coopqp.memory import Memory
+from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
 from coopqp.qp_law.priorities import Order
-from coopqp.signal import Followed
+from coopqp.signal import InputValues
 from coopqp.solver import Status
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
-from coopqp.ticks import Ticks
+from coopqp.trace import TickBatch
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
@@ -74,7 +72,7 @@ class KernelLaw(Law):
         problem: ControlProblem,
         damping: float,
         error_damping: float,
-        squeezer: Squeezer | None = None,
+        squeezer: InternalForceControl | None = None,
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
         self._order = order = Order(problem)
@@ -187,7 +185,7 @@ class KernelLaw(Law):
                 return command
         return super().step(state)
 
-    def run(self, state: State, ticks: int) -> Ticks:
+    def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks at once, the same as one by one, without the GIL.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
@@ -210,7 +208,7 @@ class KernelLaw(Law):
         state.update()
         return found
 
-    def _run(self, state: State, found: Ticks, done: int, most: int) -> int:
+    def _run(self, state: State, found: TickBatch, done: int, most: int) -> int:
         """As many as the kernel does in one go; how many."""
         said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
         room = found.q[done:], found.v[done:], said, found.scale[done:]
@@ -280,7 +278,7 @@ class KernelLaw(Law):
         return True
 
 
-def _others(inputs: Followed, heard: Sequence[tuple[Any, ...]]) -> bool:
+def _others(inputs: InputValues, heard: Sequence[tuple[Any, ...]]) -> bool:
     """Whether inputs have other arrays than the kernel was shown, :meth:`Compiled.heard`."""
     for name, course, value, rate in heard:
         now = inputs.get(name)

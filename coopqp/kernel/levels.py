@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.geometry import Reference
 from coopqp.kernel.flat import Flat
+from coopqp.model.geometry import Reference
+from coopqp.model.state import State
 from coopqp.program import Programs, sees_twist
-from coopqp.state import State
 from coopqp.task import Task, TaskStack, levers_of
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel.flat import Flat, flat_joint_limit, flat_twist_limit
 from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.state import State
 
 
 class Limits:
@@ -28,7 +28,7 @@ class Limits:
         filled: the others, if there are any; their rows come after these.
         rows: how many there are.
         q_measured: what the kernel reads, shape (n,); NaN where nothing is measured. None where no
-            limit heeds it.
+            limit supports it.
     """
 
     def __init__(self, problem: ControlProblem, start: State) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.kernel import native
 from coopqp.kernel.fit import unfit
 from coopqp.kernel.flat import flat_model, kept_rows
+from coopqp.model.closed_chain import ClosedChain
 
 #: Moves q, which is written, along what the loops leave of a direction, by a length, and closes the
 #: loops by so many Newton steps; returns the largest gap of a loop [m, rad]. Below zero where rows

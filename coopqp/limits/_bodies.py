@@ -19,11 +19,11 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.limits._convex import Convex, of_capsule, of_meshes, of_shape, outermost
 from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel, Shape
 
 OBJECT = "object"

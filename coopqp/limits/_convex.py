@@ -17,8 +17,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.robot import Capsule, Shape
 from coopqp.robot_files.meshes import read_mesh, version
 

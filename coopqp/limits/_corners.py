@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.limits._distances import Distances, Pair
 
 #: How many rows there are, and how many of them a pair can have.

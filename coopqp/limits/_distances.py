@@ -21,7 +21,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.limits._convex import Convex
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.

@@ -14,15 +14,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
 from coopqp.limits._corners import ROWS, Corners
 from coopqp.limits._distances import Body, Distances, Pair
-from coopqp.limits._look_ahead import LookAhead
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.limits._step_verification import LookAhead
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 #: Speed of the joints that suffices for what is asked back [rad/s, m/s].
 BACK = 0.1

@@ -17,10 +17,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Positive, spec
 from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 
 @spec

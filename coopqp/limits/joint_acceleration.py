@@ -21,12 +21,12 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import UnknownNameError
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 #: Room of a joint without bounds [rad or m]; infinity would end in inf - inf.
 UNLIMITED = 1e9

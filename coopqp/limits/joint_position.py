@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.limit import (
     ROUNDING,
     Bounded,
@@ -21,8 +21,8 @@ from coopqp.limit import (
     Tighten,
     joint_margins,
 )
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 
 @spec

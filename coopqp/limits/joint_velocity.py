@@ -7,11 +7,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, spec
 from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 
 @spec

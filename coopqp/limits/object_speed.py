@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.closed_chain import AXES, AXIS_UNITS, ClosedChain
+from coopqp.base.qp import Row, Side
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.limit import Limit, LimitRows, Tighten, TwistBounds, states_along
-from coopqp.row import Row, Side
-from coopqp.state import State
+from coopqp.model.closed_chain import AXES, AXIS_UNITS, ClosedChain
+from coopqp.model.state import State
 
 
 @spec

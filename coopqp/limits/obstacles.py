@@ -18,9 +18,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coopqp.checked import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, under
+from coopqp.base.errors import InvalidValueError, under
+from coopqp.base.qp import Row
+from coopqp.base.reading import FilePath
+from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
@@ -37,10 +38,9 @@ from coopqp.limits._keep_apart import (
     pair_rows,
     room_left,
 )
-from coopqp.mark import Mark, SolidMark
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import Marker, SolidMarker
 from coopqp.robot import Shape
-from coopqp.robot_files.keys import FilePath
-from coopqp.row import Row
 
 #: A thing this many times the arms' reach away is never met [-].
 FAR = 3.0
@@ -172,11 +172,11 @@ class Obstacles(Limit):
         )
         return (*self.unseen(chain), *near, *far)
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, t: float) -> tuple[Marker, ...]:
         """The things."""
         shapes = (thing.shape for thing in self.shapes.values())
         return tuple(
-            SolidMark(
+            SolidMarker(
                 kind=shape.kind,
                 size=shape.size,
                 mesh=shape.mesh,

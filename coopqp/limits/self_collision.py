@@ -17,9 +17,9 @@ import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
-from coopqp.checked import Array, Name, NonNegative, Positive, overshoot, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, under
+from coopqp.base.errors import InvalidValueError, under
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.limit import Limit, RoomLeft, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
@@ -38,7 +38,7 @@ from coopqp.limits._keep_apart import (
     pair_rows,
     room_left,
 )
-from coopqp.row import Row
+from coopqp.model.closed_chain import ClosedChain
 
 NamePair = tuple[str, str]
 

@@ -17,13 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers
-from coopqp.mark import Mark, PlaneMark
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import Marker, PlaneMarker
+from coopqp.model.state import State
 
 
 @spec
@@ -119,9 +119,9 @@ class Workspace(Limit):
         x, y, z = (np.array(self.through) - room * unit(self.normal)).tolist()
         return replace(self, through=(x, y, z))
 
-    def marks(self, t: float) -> tuple[Mark, ...]:
+    def marks(self, t: float) -> tuple[Marker, ...]:
         """The plane."""
-        return (PlaneMark(normal=np.array(self.normal), through=np.array(self.through)),)
+        return (PlaneMarker(normal=np.array(self.normal), through=np.array(self.through)),)
 
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
         n = unit(self.normal)

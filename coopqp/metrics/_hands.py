@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.trace import Trace
 
 #: Hands that begin without pressing have taken hold after this [s].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coopqp.assessment import assess
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

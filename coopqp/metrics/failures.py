@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Failure, Trace
 

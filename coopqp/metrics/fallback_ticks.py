@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.solver import causes_of
 from coopqp.trace import Trace

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
+from coopqp.base.spec import Array, spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 
@@ -35,7 +35,7 @@ class Gap(Metric):
 def _squeezed_along(trace: Trace) -> Array | None:
     """Direction between two hands of which a squeeze is asked; None where it is not."""
     told = trace.signals.get("hand_point")
-    asked = "forces" in trace.heeds and any(task.unit == "N" for task in trace.tasks)
+    asked = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
     if told is None or not asked or not trace.ticks or not len(trace.gap[-1]):
         return None
     points = told[-1].reshape(-1, 3)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from coopqp.assessment import assess
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import Array, spec
+from coopqp.base.spec import Array, spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

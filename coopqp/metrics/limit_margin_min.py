@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

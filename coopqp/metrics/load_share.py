@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand
 from coopqp.trace import Trace

@@ -7,7 +7,7 @@ A goal that is an input, and was never followed, is not reached, however small t
 from __future__ import annotations
 
 from coopqp.assessment import assess
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

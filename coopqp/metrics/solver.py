@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
 
 
 @spec
-class Ticks(Metric):
+class TickBatch(Metric):
     """Number of control periods."""
 
     def measure(self, trace: Trace) -> int:

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, real
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import unknown_name
-from coopqp.input import AHEAD, Arrival, Inputs
+from coopqp.base.errors import unknown_name
+from coopqp.base.spec import Array, real
+from coopqp.base.wording import said
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.scenario.input import AHEAD, Arrival, Inputs
 from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
-from coopqp.wording import said
 
 #: So many unknown names are remembered, to speak of each but once.
 MOST_NAMES = 100

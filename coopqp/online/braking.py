@@ -15,16 +15,14 @@ import numpy as np
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Command, ControlProblem
+from coopqp.base.spec import Array
+from coopqp.controller import Command, ControlProblem, InternalForceControl
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
-from coopqp.memory import Memory
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import Memory, State
 from coopqp.solver import Status
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
 
 #: For joints without a motor, which bound nothing [rad/s2].
 PASSIVE = 1e4
@@ -60,7 +58,7 @@ class _Kept:
     memory_sizes: Mapping[str, int] = {}
     note = ""
 
-    def __init__(self, squeezer: Squeezer) -> None:
+    def __init__(self, squeezer: InternalForceControl) -> None:
         self.along = squeezer.along
 
     def update(self, state: State) -> Status | None:
@@ -70,7 +68,9 @@ class _Kept:
 class Braking:
     """The law that brings a problem's joints to rest."""
 
-    def __init__(self, problem: ControlProblem, squeezer: Squeezer | None = None) -> None:
+    def __init__(
+        self, problem: ControlProblem, squeezer: InternalForceControl | None = None
+    ) -> None:
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().build(still)
         self._law.squeezer = _Kept(squeezer) if squeezer else None

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import Command
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 
 _STATUSES = tuple(Status)
 _NUMBER = {status: i for i, status in enumerate(_STATUSES)}
 
 
 @dataclass(frozen=True)
-class Ticks:
+class TickBatch:
     """Some ticks, oldest first; T of them.
 
     Attributes:
@@ -63,7 +63,7 @@ class History:
     def __init__(self, chain: ClosedChain, capacity: int) -> None:
         self.capacity, self.count = capacity, 0
         rows, joints = (capacity,), (capacity, chain.n)
-        self._all = Ticks(
+        self._all = TickBatch(
             number=np.zeros(rows, np.int64),
             **{name: np.zeros(rows) for name in ("clock", "t", "us")},
             **{name: np.zeros(joints) for name in ("q", "v", "measured")},
@@ -87,9 +87,11 @@ class History:
         kept.causes[i] = bits
         self.count += 1
 
-    def last(self, ticks: int | None = None) -> Ticks:
+    def last(self, ticks: int | None = None) -> TickBatch:
         """A copy of the last ticks that are still there, all of them when omitted."""
         kept = min(self.count, self.capacity)
         count = kept if ticks is None else max(0, min(ticks, kept))
         rows = np.arange(self.count - count, self.count) % self.capacity
-        return Ticks(*(getattr(self._all, name)[rows] for name in Ticks.__dataclass_fields__))
+        return TickBatch(
+            *(getattr(self._all, name)[rows] for name in TickBatch.__dataclass_fields__)
+        )

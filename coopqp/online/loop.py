@@ -24,9 +24,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coopqp.assessment.thresholds import SPEED_UP
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.controller_run import controller_of
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.execution.controller_run import controller_of
+from coopqp.execution.phase_run import PhaseRun
+from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.braking import with_acceleration
 from coopqp.online.history import History
@@ -35,11 +38,8 @@ from coopqp.online.phases import Phases
 from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Interrupts, Stops
 from coopqp.online.watch import Waiting, Watch
-from coopqp.phase_run import PhaseRun
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.solver import Status
-from coopqp.state import State
-from coopqp.wording import raised
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""

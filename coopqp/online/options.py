@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from numbers import Real
 from typing import Any, Literal, get_args
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
+from coopqp.base.wording import raised
 from coopqp.scenario.scenario import Scenario
-from coopqp.wording import raised
 
 Reference = Literal["commanded", "measured"]
 HowHeld = Literal["as_held", "as_written"]

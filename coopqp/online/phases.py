@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, Pose, finite, vector
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
+from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.controller import Controller
-from coopqp.errors import CoopqpError, GraspError, InvalidValueError
-from coopqp.hold import grasp_of_each
-from coopqp.input import Arrival
-from coopqp.loop_observer import MOST_ORIENTATION, MOST_POSITION
+from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import grasp_of_each
+from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
+from coopqp.model.state import State
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.braking import Braking
-from coopqp.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 
 #: What force sensors say arrives as an input of this name with every tick; ``State.hand_wrench``.
 HAND_WRENCH = "hand_wrench"

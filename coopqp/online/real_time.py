@@ -22,11 +22,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.checked import Array
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.base.wording import raised
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.options import time_fault
-from coopqp.wording import raised
 
 
 class Robot(Protocol):

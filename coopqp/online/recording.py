@@ -28,16 +28,16 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.controller import Command, Law
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.model.state import State
 from coopqp.recordings.column import Layout, kind_of, names, of_field
 from coopqp.recordings.format import needs
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.solver import Status, written
-from coopqp.state import State
 
 #: Where a live loop measures fields of the table, those beside time, memory and inputs.
 MEASURED: dict[str, Callable[[State, Command], Any]] = {

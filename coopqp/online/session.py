@@ -20,17 +20,17 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.controller import Command
-from coopqp.errors import CoopqpError
-from coopqp.input import Arrival
+from coopqp.execution.phase_run import PhaseRun
 from coopqp.limits import JointAcceleration
-from coopqp.phase_run import PhaseRun
+from coopqp.model.state import State
 from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
+from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
-from coopqp.state import State
 
 #: So much of a session is kept in memory before it is written by a tick itself [s].
 AT_MOST = 1.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import Command
+from coopqp.model.state import State
 from coopqp.online.loop import OnlineLoop
 from coopqp.plant import PlantModel
-from coopqp.state import State
 
 
 class SimulatedRobot:

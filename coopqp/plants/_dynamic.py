@@ -8,15 +8,14 @@ from collections import deque
 
 import numpy as np
 
-from coopqp.checked import Array, seeded
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, seeded
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.plants._true_chain import slipped, true_chain
-from coopqp.state import State
 
 
 class DynamicModel(PlantModel):
@@ -112,7 +111,7 @@ class DynamicModel(PlantModel):
             self.servo.hold(self.measured)
             self._late = deque(Command(len(old.q)) for _ in self._late)
         self._occupy(old.chain.handed_over(old.q, released), old)
-        self.take_hold(before)
+        self.attach(before)
 
     def _slip(self) -> None:
         """Let the object slip in a hand by what has come since the last period."""
@@ -128,7 +127,7 @@ class DynamicModel(PlantModel):
         self.true.v[:] = old.v
 
     @abstractmethod
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Make ``true``, taken over from before, agree with the loops that have closed."""
 
     @abstractmethod

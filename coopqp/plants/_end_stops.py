@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.plants._servo import UNLIMITED_EFFORT, full_effort, inertia_seen
 
 #: How far a motor's full torque presses a joint into its stop [rad].

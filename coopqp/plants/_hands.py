@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import Hand, hands
-from coopqp.contact import BEYOND, NO_CONTACT
+from coopqp.grasp import BEYOND, NO_CONTACT
+from coopqp.model.closed_chain import ClosedChain
 
 #: A hand that presses and has not touched the object for so long has lost it [s].
 LOST = 0.02

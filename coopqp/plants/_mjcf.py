@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.model.closed_chain import ClosedChain
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6

@@ -24,11 +24,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import least_squares, null_space
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command
-from coopqp.rank import least_squares, null_space
+from coopqp.model.closed_chain import ClosedChain
 
 
 @spec

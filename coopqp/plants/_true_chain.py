@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
-from coopqp.hold import Hold
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import GraspConfiguration
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.robot import RobotModel
-from coopqp.state import State
 
 #: A link shorter than this has no direction to be longer in [m].
 SHORTEST_LINK = 1e-3
@@ -94,7 +94,7 @@ def _with_errors(
 
 
 def _misplaced(
-    hold: Hold, rng: np.random.Generator, disturbance: Disturbance
+    hold: GraspConfiguration, rng: np.random.Generator, disturbance: Disturbance
 ) -> Mapping[str, pin.SE3]:
     """The object a little elsewhere in each hand."""
     X_EO = {}

@@ -6,12 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._true_chain import slipped, true_chain
-from coopqp.state import State
 
 
 class KinematicModel(PlantModel):

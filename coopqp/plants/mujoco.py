@@ -15,20 +15,19 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts
 from coopqp.controller import ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError, MissingDependencyError
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._hands import HandSignals
 from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_name, mjcf
 from coopqp.plants._servo import Servo
-from coopqp.state import State
 
 #: A contact's time constant is at least so many steps, or MuJoCo makes it so.
 LEAST_STEPS = 2.0
@@ -107,7 +106,7 @@ class MujocoModel(DynamicModel):
             told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
         return told
 
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Everything moves on as it did; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
         self._told_hands = before._told_hands

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array, Positive, spec
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.plant import Plant, PlantModel
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._end_stops import EndStops
 from coopqp.plants._hands import HandSignals
@@ -53,7 +52,7 @@ class RigidBodyModel(DynamicModel):
         self.signals["internal_wrench"] = np.zeros(6 * arms)
         self.signals |= self._told_hands.signals
 
-    def take_hold(self, before: PlantModel) -> None:
+    def attach(self, before: PlantModel) -> None:
         """Hands that take hold while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true

@@ -1,7 +1,7 @@
 """One tick of the QP law, readable from top to bottom; :mod:`coopqp.qp_law.law` is where it begins.
 
 bounds      the limits of a tick
-way_back    the way back for joints that start outside of them; the drift correction in part
+limit_recovery    the way back for joints that start outside of them; the drift correction in part
 level       one QP: objective, rows, solver, verification; a step in a null space
 equations   the damping of a level
 priorities  later levels, each within what the ones before leave free

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
 from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import evaluate_all
 
 
@@ -19,7 +19,7 @@ class Bounds:
 
     Args:
         chain: what is limited.
-        limits: in the order in which they tighten; one that a later one heeds comes first.
+        limits: in the order in which they tighten; one that a later one supports comes first.
         start: a state, for limits that are constant.
         dt: control period [s].
         position_time: time in which a position bound may be reached, when that is not dt [s].

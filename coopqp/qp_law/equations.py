@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
+from coopqp.model.state import State
 from coopqp.solver import norm
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 #: Cost of a missing share of what may be done in part, far above any soft task.

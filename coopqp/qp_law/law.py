@@ -22,7 +22,7 @@ as the tasks are met. Later levels move in the null space of what is decided
 A tick, from top to bottom: assemble, decide level by level, shorten. Joints that start outside
 their limits come back first, before all tasks; where limits leave no motion that corrects all of
 the loops' drift, a part of it is corrected, then acceleration limits go
-(:mod:`coopqp.qp_law.way_back`). Never the loop rows, never position and velocity limits. Standing
+(``limit_recovery``). Never the loop rows, never position and velocity limits. Standing
 still is feasible from any state inside the limits, so there is always an answer.
 """
 
@@ -32,18 +32,17 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
+from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
 from coopqp.qp_law.level import Given, Level
+from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import drift_gain
-from coopqp.qp_law.way_back import DriftShare, WayBack
-from coopqp.rank import null_space
 from coopqp.solver import Status, norm
-from coopqp.squeezer import Squeezer
-from coopqp.state import State
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 
@@ -55,7 +54,7 @@ class QPLaw(Law):
         exact: the hard tasks, then the scaled ones. stacks: the soft tasks of each level.
         first: the level that holds the loops, the exact and the first soft tasks; qp and solution
             are its program and answer in the last tick. levels: all of them.
-        way_back: the limits, and of joints outside of them. probe: its look at the loops.
+        limit_recovery: the limits, and of joints outside of them. probe: its look at the loops.
     """
 
     engine = "python"
@@ -65,15 +64,15 @@ class QPLaw(Law):
         problem: ControlProblem,
         damping: float,
         error_damping: float = ERROR_DAMPING,
-        squeezer: Squeezer | None = None,
+        squeezer: InternalForceControl | None = None,
         order: Order | None = None,
     ) -> None:
         super().__init__(problem, squeezer=squeezer)
         self.order = order = order or Order(problem)
         self._damping = Damping(damping, error_damping, problem.dt)
-        self.way_back = WayBack(problem, order.start, error_damping)
-        self._given = given = Given(problem, self.way_back.bounds, self._damping)
-        self.probe = self.way_back.probe
+        self.limit_recovery = LimitRecovery(problem, order.start, error_damping)
+        self._given = given = Given(problem, self.limit_recovery.bounds, self._damping)
+        self.probe = self.limit_recovery.probe
         self.exact = exact = order.exact
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
@@ -96,16 +95,16 @@ class QPLaw(Law):
     @cached_property
     def drift(self) -> DriftShare:
         """Built when not all of the drift correction can be done."""
-        return DriftShare(self.way_back, self._damping)
+        return DriftShare(self.limit_recovery, self._damping)
 
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.nearest, self.drift, self.way_back.levels  # noqa: B018 - are built by being asked for
+        self.nearest, self.drift, self.limit_recovery.levels  # noqa: B018 - are built by being asked for
         return self
 
     def decide(self, state: State) -> Command:
         """Assemble, solve, verify, level by level; the command is safe whatever happened."""
-        command, way_back = self.command, self.way_back
+        command, limit_recovery = self.command, self.limit_recovery
         command.scale, command.drift = (0.0 if self.exact.tasks else 1.0), 1.0
         if state.memory["stopped"][0]:
             return self._stand_still(Status.INFEASIBLE)
@@ -113,9 +112,9 @@ class QPLaw(Law):
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             v, causes = self._with_less_drift(state, causes[0])
-        if way_back.active:
-            v, causes = way_back.rescue(v, causes)
-            command.drift = min(command.drift, way_back.share)
+        if limit_recovery.active:
+            v, causes = limit_recovery.rescue(v, causes)
+            command.drift = min(command.drift, limit_recovery.share)
         if not causes[0].usable:
             return self._stand_still(*causes)
         command.v[:] = v
@@ -132,7 +131,7 @@ class QPLaw(Law):
 
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
-        kappa = self.way_back.limit(state)
+        kappa = self.limit_recovery.limit(state)
         for stack in (*self.stacks, self.exact):
             stack.update(state)
         self._assemble_first(state, kappa, self.exact.wanted)
@@ -258,7 +257,7 @@ class QPLaw(Law):
 
 
 def memory_sizes(
-    problem: ControlProblem, levels: int, squeezer: Squeezer | None = None
+    problem: ControlProblem, levels: int, squeezer: InternalForceControl | None = None
 ) -> dict[str, int]:
     """What the law remembers of the last tick, and in how many numbers.
 

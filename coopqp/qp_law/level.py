@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.qp import QP, Row, Rows, Side, joint_rows
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.qp import QP, Rows
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
-from coopqp.row import Row, Side, joint_rows
 from coopqp.solver import Solution, Status, Verifier
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 #: Share of a limit's row that directions see up to which they see nothing of it.

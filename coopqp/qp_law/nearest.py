@@ -26,12 +26,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.model.state import State
 from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
-from coopqp.rank import null_space
 from coopqp.solver import Status, norm
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 #: A scaled task with less than this share may leave its direction, if along it there is less than

@@ -24,16 +24,16 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import directions, matrix_rank, null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.program import Programs, sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
-from coopqp.rank import directions, matrix_rank, null_space
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start

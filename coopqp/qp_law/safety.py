@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem
 from coopqp.limit import opening
+from coopqp.model.state import State
 from coopqp.solver import Status, norm
-from coopqp.state import State
 
 SHORTEN = 0.5  # a step that opens a loop too far is halved ...
 SHORTEST = 2.0**-10  # ... down to this share, and then not made
 
 
-class LoopProbe:
+class StepVerification:
     """Looks ahead whether a step would leave the loops within their budget.
 
     The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is

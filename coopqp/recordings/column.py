@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.closed_chain import AXES, AXIS_UNITS
+from coopqp.model.closed_chain import AXES, AXIS_UNITS
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.trace import Trace

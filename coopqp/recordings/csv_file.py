@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.errors import CoopqpError
-from coopqp.reading import open_bytes
+from coopqp.base.errors import CoopqpError
+from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
 from coopqp.recordings.format import Format
 from coopqp.recordings.run import Run, run_of, typed

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
-from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, MissingDependencyError
 from coopqp.recordings.run import Run
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario

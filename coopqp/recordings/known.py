@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coopqp.errors import CoopqpError, UnknownNameError
+from coopqp.base.errors import CoopqpError, UnknownNameError
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.mcap import Mcap

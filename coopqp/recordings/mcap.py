@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from coopqp import __version__
-from coopqp.errors import CoopqpError
-from coopqp.reading import open_bytes
+from coopqp.base.errors import CoopqpError
+from coopqp.base.reading import open_bytes
 from coopqp.recordings.format import ExportFormat, needs, readable
 from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of

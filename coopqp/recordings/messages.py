@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.recordings import column
 from coopqp.recordings.run import Run
 from coopqp.scenario.scenario import Scenario

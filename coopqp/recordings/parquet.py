@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coopqp import __version__
-from coopqp.errors import CoopqpError
-from coopqp.reading import open_bytes
+from coopqp.base.errors import CoopqpError
+from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
 from coopqp.recordings.format import ExportFormat, Format, needs, readable
 from coopqp.recordings.run import Run, run_of

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 from coopqp.recordings.format import ExportFormat, needs, readable
 from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of

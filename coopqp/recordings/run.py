@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
+from coopqp.base.spec import Array
 from coopqp.recordings import column
 from coopqp.solver import HALTS, Status
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment.thresholds import AT_LIMIT, matters
-from coopqp.checked import Array
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.report import curves
 from coopqp.report.cells import length, number
 from coopqp.report.curves import Figure, Json
 from coopqp.report.style import Style
-from coopqp.row import Row
 from coopqp.trace import Trace
 
 SHOWN = 10  # limits of each controller in the table

@@ -11,9 +11,9 @@ import pinocchio as pin
 from rich import box
 from rich.table import Table
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.grasp import Grasp
-from coopqp.hold import with_passive_joints
+from coopqp.model.grasp_configuration import with_passive_joints
 from coopqp.scenario.scenario import Scenario, by_arm
 from coopqp.scenario.start_solver import DIGITS, start_text
 from coopqp.study.calibration import Calibration, not_shown

@@ -12,8 +12,8 @@ import numpy as np
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import OUTSIDE, matters
-from coopqp.checked import Array
-from coopqp.comparison import Comparison
+from coopqp.base.spec import Array
+from coopqp.execution.comparison import Comparison
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

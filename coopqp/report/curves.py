@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.report import strict_json
 from coopqp.report.style import Style
 

@@ -17,13 +17,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from coopqp.comparison import Comparison
-from coopqp.errors import CoopqpError, InternalError, one_line
+from coopqp.base.errors import CoopqpError, InternalError, one_line
+from coopqp.base.wording import by_user, raised
+from coopqp.execution.comparison import Comparison
 from coopqp.recordings import csv_file
 from coopqp.report import strict_json
 from coopqp.report.page import render
 from coopqp.study.sweep.journal import OLDER, PATTERN
-from coopqp.wording import by_user, raised
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
 POINTER = ".report"

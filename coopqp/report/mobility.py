@@ -18,16 +18,16 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp import __version__
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.report.strict_json import finite
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.task import TaskStack
 
 HERE = Path(__file__).parent

@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from coopqp import __version__
 from coopqp.assessment.ends import FORCES
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts, plugin_name
 from coopqp.report.curves import Figure

@@ -9,8 +9,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from coopqp.comparison import Comparison
-from coopqp.errors import one_line
+from coopqp.base.errors import one_line
+from coopqp.execution.comparison import Comparison
 from coopqp.report import strict_json
 from coopqp.report.cells import Cell, cells
 from coopqp.study.explanation import RunExplanation, explain

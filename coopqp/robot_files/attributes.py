@@ -14,9 +14,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from coopqp.checked import FARTHEST
-from coopqp.errors import InvalidValueError
-from coopqp.inertia import inertia_matrix
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import FARTHEST
+from coopqp.model.held_object import inertia_matrix
 from coopqp.robot_files.schema import nearest
 from coopqp.robot_files.xml import place_of
 

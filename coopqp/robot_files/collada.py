@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.robot_files.xml import DEEPEST, place_of, read_xml
 
 Ints = NDArray[np.int64]

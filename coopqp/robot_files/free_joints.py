@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import pinocchio as pin
 
-from coopqp.errors import InvalidValueError, UnknownNameError, under
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import ArmJoints
 

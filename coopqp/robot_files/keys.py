@@ -2,29 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, ValidationInfo
+from pydantic import BeforeValidator
 
-from coopqp.checked import NonNegative, Positive, spec
+from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.grasp import range_fault
-from coopqp.reading import absolute
-
-
-def _beside_the_scenario(path: Path, info: ValidationInfo) -> Path:
-    folder = (info.context or {}).get("folder")
-    return path if folder is None else absolute(folder / path)
-
-
-def _path(value: Any) -> Any:
-    if not isinstance(value, str | Path) or not str(value):
-        raise ValueError("needs a path")
-    return value
-
-
-FilePath = Annotated[Path, BeforeValidator(_path), AfterValidator(_beside_the_scenario)]
-"""A file or folder; in a scenario, a relative one counts from the scenario file's folder."""
 
 
 @spec

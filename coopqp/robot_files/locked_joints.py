@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.description import Description
 
 #: Added to names for a moment; no name in a file ends so.

@@ -17,9 +17,9 @@ from typing import Literal, get_args
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError, UnknownNameError
-from coopqp.inertia import check_inertia, inertia_matrix
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
+from coopqp.model.held_object import check_inertia, inertia_matrix
 
 #: sin(alpha) below which two axes count as parallel; a grasp is never known to a nanoradian.
 PARALLEL_AXES = 1e-8

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import FARTHEST, Array
-from coopqp.errors import InvalidValueError, UnreadableFileError
+from coopqp.base.errors import InvalidValueError, UnreadableFileError
+from coopqp.base.spec import FARTHEST, Array
 from coopqp.robot_files.collada import collada_corners
 from coopqp.robot_files.obj import obj_corners
 from coopqp.robot_files.stl import stl_corners

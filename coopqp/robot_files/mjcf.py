@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import InvalidValueError
-from coopqp.reading import absolute
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import absolute
 from coopqp.robot_files.description import Description, Follower
 from coopqp.robot_files.mjcf_attributes import check, check_schema
 from coopqp.robot_files.mjcf_defaults import all_given

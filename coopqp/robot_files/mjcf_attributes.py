@@ -6,7 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.robot_files.attributes import (
     Numbers,
     check_names,

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.robot_files.mjcf_defaults import Given, all_given
 from coopqp.robot_files.xml import numbers_of, place_of
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
-from coopqp.reading import read_bytes
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import read_bytes
+from coopqp.base.spec import Array
 from coopqp.robot_files.stl import LARGEST, vertex
 
 MOST = 10**9  # number of a vertex

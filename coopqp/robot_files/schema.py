@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 from xml.etree.ElementTree import Element
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.robot_files.xml import place_of
 
 #: Names that are as alike as these are one name misspelt: "axes" and "axis" have 0.75.

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.robot import Arm, RobotModel, copy_per_velocity
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.free_joints import free_joints, still_followers

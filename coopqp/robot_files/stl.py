@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
-from coopqp.reading import read_bytes
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import read_bytes
+from coopqp.base.spec import Array
 
 LARGEST = 100_000_000  # bytes of a file
 HEADER, TRIANGLE = 84, 50  # bytes of a binary file before its triangles, and of each

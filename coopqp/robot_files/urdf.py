@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import InvalidValueError
-from coopqp.reading import absolute
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import absolute
 from coopqp.robot import Shape
 from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower

@@ -9,7 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Collection
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.robot_files.attributes import check_word
 from coopqp.robot_files.schema import Known, Unknown, check_known
 from coopqp.robot_files.xml import place_of

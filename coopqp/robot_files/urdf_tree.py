@@ -10,7 +10,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.xml import place_of
 
 #: Joints between a link and the base; the parser in C++ dies of some thousands.

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from coopqp.errors import InvalidValueError, UnreadableFileError
-from coopqp.reading import read_bytes
+from coopqp.base.errors import InvalidValueError, UnreadableFileError
+from coopqp.base.reading import read_bytes
 
 MOST_BYTES = 32 << 20  # of a file
 MOST_ELEMENTS = 100_000  # in a file

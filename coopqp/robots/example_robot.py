@@ -12,8 +12,8 @@ from pathlib import Path
 
 from pydantic import Field
 
-from coopqp.checked import spec
-from coopqp.errors import MissingDependencyError, UnknownNameError
+from coopqp.base.errors import MissingDependencyError, UnknownNameError
+from coopqp.base.spec import spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.description import Description
 from coopqp.robot_files.keys import Arms, JointLimits, Locked

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from coopqp.checked import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
-from coopqp.errors import under
+from coopqp.base.errors import under
+from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.description import Description

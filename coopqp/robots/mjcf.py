@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from coopqp.checked import spec
-from coopqp.errors import under
+from coopqp.base.errors import under
+from coopqp.base.reading import FilePath
+from coopqp.base.spec import spec
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_files.keys import Arms, FilePath, JointLimits, Locked
+from coopqp.robot_files.keys import Arms, JointLimits, Locked
 from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robot_files.selection import robot_model
 

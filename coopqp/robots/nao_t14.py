@@ -13,7 +13,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import spec
+from coopqp.base.spec import spec
 from coopqp.robot import Arm, Capsule, Robot, RobotModel
 from coopqp.robot_files import mdh
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from coopqp.checked import Lengths3, Positive, spec
+from coopqp.base.spec import Lengths3, Positive, spec
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robot_files import mdh
 

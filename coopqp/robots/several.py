@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, PlainValidator, ValidationInfo, WithJsonSchema
 
-from coopqp.checked import Pose, spec, type_name
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Pose, spec, type_name
 from coopqp.grasp import pose_matrix
 from coopqp.robot import Arm, Capsule, Robot, RobotModel, Shape, copy_per_velocity
 

@@ -12,8 +12,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.base.wording import raised
 from coopqp.online.loop import OnlineLoop
 from coopqp.recordings.messages import Remark
 from coopqp.ros.clocks import Clocks
@@ -22,7 +23,6 @@ from coopqp.ros.joint_states import JointStates
 from coopqp.ros.settings import Joints, RosSettings
 from coopqp.ros.targets import value_of
 from coopqp.signal import Kind
-from coopqp.wording import raised
 
 #: Messages that wait for a tick at most; older ones are dropped.
 BOX = 1000

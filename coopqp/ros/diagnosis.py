@@ -7,9 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 
+from coopqp.base.qp import Row
 from coopqp.online.loop import OnlineLoop
 from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
-from coopqp.row import Row
 from coopqp.solver import Status, written
 
 #: What a tick says where the robot has to come to rest, or its joints are not known.

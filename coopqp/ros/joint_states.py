@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 
 class JointStates:

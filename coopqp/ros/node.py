@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from coopqp.errors import CoopqpError, InvalidValueError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import Ended, real_time
 from coopqp.recordings.messages import Remark

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from coopqp.checked import NonNegative, Positive, spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import NonNegative, Positive, spec
+from coopqp.model.closed_chain import ClosedChain
 
 
 @spec

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from coopqp.closed_chain import AXES
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.model.closed_chain import AXES
 from coopqp.ros.settings import ros_name
 from coopqp.signal import Kind
 

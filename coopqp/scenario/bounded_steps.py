@@ -16,9 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.qp import QP, Rows
-from coopqp.row import Row
+from coopqp.base.qp import QP, Row, Rows
+from coopqp.base.spec import Array
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 

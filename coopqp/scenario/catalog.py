@@ -28,11 +28,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, PydanticUserError
 
-from coopqp.errors import CoopqpError, Fault, unknown_name
-from coopqp.reading import absolute
+from coopqp.base.errors import CoopqpError, Fault, unknown_name
+from coopqp.base.reading import absolute
+from coopqp.base.wording import said
 from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
 from coopqp.scenario.user_folders import package_of
-from coopqp.wording import said
 
 GROUP = "coopqp.plugins"
 

@@ -13,25 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, taken_names
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Array, taken_names
+from coopqp.base.wording import Location
 from coopqp.closed_loop.admittance import unstated
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import TELL_APART, problem_faults
 from coopqp.controllers.qp import QPController
-from coopqp.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
-from coopqp.hold import arm_weights, grasp_of_each
-from coopqp.input import Feed, Inputs, wanted
 from coopqp.limits import JointAcceleration, JointPosition
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import names_of
+from coopqp.scenario.input import Feed, Inputs, wanted
 from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
-from coopqp.state import State
 from coopqp.task import Task
-from coopqp.wording import Location
 
 Placed = tuple[Location, Task, Phase]
 """A task with its place in the file, and its phase."""

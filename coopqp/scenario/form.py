@@ -25,9 +25,10 @@ from pydantic import (
     create_model,
 )
 
-from coopqp import wording
-from coopqp.checked import told, type_name
-from coopqp.errors import CoopqpError, unknown_name
+from coopqp.base import wording
+from coopqp.base.errors import CoopqpError, unknown_name
+from coopqp.base.spec import told, type_name
+from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import Catalog
@@ -36,7 +37,6 @@ from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
 from coopqp.solvers import qpsolvers as qpsolvers_backends
-from coopqp.wording import Location, shown
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 #: What a file says instead of joint values to have the start solved for.

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from coopqp.base.wording import Location
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.trial import Places
 from coopqp.task import Task
-from coopqp.wording import Location
 
 #: Keys of the file from which a chain follows, beside the start and the object.
 CHAIN = ("robot", "grasp", "grasps", "weights", "folder")

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from coopqp.errors import Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_name
+from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
-from coopqp.hold import grasp_of_each
+from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.plant import Plant
-from coopqp.reading import absolute
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import at, check_start, contradictions, refuse

@@ -8,36 +8,36 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.base.table import read_table
 from coopqp.closed_loop.forces import contact_notes
 from coopqp.closed_loop.hidden_freedom import hidden_freedom
 from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Controller
-from coopqp.controllers._force_checks import out_of_reach
-from coopqp.controllers._impedances import leaks
 from coopqp.controllers.qp import QPController
 from coopqp.controllers.torque_qp import TorqueQp
-from coopqp.input import InputSettings
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
-from coopqp.mark import (
-    CircleMark,
-    LineMark,
-    Mark,
-    PlaneMark,
-    PointMark,
-    PoseMark,
-    SphereMark,
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    SphereMarker,
     asked,
 )
+from coopqp.model.state import State
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POINT, POSE, Kind, Moment
-from coopqp.state import State
-from coopqp.table import read_table
+from coopqp.torque_law.force_checks import out_of_reach
+from coopqp.torque_law.impedances import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05
@@ -72,7 +72,7 @@ def notes(
     deaf_to = [
         f"{what} no effect on {' and '.join(deaf)}"
         for part, what in _stated(scenario)
-        if (deaf := [name for name, c in chosen.items() if part not in c.heeds])
+        if (deaf := [name for name, c in chosen.items() if part not in c.supports])
     ]
     hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
@@ -258,17 +258,17 @@ def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Arra
             yield course.value[:3].copy()
 
 
-def _distance(mark: Mark, p: Array) -> float:
+def _distance(mark: Marker, p: Array) -> float:
     """How far a point is from what a mark shows [m]; 0 where that has no place."""
     match mark:
-        case PointMark():
+        case PointMarker():
             return float(np.linalg.norm(mark.at - p))
-        case PoseMark() if mark.position is not None:
+        case PoseMarker() if mark.position is not None:
             return float(np.linalg.norm(mark.position - p))
-        case PlaneMark():
+        case PlaneMarker():
             return abs(float(mark.normal @ (mark.through - p)))
-        case LineMark() if mark.through is not None:
+        case LineMarker() if mark.through is not None:
             return float(np.linalg.norm(np.cross(mark.direction, mark.through - p)))
-        case SphereMark() | CircleMark():
+        case SphereMarker() | CircleMarker():
             return abs(float(np.linalg.norm(mark.center - p)) - mark.radius)
     return 0.0

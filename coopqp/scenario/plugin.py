@@ -16,8 +16,8 @@ from types import ModuleType
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
+from coopqp.base.errors import Fault
 from coopqp.controller import Controller, Law
-from coopqp.errors import Fault
 from coopqp.grasp import Grasp
 from coopqp.limit import Limit
 from coopqp.metric import Metric

@@ -19,26 +19,25 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, Name, NonNegative, Positive, array, near, type_name
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError, InvalidValueError, ScenarioError
+from coopqp.base.spec import Array, Name, NonNegative, Positive, array, near, type_name
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, InvalidValueError, ScenarioError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.input import InputSettings, wanted
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.task import Task
 
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
@@ -257,7 +256,7 @@ class Scenario:
         """The closed chain at the start, built once."""
         robot = self.robot_model
         start, passive = start_of(robot, self.start)
-        return ClosedChain.take_hold(
+        return ClosedChain.attach(
             robot,
             robot.configuration(start),
             self.grasps,

@@ -29,14 +29,19 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
-from coopqp.checked import Array, seeded
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array, seeded
 from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.errors import GraspError
 from coopqp.grasp import Grasp, pose_matrix
-from coopqp.held_object import HeldObject
-from coopqp.hold import add_object_frame, grasp_of_each, object_at_end, with_passive_joints
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import (
+    add_object_frame,
+    grasp_of_each,
+    object_at_end,
+    with_passive_joints,
+)
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.scenario import Start, by_arm, start_of
@@ -276,7 +281,7 @@ def close_start(
         raise GraspError(f"to close the loops near a start, give {unknown}")
     own, passive = start_of(robot, start)
     q = robot.configuration(own)
-    chain = ClosedChain.take_hold(robot, q, grasp_of, held, passive_start=passive)
+    chain = ClosedChain.attach(robot, q, grasp_of, held, passive_start=passive)
     q = closed_near(chain, chain.q_start)
     if not np.abs(chain.loop_error(q)).max() < EXACT:
         raise GraspError(

@@ -20,18 +20,18 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.checked import Array, type_name
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.qp import names_of
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array, type_name
+from coopqp.base.wording import raised
 from coopqp.limit import Limit, LimitRows
-from coopqp.mark import marks_fault
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import marks_fault
+from coopqp.model.state import State
 from coopqp.plant import Plant
-from coopqp.rank import null_space
-from coopqp.row import names_of
 from coopqp.signal import Moment
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows, evaluate_all
-from coopqp.wording import raised
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
 NEARBY = 0.03

@@ -30,9 +30,9 @@ from ruamel.yaml.events import (
     StreamStartEvent,
 )
 
-from coopqp.errors import Fault, ScenarioError, UnreadableFileError
-from coopqp.reading import read_text
-from coopqp.wording import Location, dotted
+from coopqp.base.errors import Fault, ScenarioError, UnreadableFileError
+from coopqp.base.reading import read_text
+from coopqp.base.wording import Location, dotted
 
 MOST_BYTES = 1 << 20  # of a file; reading this much takes seconds
 MOST_VALUES = 20_000  # in a file, aliases written out

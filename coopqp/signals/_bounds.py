@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import FARTHEST, Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import FARTHEST, Array
 
 #: Nothing that arms hold, and none of their joints, is faster [m/s, rad/s].
 FASTEST = 1e3

@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from coopqp.checked import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.errors import InvalidValueError
-from coopqp.signal import Course, Instant, Kind, Signal, axes_along
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
+from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along
 from coopqp.signals._bounds import check_places, check_speed
 
 
@@ -40,7 +40,7 @@ class Circle(Signal):
         if self.begin is not None and np.linalg.norm(np.cross(self.begin, self.normal)) < 1e-9:
             raise ValueError("begin is along the normal; needs a direction within the plane")
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Any three numbers can go round."""
         if kind.values != 3:
             raise InvalidValueError(
@@ -60,7 +60,7 @@ class Circle(Signal):
         return np.array([first, np.cross(n, first)])
 
 
-class _Round(Course):
+class _Round(Trajectory):
     """Going round."""
 
     moves = True

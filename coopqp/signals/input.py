@@ -1,7 +1,7 @@
 """A value that arrives from outside while the arms move, tick by tick.
 
 The scenario's key ``inputs`` says how fast what follows it may go, when it is stale and what is to
-be done then (:mod:`coopqp.input`). What the task follows is the limited value, which the loop
+be done then (``scenario.input``). What the task follows is the limited value, which the loop
 keeps in ``state.inputs``; where nothing can arrive, it stays where it begins.
 """
 
@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from coopqp.checked import Array, spec
-from coopqp.errors import InvalidValueError
-from coopqp.signal import Course, Instant, Kind, Signal
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, spec
+from coopqp.signal import Instant, Kind, Signal, Trajectory
 
 
 @spec
@@ -32,7 +32,7 @@ class Input(Signal):
         """Lets it be spelled ``input: target``."""
         return {"name": value} if isinstance(value, str) else value
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Anything can arrive."""
         if self.start is not None:
             try:
@@ -45,7 +45,7 @@ class Input(Signal):
         return _Arrived(kind, kind.zero if here is None else here, self.name)
 
 
-class _Arrived(Course):
+class _Arrived(Trajectory):
     """What the loop has made of what arrived."""
 
     moves = True

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from coopqp.checked import Array, Positive, spec
-from coopqp.errors import InvalidValueError
-from coopqp.signal import Course, Instant, Kind, Signal
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Positive, spec
+from coopqp.signal import Instant, Kind, Signal, Trajectory
 from coopqp.signals._bounds import check_places, check_speed
 
 
@@ -29,7 +29,7 @@ class Line(Signal):
         if len(self.start) != len(self.end):
             raise ValueError(f"start has {len(self.start)} numbers, end {len(self.end)}")
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Anything without a rotation."""
         if kind.turns:
             words = f"line: does not turn, but a {kind.name} is needed here; use waypoints or input"
@@ -43,7 +43,7 @@ class Line(Signal):
             raise InvalidValueError(f"line.start: {error}") from None
 
 
-class _ThereAndBack(Course):
+class _ThereAndBack(Trajectory):
     """There and back."""
 
     moves = True

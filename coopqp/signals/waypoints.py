@@ -12,14 +12,14 @@ import numpy as np
 import pinocchio as pin
 from pydantic import BeforeValidator, Field
 
-from coopqp.checked import Array, Pose, spec
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import FilePath
+from coopqp.base.spec import Array, Pose, spec
+from coopqp.base.table import read_table
 from coopqp.grasp import pose_matrix
-from coopqp.robot_files.keys import FilePath
-from coopqp.signal import Course, Instant, Kind, Signal, axes_along, matrix, quaternion_of
+from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along, matrix, quaternion_of
 from coopqp.signals._between import Between, Turns, pieces, same_side
 from coopqp.signals._bounds import check_places, check_speed
-from coopqp.table import read_table
 
 #: How far apart first and last value may be where they have to be the same [unit].
 SAME = 1e-6
@@ -64,7 +64,7 @@ class Waypoints(Signal):
             if t <= before:
                 raise ValueError(f"times: found {t:g} s after {before:g} s; they need to rise")
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Read the values as what is needed."""
         t, values = self._table(kind)
         round_trip = self.repeat == "round"
@@ -166,7 +166,7 @@ def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
     return R
 
 
-class _Way(Course):
+class _Way(Trajectory):
     """Along the way-points."""
 
     moves = True

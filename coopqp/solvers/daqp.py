@@ -12,8 +12,8 @@ from typing import ClassVar
 import daqp
 import numpy as np
 
-from coopqp.checked import Positive, spec
-from coopqp.qp import QP
+from coopqp.base.qp import QP
+from coopqp.base.spec import Positive, spec
 from coopqp.solver import Solution, Solve, Solver, Status
 
 EQUALITY = 5  # daqp's sense of a row that must hold with equality

@@ -6,8 +6,8 @@ import numpy as np
 import osqp
 import scipy.sparse
 
-from coopqp.checked import Positive, spec
-from coopqp.qp import QP
+from coopqp.base.qp import QP
+from coopqp.base.spec import Positive, spec
 from coopqp.solver import Solution, Solve, Solver, Status
 
 STATUS = {

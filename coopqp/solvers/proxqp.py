@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from proxsuite import proxqp
 
-from coopqp.checked import Positive, spec
-from coopqp.qp import QP
+from coopqp.base.qp import QP
+from coopqp.base.spec import Positive, spec
 from coopqp.solver import Solution, Solve, Solver, Status
 
 STATUS = {

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import qpsolvers
 
-from coopqp.checked import spec
-from coopqp.errors import UnknownNameError
-from coopqp.qp import QP
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.qp import QP
+from coopqp.base.spec import spec
 from coopqp.solver import Solution, Solve, Solver, Status
 
 #: Backends stop at loose tolerances by default, which the verification would refuse.

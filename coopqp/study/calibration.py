@@ -24,15 +24,15 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.errors import InvalidValueError
-from coopqp.rank import RANK_TOLERANCE
-from coopqp.state import State
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import RANK_TOLERANCE
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.state import State
 
 #: Ticks that are used at most, evenly spread.
 MOST = 1500
-#: Ticks below which noise is no noise.
+#: TickBatch below which noise is no noise.
 FEWEST = 10
 #: Steps of Gauss and Newton.
 STEPS = 5

@@ -12,20 +12,19 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError, InvalidValueError, one_line
+from coopqp.base.qp import QP, Row, Rows, Side
+from coopqp.base.reading import line_in_json, read_text
+from coopqp.base.spec import Array
+from coopqp.base.wording import Location, dotted
 from coopqp.controller import ControlProblem
-from coopqp.errors import CoopqpError, InvalidValueError, one_line
 from coopqp.limit import bound_rows
-from coopqp.qp import QP, Rows
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
 from coopqp.qp_law.level import Level
-from coopqp.reading import line_in_json, read_text
-from coopqp.row import Row, Side
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
-from coopqp.state import State
 from coopqp.task import Mode, TaskStack
-from coopqp.wording import Location, dotted
 
 MOST_BYTES = 64 << 20  # of a file
 SIDES: tuple[Side, Side] = "lower", "upper"
@@ -43,7 +42,7 @@ class TickRecord:
         dt: control period [s].
         damping: least curvature of the cost.
         budget: what an answer may be off by.
-        P, q_cost, C, lower, upper: the first level's QP, :class:`coopqp.qp.QP`: hard and scaled
+        P, q_cost, C, lower, upper: the first level's QP, ``QP``: hard and scaled
             tasks as equality rows, or, where hard ones cannot hold, as the cost
             (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks.
         inequalities: number of rows of G in C.

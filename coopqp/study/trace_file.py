@@ -14,24 +14,24 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.controller import ControlProblem, Heeds, Law
-from coopqp.controller_run import controller_of
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.reading import absolute
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem, Features, Law
 from coopqp.controllers.qp import QPController
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.input import wanted
+from coopqp.execution.controller_run import controller_of
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.reading import absolute
 from coopqp.recordings.column import Layout, of_field
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import format_of, read
 from coopqp.recordings.run import OTHER, Run
-from coopqp.row import Row
+from coopqp.scenario.input import wanted
 from coopqp.scenario.scenario import Phase, Scenario
-from coopqp.signal import Course, Followed, Kind
+from coopqp.signal import InputValues, Kind, Trajectory
 from coopqp.solver import HALTS, Status, causes_of
-from coopqp.state import State
 from coopqp.study.explanation.goal import parts_of
 from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input
@@ -63,14 +63,14 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     if "" in status:
         raise run.fault(status.index(""), "status: found nothing, needs what became of the tick")
     _check_moves(run, held)
-    heeds = controller_of(held, controller).heeds
+    supports = controller_of(held, controller).supports
     q = run.joints("q", held.chain.joint_names)
     ends = pairwise((*held.first_ticks, ticks))
     phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
     legs = [
         (
             PhaseInfo(phase.name, first, phase.released),
-            _phase(run.only(slice(first, end + 1)), held, phase, problem, heeds),
+            _phase(run.only(slice(first, end + 1)), held, phase, problem, supports),
         )
         for problem, phase, (first, end) in phases
     ]
@@ -86,7 +86,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
 
 
 def _phase(
-    run: Run, scenario: Scenario, phase: Phase, problem: ControlProblem, heeds: Heeds
+    run: Run, scenario: Scenario, phase: Phase, problem: ControlProblem, supports: Features
 ) -> Trace:
     """The rows of one phase, with its end."""
     chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
@@ -116,7 +116,7 @@ def _phase(
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
         margins=margins, starts={row: float(left[0]) for row, left in starts.items()},
-        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, heeds=heeds,
+        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=supports,
         failures=tuple(Failure(*each) for each in failed),
     )  # fmt: skip
 
@@ -283,13 +283,13 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     return state
 
 
-def _followed(row: Run, law: Law) -> Followed:
+def _followed(row: Run, law: Law) -> InputValues:
     """What was made of the inputs in a tick."""
-    found = Followed()
+    found = InputValues()
     for name, (kind, _) in wanted(law.problem.all_tasks, law.start()).items():
         kept = _input(row, name, kind)
         if np.isfinite(kept.value).any():
-            found[name] = Course(kind, kept.value[0])
+            found[name] = Trajectory(kind, kept.value[0])
             found[name].rate[:] = kept.rate[0]
     return found
 

@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
-from coopqp.checked import Array
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
-from coopqp.controller_run import controller_of
 from coopqp.controllers import QPController
-from coopqp.errors import CoopqpError
+from coopqp.execution.controller_run import controller_of
+from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Course
-from coopqp.state import State
+from coopqp.signal import Trajectory
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
 from coopqp.viewer.beside import Line
@@ -47,7 +47,7 @@ class _Own:
         ticks = chosen.plain if isinstance(chosen, QPController) else chosen.build
         self._law = ticks(self._problem)
         # A law that keeps no limits is held back by none.
-        heeded = self._problem.limits if "limits" in chosen.heeds else ()
+        heeded = self._problem.limits if "limits" in chosen.supports else ()
         self._bounded = replace(self._problem, limits=heeded)
 
     def told(self, look: Look) -> Told:
@@ -86,7 +86,7 @@ def _state(law: Law, look: Look) -> State:
     state.corrected, state.q_measured = look.corrected, look.measured
     state.hand_wrench = look.hand_wrench
     for name, (kind, value, rate) in look.inputs.items():
-        state.inputs[name] = Course(kind, value)
+        state.inputs[name] = Trajectory(kind, value)
         state.inputs[name].rate[:] = rate
     state.update()
     return state

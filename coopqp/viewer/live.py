@@ -15,31 +15,31 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array, Pose, spec
-from coopqp.errors import CoopqpError
-from coopqp.geometry import pose_course
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array, Pose, spec
 from coopqp.grasp import pose_matrix
-from coopqp.input import InputSettings
-from coopqp.limiter import RAMPS, VELOCITIES, Pace
 from coopqp.limits import ObjectSpeed
-from coopqp.mark import RelativeMark
-from coopqp.profile import Profile
+from coopqp.model.geometry import pose_course
+from coopqp.model.marker import RelativeMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import (
     DIRECTION,
     POSE,
     ROTATION,
-    Course,
     Instant,
     Kind,
     Moment,
     Reads,
     Signal,
+    Trajectory,
     course,
     quaternion_of,
 )
 from coopqp.signals import Input
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.viewer.messages import Gizmo
 
@@ -76,9 +76,9 @@ class Fixed(Signal):
     value: list[float]
     """As many numbers as are needed."""
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """It stays."""
-        return Course(kind, kind.read(self.value))
+        return Trajectory(kind, kind.read(self.value))
 
     @property
     def rest(self) -> float:
@@ -115,7 +115,7 @@ def with_schedule(scenario: Scenario, schedule: Sequence[Phase]) -> Scenario:
 def pace_of(scenario: Scenario) -> dict[str, Any]:
     """How fast inputs that are made may go, as far as the scenario's limits and the limiter say."""
     found: dict[str, Any] = {}
-    usual = Pace()
+    usual = MotionLimits()
     for limit in (limit for limit in scenario.limits if isinstance(limit, ObjectSpeed)):
         for key, speed, acceleration in (
             ("velocity", limit.linear, usual.acceleration),
@@ -171,7 +171,7 @@ def _loosened(
     task: Task, name: str, place: tuple[int, int], start: State
 ) -> tuple[Task, list[Live]]:
     """A task with inputs for its constants, as far as it can follow any."""
-    if task.of_forces or any(isinstance(mark, RelativeMark) for mark in task.marks(Moment(0.0))):
+    if task.of_forces or any(isinstance(mark, RelativeMarker) for mark in task.marks(Moment(0.0))):
         return task, []  # without a place, or seen from an arm that moves
     found: list[Live] = []
     constants = [
@@ -244,7 +244,7 @@ class Handle:
         for live in self.lives:
             kind, turn = live.kind, np.array(pose[3:])
             if kind.axis:
-                yield live.name, Course(kind, turn).R[:, 2].tolist()
+                yield live.name, Trajectory(kind, turn).R[:, 2].tolist()
                 continue
             place = list(pose[:3]) if kind.numbers else []
             yield live.name, place + (turn.tolist() if kind.turns else [])

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.signal import Kind
 
 Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]

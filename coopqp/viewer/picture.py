@@ -10,19 +10,19 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
-from coopqp.mark import SolidMark, asked
+from coopqp.model.marker import SolidMarker, asked
+from coopqp.model.state import State
 from coopqp.report.scene.bodies import robot_bodies, solid_body
 from coopqp.report.scene.forces import LEAST_FORCE, squeeze_words, weight
-from coopqp.report.scene.marks import Place
+from coopqp.report.scene.markers import Place
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import axes_along, quaternion_of
-from coopqp.state import State
 from coopqp.study.explanation.words import listed, size
-from coopqp.viewer.lane import Lane
 from coopqp.viewer.messages import LawFrame, Surface
+from coopqp.viewer.simulated_controller import SimulatedController
 
 FORCES = "hand_wrench"
 #: The longest force is drawn as long as this share of the object.
@@ -42,7 +42,7 @@ def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
     marks = (mark for limit in scenario.limits for mark in limit.marks(0.0))
-    solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMark)]
+    solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMarker)]
     names = scenario.chain.joint_names
     found = [
         Surface(
@@ -67,7 +67,7 @@ def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
     return joined.min(axis=0), joined.max(axis=0)
 
 
-def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
+def drawn(lane: SimulatedController, bodies: Sequence[Surface]) -> LawFrame:
     """A lane as it is now."""
     state = lane.plant.truth(lane.state)
     names = lane.run.problem.chain.joint_names
@@ -86,7 +86,7 @@ def drawn(lane: Lane, bodies: Sequence[Surface]) -> LawFrame:
     )
 
 
-def outlines(lane: Lane, place: Place) -> Array:
+def outlines(lane: SimulatedController, place: Place) -> Array:
     """What the tasks ask for, as line segments, shape (s, 2, 3) [m]."""
     state, found = lane.state, [np.zeros((0, 2, 3))]
     for task in lane.run.problem.tasks:
@@ -122,7 +122,7 @@ def _left(state: State) -> Array:
     return np.asarray(np.nan_to_num(left, nan=1.0, posinf=1.0, neginf=-1.0), float)
 
 
-def _broken(lane: Lane, state: State) -> str:
+def _broken(lane: SimulatedController, state: State) -> str:
     """What has happened that must not."""
     if lane.plant.broken:
         return lane.plant.broken
@@ -146,7 +146,7 @@ def _broken(lane: Lane, state: State) -> str:
     return listed(said)
 
 
-def _off(lane: Lane, state: State) -> tuple[bool, str]:
+def _off(lane: SimulatedController, state: State) -> tuple[bool, str]:
     """Whether all goals are reached, and how far off each is."""
     problem, stack = lane.run.problem, lane.goals
     state.inputs = lane.state.inputs
@@ -170,7 +170,7 @@ def _off(lane: Lane, state: State) -> tuple[bool, str]:
     return reached, ", ".join(said)
 
 
-def _forces(lane: Lane, state: State) -> tuple[Array, Array, str]:
+def _forces(lane: SimulatedController, state: State) -> tuple[Array, Array, str]:
     """What each hand does to the object, ending above the hand, shape (arms, 2, 3) [m].
 
     And its weight, from below the object on, shape (1, 2, 3), and the squeeze in words; nothing

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from coopqp.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
 from coopqp.viewer.beside import Beside
 from coopqp.viewer.messages import Asked, Opened, Placed, Told

@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment.thresholds import rests
-from coopqp.checked import Array
-from coopqp.controller_run import check_plant, controller_of
-from coopqp.errors import CoopqpError
-from coopqp.report.scene.marks import Place
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.execution.controller_run import check_plant, controller_of
+from coopqp.report.scene.markers import Place
 from coopqp.report.style import chosen_styles
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import picture
 from coopqp.viewer.dials import dials_of, turned
-from coopqp.viewer.lane import Lane
 from coopqp.viewer.live import Handle, handles, with_inputs
 from coopqp.viewer.messages import (
     Asked,
@@ -36,6 +35,7 @@ from coopqp.viewer.messages import (
     Tone,
 )
 from coopqp.viewer.recording import Recording
+from coopqp.viewer.simulated_controller import SimulatedController
 
 #: Nearer than this an input is where it goes to.
 ARRIVED = 1e-6
@@ -83,7 +83,7 @@ class Player:
         scenario = turned(self.scenario, self._values)
         self._hands.clear()
         self._hands |= {live.name: list(live.start) for live in self._lives if live.start}
-        self.lanes = [Lane(scenario, name, self._hands) for name in self._names]
+        self.lanes = [SimulatedController(scenario, name, self._hands) for name in self._names]
         self.recording = Recording(self._read, self._lives, self._names, self._values)
         self.told, self._turned = UNTOLD, False
         self.note = ""
@@ -220,7 +220,7 @@ class Player:
         for name in asked or self.scenario.controllers:
             try:
                 check_plant(self.scenario, controller_of(self.scenario, name), name)
-                Lane(self.scenario, name, {})
+                SimulatedController(self.scenario, name, {})
             except CoopqpError as error:
                 if asked:
                     raise
@@ -234,7 +234,7 @@ class Player:
     def _own_knobs(self) -> list[Dial]:
         """Inputs of the scenario's own that no gizmo steers."""
         held = {live.name for live in self._lives}
-        lane, found = Lane(self.scenario, self._names[0], {}), []
+        lane, found = SimulatedController(self.scenario, self._names[0], {}), []
         for name, channel in lane.feed.inputs.channels.items():
             for i, column in enumerate(channel.kind.columns if name not in held else ()):
                 key, now = f"{name}/{i}", float(channel.value[i])
@@ -296,14 +296,14 @@ class Player:
             self.note = str(error)
         self.recording.end("ends where a dial was turned; reset begins another")
 
-    def _gizmo_poses(self, lane: Lane) -> tuple[Array | None, ...]:
+    def _gizmo_poses(self, lane: SimulatedController) -> tuple[Array | None, ...]:
         targets = lane.targets()
         return tuple(
             handle.pose(targets, lane.state) if handle.look.phase == lane.run.index else None
             for handle in self._handles
         )
 
-    def _outlines(self, lane: Lane, gizmos: Sequence[Array | None]) -> Array:
+    def _outlines(self, lane: SimulatedController, gizmos: Sequence[Array | None]) -> Array:
         """What tasks ask for, and the ways from the object to what can be dragged."""
         ways = [
             np.stack([lane.state.point(handle.point), pose[:3]])[None]
@@ -312,7 +312,7 @@ class Player:
         ]
         return np.concatenate([picture.outlines(lane, self._place), *ways])
 
-    def _verdict(self, lane: Lane, drawn: LawFrame) -> tuple[Tone, str]:
+    def _verdict(self, lane: SimulatedController, drawn: LawFrame) -> tuple[Tone, str]:
         """What is to be said of the law that is explained."""
         stale = lane.state.inputs.stale
         if drawn.broken:
@@ -332,7 +332,7 @@ class Player:
         return "moving", _sentence("on its way", drawn.words)
 
 
-def _arrived(lane: Lane) -> bool:
+def _arrived(lane: SimulatedController) -> bool:
     """Whether all that is followed is where it goes to."""
     channels = lane.feed.inputs.channels.values()
     return all(np.abs(c.value - c.target).max(initial=0.0) < ARRIVED for c in channels)

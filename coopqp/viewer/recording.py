@@ -16,10 +16,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.input import Arrival
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.report.files import write_one
+from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind

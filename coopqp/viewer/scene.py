@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.viewer import colors
 from coopqp.viewer.messages import Asked, Frame, LawFrame, Show
 

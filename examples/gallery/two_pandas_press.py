@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from coopqp import Disturbance, Pose, load, run
-from coopqp.disturbance import Push
+from coopqp.plant import Push
 from coopqp.plants import RigidBody
 from coopqp.signals import Waypoints
 from coopqp.tasks import Pose as PoseTask

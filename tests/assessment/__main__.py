@@ -12,8 +12,8 @@ import sys
 import click
 
 import coopqp
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
+from coopqp.execution.controller_run import run
 
 sys.path.insert(0, "tests")
 

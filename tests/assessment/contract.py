@@ -15,18 +15,18 @@ from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
 from coopqp.assessment.thresholds import matters
 from coopqp.assessment.verdict import verdict
-from coopqp.comparison import summarize
 from coopqp.controller import ControlProblem
-from coopqp.disturbance import Disturbance
+from coopqp.execution.comparison import summarize
+from coopqp.execution.rollout import rollout
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
-from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.sweep import variant
 from coopqp.trace import Trace
-from coopqp.viewer.lane import Lane
 from coopqp.viewer.picture import drawn
+from coopqp.viewer.simulated_controller import SimulatedController
 
 ARRIVES = re.compile(r"(?i)\breaches the goal|gives way .* as .* was asked to")
 BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|loses the object)\b")
@@ -136,7 +136,7 @@ def _explained(
 
 def _drawn(scenario: Scenario, found: Assessment) -> dict[str, tuple[object, object]]:
     """The page at the end of the same run."""
-    lane = Lane(scenario, found.trace.controller, {})
+    lane = SimulatedController(scenario, found.trace.controller, {})
     for _ in range(found.trace.ticks + 1):
         lane.tick()
     seen, last = drawn(lane, ()), found.trace.ticks

@@ -16,13 +16,13 @@ from scenario_files import phased
 import coopqp
 from coopqp.assessment import assess
 from coopqp.assessment.thresholds import TABLE
-from coopqp.comparison import summarize
-from coopqp.controller_run import run
-from coopqp.input import InputSettings
+from coopqp.execution.comparison import summarize
+from coopqp.execution.controller_run import run
 from coopqp.limit import Limit
+from coopqp.model.profile import Profile
 from coopqp.plants import RigidBody
-from coopqp.profile import Profile
 from coopqp.report import files
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Input
 from coopqp.solver import Status

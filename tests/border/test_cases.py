@@ -10,8 +10,8 @@ import pytest
 from command_line import typed
 from scenario_files import GOOD, needs_robots
 
-from coopqp.errors import UnreadableFileError
-from coopqp.reading import read_text
+from coopqp.base.errors import UnreadableFileError
+from coopqp.base.reading import read_text
 
 CASES = Path(__file__).parent / "cases"
 

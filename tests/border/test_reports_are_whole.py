@@ -12,8 +12,8 @@ from command_line import typed
 from scenario_files import cut
 
 import coopqp
-from coopqp.comparison import Comparison
-from coopqp.errors import InternalError
+from coopqp.base.errors import InternalError
+from coopqp.execution.comparison import Comparison
 from coopqp.report import files
 
 ROOT = Path(__file__).parents[2]

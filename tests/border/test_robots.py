@@ -12,10 +12,10 @@ import pinocchio as pin
 import pytest
 
 import coopqp
-from coopqp.checked import Pose
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Pose
 from coopqp.grasps import Prismatic, Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.held_object import HeldObject
 from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robot_files.urdf import read_urdf
 from coopqp.robots import Several, Urdf

@@ -11,11 +11,11 @@ from command_line import typed
 from laws import NEAR, problem
 from scenario_files import GOOD
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import QP
+from coopqp.base.spec import spec
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Solution, Solve, Solver, Status
 from coopqp.tasks import PointOnPoint
 

@@ -11,14 +11,14 @@ from command_line import typed
 from laws import problem
 from scenario_files import GOOD
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import spec
+from coopqp.base.wording import raised
 from coopqp.controllers import QPController
 from coopqp.limit import Limit, LimitRows, Tighten
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
-from coopqp.wording import raised
 
 TASK = '''
 import os, signal, sys

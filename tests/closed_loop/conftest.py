@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from chains import BOX, PAPER_SCHEME, Closed, closed_states
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.grasps import Rigid
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel
 
 STATES = 1000
@@ -16,7 +16,7 @@ STATES = 1000
 @pytest.fixture(scope="session")
 def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO holds a box whose weight is not in its middle."""
-    return ClosedChain.take_hold(nao, chain.q_start, Rigid(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Rigid(), BOX)
 
 
 @pytest.fixture(scope="session")

@@ -11,17 +11,17 @@ from laws import DT, problem
 from scipy.optimize import brentq
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.admittance import Admittance, stability_limit
 from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.plants import RigidBody
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import InternalWrench, PointOnPoint
 
 WANTED, STIFF = 10.0, 1e4  # [N], [N/m]

@@ -10,12 +10,12 @@ import pytest
 import scipy.linalg
 from chains import PAPER_SCHEME, Hinge, closed_states, planar_pair, small_arm, three_arms
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.constraint_equations import ConstraintEquations, constraint_equations
-from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.planar_pair import PlanarPair
@@ -206,7 +206,7 @@ def test_other_schemes_are_regular_where_the_papers_is_not(chain: ClosedChain) -
 @pytest.mark.parametrize("cut", ["", "left.hinge", "LWristYaw"])
 def test_hinged_grasp(nao: RobotModel, chain: ClosedChain, cut: str) -> None:
     """Table 2: six actuated joints, the loop cut at the hinge or before it."""
-    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
     names = hinged.joint_names
     actuated = (*names[:4], names[6], names[8])
     for q, v in regular_states(hinged, actuated, 8):
@@ -254,7 +254,7 @@ def torso_pair() -> ClosedChain:
     arms = (Arm(name="a", tip="a_tip"), Arm(name="b", tip="b_tip"))
     robot = RobotModel(name="torso_pair", model=model, arms=arms)
     q = np.concatenate([[0.2], np.linspace(0.4, 0.9, 6), np.linspace(-0.5, 0.8, 6)])
-    return ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    return ClosedChain.attach(robot, q, Rigid(), HeldObject())
 
 
 def test_torso_that_is_actuated_turns_everything() -> None:
@@ -321,7 +321,7 @@ def test_cut_that_opens_no_loop(chain: ClosedChain, cut: list[str], message: str
 def test_arm_whose_joints_are_all_actuated_cannot_be_cut() -> None:
     robot = PlanarPair().build()
     start = robot.configuration({"right": [-0.3, 1.2, -0.9], "left": [0.3, -1.2, 0.9]})
-    pair = ClosedChain.take_hold(robot, start, Rigid(), HeldObject())
+    pair = ClosedChain.attach(robot, start, Rigid(), HeldObject())
     left = ("left_1", "left_2", "left_3")
     with pytest.raises(InvalidValueError, match="leaves no joint of an arm"):
         constraint_equations(pair, pair.q_start, np.zeros(6), actuated=left)

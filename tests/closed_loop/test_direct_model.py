@@ -12,9 +12,9 @@ import scipy.linalg
 from chains import BOX, Closed, closed_states, heavy, planar_pair, ring, spherical_pair, three_arms
 from dynamics_by_hand import SHARES, Oracle, PinocchioOracle, accelerations, relative
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
+from coopqp.model.closed_chain import ClosedChain
 
 H = 1e-4  # step of central differences in time [s]
 
@@ -137,7 +137,7 @@ def test_regular_state_of_varying_loop_rows_is_not_called_singular() -> None:
 @pytest.mark.parametrize("build", [lambda: ring(3, 6), lambda: ring(4, 7), three_arms])
 def test_three_and_four_arms(build: Callable[[], ClosedChain]) -> None:
     chain = build()
-    chain = ClosedChain.take_hold(chain.robot, chain.q_start, chain.grasps, BOX)
+    chain = ClosedChain.attach(chain.robot, chain.q_start, chain.grasps, BOX)
     shares = {arm.name: 1 / len(chain.arms) for arm in chain.arms}
     first, even = ClosedLoopDynamics(chain), ClosedLoopDynamics(chain, shares=shares)
     oracle, some = Oracle(chain, arm=2), closed_states(chain, 8)

@@ -15,15 +15,15 @@ from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import ScenarioError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import Squeeze, contact_faults, contact_notes, forces
 from coopqp.closed_loop.grasp_matrix import grasp_matrix, walker
 from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.closed_loop.section import section
-from coopqp.contact import Contact
-from coopqp.errors import ScenarioError
+from coopqp.grasp import Contact
 from coopqp.grasps import PointContact
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Scenario
 
 G = 9.81  # [m/s2]
@@ -203,7 +203,7 @@ def test_a_contact_that_points_away_is_refused(chain: ClosedChain) -> None:
         name: type(grasp)(**{**_fields(grasp), "normal": tuple(-x for x in grasp.normal)})
         for name, grasp in good.grasps.items()
     }
-    bad = ClosedChain.take_hold(chain.robot, chain.q_start, away, good.held)
+    bad = ClosedChain.attach(chain.robot, chain.q_start, away, good.held)
     assert [arm for arm, words in contact_faults(bad) if "points away" in words] == [
         "right",
         "left",

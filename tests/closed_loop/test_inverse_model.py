@@ -11,10 +11,10 @@ from chains import PAPER_SCHEME, Closed, closed_states
 from dynamics_by_hand import SHARES, Oracle, accelerations
 from mujoco_model import MujocoChain
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.closed_loop.constraint_equations import constraint_equations
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.model.closed_chain import ClosedChain
 
 
 def test_inverse_model_undoes_the_direct_model_at_every_state(

@@ -8,8 +8,8 @@ import pytest
 from stress import arrangements, driving
 
 from coopqp.closed_loop.many_poses import angles, carried, loop_errors
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
-from coopqp.state import State
 
 COUNT = 20
 

@@ -15,14 +15,14 @@ from chains import Hinge, closed_states, planar_pair, ring, stretched_pair
 from scenario_files import needs_robots
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.mobility import LENGTH, Mobility, Screw, mobility
 from coopqp.closed_loop.screw import screw_of
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.report.mobility import study
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.tasks import Orientation, PointOnPoint
 
 SCALE = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])
@@ -39,7 +39,7 @@ def skewered(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
         arm.name: Hinge(axis=tuple(hand.rotation.T @ line / np.linalg.norm(line)))
         for arm, hand in zip(nao.arms, (right, left), strict=True)
     }
-    return ClosedChain.take_hold(nao, chain.q_start, hinges, HeldObject())
+    return ClosedChain.attach(nao, chain.q_start, hinges, HeldObject())
 
 
 def object_twists(chain: ClosedChain, q: Array) -> Array:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import coopqp
-from coopqp.checked import Array
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.momentum_observer import MomentumObserver
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import InvalidValueError
-from coopqp.held_object import HeldObject
-from coopqp.memory import Memory
-from coopqp.profile import Profile
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import Memory
+from coopqp.plant import Disturbance, Push
 from coopqp.trace import Trace
 
 FORCE, BEGIN, GAIN = np.array([0.6, 0.0, -0.8]), 0.3, 50.0  # [N], [s], [1/s]

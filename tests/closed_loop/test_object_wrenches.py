@@ -8,9 +8,9 @@ import pytest
 from chains import BOX, Closed, closed_states, inertia_of, ring
 from dynamics_by_hand import SHARES, accelerations
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.model.closed_chain import ClosedChain
 
 H = 1e-4  # step of central differences in time [s]
 

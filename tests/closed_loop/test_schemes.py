@@ -7,9 +7,9 @@ import pytest
 import scipy.linalg
 from chains import PAPER_SCHEME, closed_states
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.model.closed_chain import ClosedChain
 
 
 def test_seventy_one_of_210_schemes_never_work_and_ninety_one_not_at_the_start(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp.checked import Array
+from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import Split, grasp_matrix, moved, virtual_inertia, walker
 from coopqp.closed_loop.section import COMPONENTS, across, section
 from coopqp.closed_loop.virtual_linkage import virtual_linkage
-from coopqp.errors import GraspError, InvalidValueError
 
 GRASPS = 500
 A = 0.15  # half the distance between two hands [m]

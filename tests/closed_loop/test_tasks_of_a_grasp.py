@@ -10,10 +10,10 @@ import pytest
 import scipy.linalg
 from chains import closed_states, planar_pair, stretched_pair
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.mobility import LENGTH, Mobility, manipulability, mobility
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 SCALE = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])
 

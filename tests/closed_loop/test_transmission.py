@@ -11,13 +11,13 @@ from chains import Hinge, heavy, planar_pair, ring, short_pair, spherical_pair, 
 from scenario_files import LOADABLE
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.transmission import LENGTH, force_words, transmission
 from coopqp.grasps import Spherical
-from coopqp.held_object import HeldObject
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 
 #: Scenario: dimensions; commanded, borne, not transmitted; least singular value at the start.
 TABLE = {
@@ -37,7 +37,7 @@ def ball_and_hinge() -> ClosedChain:
     firm = ring(2, 7)
     grasps = {"a": Spherical(), "b": Hinge()}
     q = firm.q_start[: firm.robot.model.nq]
-    return ClosedChain.take_hold(firm.robot, q, grasps, HeldObject())
+    return ClosedChain.attach(firm.robot, q, grasps, HeldObject())
 
 
 #: Robots of no scenario, all with masses.

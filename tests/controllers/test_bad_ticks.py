@@ -11,19 +11,18 @@ from chains import HANDS
 from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, problem
 
-from coopqp.checked import Array, spec, type_name
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import QP, Row
+from coopqp.base.spec import Array, spec, type_name
 from coopqp.controller import Controller
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import Row
 from coopqp.solver import Solution, Solve, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, PointOnPoint
 
@@ -218,7 +217,7 @@ def test_a_force_that_is_not_a_number_is_named(
 
 @pytest.fixture(scope="module")
 def box_of_nao(nao: RobotModel) -> ClosedChain:
-    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    return ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
 
 
 @each_controller

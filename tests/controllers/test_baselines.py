@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.constraint_equations import constraint_equations
 from coopqp.controller import Command, Controller, ControlProblem
 from coopqp.controllers import (
@@ -22,13 +22,13 @@ from coopqp.controllers import (
     WeightedLeastNorm,
 )
 from coopqp.controllers.saturation_null_space import Saturated, saturate
-from coopqp.errors import InvalidValueError
 from coopqp.grasps import Revolute
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Workspace
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import NaoT14
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 REACH = PointOnPoint(goal=NEAR, profile=STEP)
@@ -264,7 +264,7 @@ def test_two_steps_stand_still_where_the_papers_scheme_is_singular(chain: Closed
 
 def test_two_steps_leave_passive_joints_to_the_loops() -> None:
     robot = NaoT14().build()
-    hinged = ClosedChain.take_hold(robot, robot.configuration(HANDS), Revolute(), HeldObject())
+    hinged = ClosedChain.attach(robot, robot.configuration(HANDS), Revolute(), HeldObject())
     law = TwoStep().build(problem(hinged, REACH))
     assert not set(law._actuated) & set(hinged.passive.tolist())  # type: ignore[attr-defined]
     assert len(law._actuated) == 6  # type: ignore[attr-defined]

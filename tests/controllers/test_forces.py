@@ -13,16 +13,16 @@ from laws import problem
 from pads import pressing
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.section import section
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.errors import GraspError, InvalidValueError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.solver import Status
 from coopqp.task import Task
@@ -110,13 +110,13 @@ def test_arms_share_the_load_as_they_are_told(
 
 
 def test_an_arm_with_weaker_motors_gets_less_of_the_load(nao: RobotModel) -> None:
-    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.4))
+    firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.4))
     even, h_even = decided(firm, shares="motors", split="walker", grip=0.1)
     weak = nao.model.copy()
     for name in nao.joint_names:
         if name.startswith("R"):
             weak.effortLimit[weak.getJointId(name) - 1] *= 0.6
-    weaker = ClosedChain.take_hold(
+    weaker = ClosedChain.attach(
         replace(nao, model=weak), firm.q_start, Rigid(), HeldObject(mass=0.4)
     )
     _, h = decided(weaker, shares="motors", split="walker", grip=0.1)
@@ -125,7 +125,7 @@ def test_an_arm_with_weaker_motors_gets_less_of_the_load(nao: RobotModel) -> Non
 
 
 def test_hands_that_press_stay_in_their_cones(nao: RobotModel) -> None:
-    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
     law, h = decided(pressing(firm, 0.2, 0.02))
     assert law.programs[0].left_cones == 0.0
     assert (law.hands.cones @ h <= law.hands.most + 1e-8).all()
@@ -134,7 +134,7 @@ def test_hands_that_press_stay_in_their_cones(nao: RobotModel) -> None:
 
 def test_cones_are_left_only_where_nothing_keeps_them(nao: RobotModel) -> None:
     """Friction would have to bear a fall's end: the law says so, and leaves them by little."""
-    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.5))
+    firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.5))
     chain = pressing(firm, 0.5, 0.02)
     x, y, z = chain.start_position
     asked = problem(
@@ -176,7 +176,7 @@ def test_squeeze_alone_is_refused_with_naos_hinges() -> None:
 
 
 def test_a_safety_that_friction_does_not_give_is_refused(nao: RobotModel) -> None:
-    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.5))
+    firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.5))
     chain = pressing(firm, 0.5, 0.02)
     with pytest.raises(GraspError, match=r"with safety 3: the hands carry \d+ % of its weight"):
         decided(chain, safety=3.0)
@@ -203,12 +203,12 @@ def test_shares_of_strangers_are_refused(box_of_nao: ClosedChain) -> None:
 
 @pytest.fixture(scope="module")
 def box_of_nao(nao: RobotModel) -> ClosedChain:
-    return ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    return ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
 
 
 def test_hinges_transmit_no_torque_about_them(nao: RobotModel) -> None:
     """The QP's wrenches too: a passive joint has no motor."""
-    chain = ClosedChain.take_hold(nao, nao.configuration(HANDS), Hinge(), HeldObject(mass=0.2))
+    chain = ClosedChain.attach(nao, nao.configuration(HANDS), Hinge(), HeldObject(mass=0.2))
     law, h = decided(chain, InternalWrench(squeeze=3.0))
     arms = ClosedLoopDynamics(chain, mass_scale=0.0)
     arms.update(chain.q_start, np.zeros(chain.n))
@@ -255,7 +255,7 @@ def round_cones(law: TorqueQpLaw, edges: int = 24) -> tuple[Array, float]:
 
 def test_the_inner_square_costs_no_more_than_it_says(nao: RobotModel) -> None:
     """Against corners in round cones: never cheaper, and at most sqrt(2) times the squeeze."""
-    firm = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
+    firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
     law, h = decided(pressing(firm, 0.2, 0.02))
     own = law.solution.v
     cost = float(0.5 * own @ law.qp.P @ own + law.qp.q @ own)

@@ -6,19 +6,19 @@ import numpy as np
 from laws import problem
 from pads import pressing
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import into_contacts
 from coopqp.controllers import TorqueQp
-from coopqp.controllers._held_torques import AHEAD
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import drive
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
-from coopqp.profile import Profile
-from coopqp.rollout import drive
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
+from coopqp.torque_law.held_torques import AHEAD
 
 TICKS = 40
 

@@ -16,22 +16,21 @@ import scipy.linalg
 from chains import ring
 from laws import problem
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import AXES, ClosedChain
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controllers import PassiveGraspPid, QPController, TorqueQp, WrenchSplit
-from coopqp.controllers._impedances import leaks
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import CoopqpError, InvalidValueError
-from coopqp.plant import Plant
+from coopqp.execution.rollout import rollout
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.profile import Profile
-from coopqp.rollout import rollout
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import Impedance, Orientation, PointOnLine, PointOnPlane, RelativeMotion
 from coopqp.tasks import Pose as PoseTask
+from coopqp.torque_law.impedances import leaks
 from coopqp.trace import Trace
 
 FORCE, TORQUE = np.array([2.0, -1.5, 2.5]), np.array([0.05, 0.1, -0.08])  # [N], [N m]

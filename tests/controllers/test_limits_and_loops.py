@@ -7,8 +7,7 @@ import pytest
 from example_controllers import each_controller
 from laws import DT, LIMITS, STEP, UNREACHABLE, answer, distances, problem, run
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import (
     DampedPseudoinverse,
@@ -17,7 +16,8 @@ from coopqp.controllers import (
     QPController,
 )
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.tasks import PointOnPoint
 
 BEHIND = (0.1, 0.05, -0.05)  # reachable, 13 cm away

@@ -10,12 +10,12 @@ import pytest
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.metrics.limit_criterion import LimitCriterion, limit_criterion
-from coopqp.rank import null_space
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, JointLimitBarrier
 from coopqp.trace import Trace

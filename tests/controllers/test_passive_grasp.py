@@ -12,10 +12,10 @@ from command_line import typed
 from scenario_files import write
 
 import coopqp
-from coopqp.controller_run import run
+from coopqp.base.errors import InvalidValueError
 from coopqp.controllers import PassiveGraspPid, TorqueQp
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import InvalidValueError
+from coopqp.execution.controller_run import run
+from coopqp.plant import Disturbance, Push
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.scenario.loader import load, shipped
 from coopqp.trace import Trace

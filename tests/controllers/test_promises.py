@@ -1,4 +1,4 @@
-"""A law says what of its problem it heeds, keeps that, and never decides on old kinematics."""
+"""A law says what of its problem it supports, keeps that, and never decides on old kinematics."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import pytest
 from laws import problem
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller import Heeds
+from coopqp.base.spec import Array
+from coopqp.controller import Features
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report import audit
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.notes import notes
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 
@@ -89,8 +89,8 @@ def rows_that_matter(trace: Trace) -> Array:
 
 @pytest.mark.parametrize("name", Catalog().entries("controllers"))
 def test_what_a_controller_heeds_is_part_of_a_problem(name: str) -> None:
-    known = set(get_args(get_args(Heeds)[0]))
-    assert set(Catalog().entries("controllers")[name].cls.heeds) <= known
+    known = set(get_args(get_args(Features)[0]))
+    assert set(Catalog().entries("controllers")[name].cls.supports) <= known
 
 
 def test_only_those_who_promise_to_keep_limits_are_audited() -> None:

@@ -9,13 +9,13 @@ from chains import closed_states
 from laws import problem
 from pads import pressing
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.errors import GraspError
 from coopqp.grasps._pad import NEAR
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
 

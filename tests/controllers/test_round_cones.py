@@ -14,11 +14,11 @@ from chains import closed_states
 from laws import problem
 from pads import pressing
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.grasps import PointContact, SurfaceContact
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
 
@@ -39,7 +39,7 @@ def fingertip(pads: ClosedChain) -> ClosedChain:
     assert isinstance(pad, SurfaceContact)
     tip = PointContact(normal=pad.normal, along=pad.along, friction=pad.friction)
     held = replace(pads.held, pose=None)
-    return ClosedChain.take_hold(pads.robot, pads.q_start, {**pads.grasps, first: tip}, held)
+    return ClosedChain.attach(pads.robot, pads.q_start, {**pads.grasps, first: tip}, held)
 
 
 def law_of(chain: ClosedChain) -> TorqueQpLaw:
@@ -61,7 +61,7 @@ def test_the_cost_lies_between_those_of_round_cones(
     held = pressing(chain, 0.2, 0.02, torsion=torsion)
     if torsion < 1.0:
         aside = replace(held.held, com=(0.02, 0.0, 0.0), pose=None)
-        held = ClosedChain.take_hold(held.robot, held.q_start, held.grasps, aside)
+        held = ClosedChain.attach(held.robot, held.q_start, held.grasps, aside)
     held = fingertip(held) if point else held
     law, compared, dear = law_of(held), 0, 0
     for q, v in closed_states(held, STATES):

@@ -9,19 +9,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from coopqp.checked import Pose
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Pose
 from coopqp.controller import Controller
-from coopqp.controller_run import run
 from coopqp.controllers import PassiveGraspPid, TorqueQp
-from coopqp.controllers._margins import DELAY, LEAST_DAMPING, row_loop
 from coopqp.controllers.passive_grasp_pid import TorquePid
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import InvalidValueError
+from coopqp.execution.controller_run import run
+from coopqp.model.profile import Profile
+from coopqp.plant import Disturbance, Push
 from coopqp.plants import Kinematic, RigidBody
-from coopqp.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import Pose as PoseTask
+from coopqp.torque_law.margins import DELAY, LEAST_DAMPING, row_loop
 from coopqp.trace import Trace
 
 TORQUE: dict[str, Controller] = {"pid": PassiveGraspPid(), "torque_qp": TorqueQp()}

@@ -9,7 +9,6 @@ from chains import Walk
 from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, WIDE, answer, distances, problem, run
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Controller
 from coopqp.controllers import (
@@ -18,7 +17,8 @@ from coopqp.controllers import (
     PseudoinverseNullSpace,
     QPController,
 )
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, MinimumKineticEnergy, PointOnPlane, PointOnPoint
 

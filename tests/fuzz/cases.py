@@ -16,15 +16,15 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from coopqp.comparison import compare
-from coopqp.errors import CoopqpError, InternalError, ScenarioError
+from coopqp.base.errors import CoopqpError, InternalError, ScenarioError
+from coopqp.execution.comparison import compare
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load, solver_by_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
-from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation.explained_phase import legs
 from coopqp.study.tick_record import TickRecord, replay
 from coopqp.study.trace_file import measured_run, recorded_tick, trace_from_file
 

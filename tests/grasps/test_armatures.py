@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.grasps import Revolute
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 
 
@@ -17,7 +17,7 @@ def test_passive_joints_keep_the_armatures_of_the_motors(nao: RobotModel) -> Non
     model = nao.model.copy()
     model.armature = np.linspace(0.1, 1.0, model.nv)
     robot = replace(nao, model=model)
-    chain = ClosedChain.take_hold(robot, np.zeros(model.nv), Revolute(), HeldObject())
+    chain = ClosedChain.attach(robot, np.zeros(model.nv), Revolute(), HeldObject())
     for name, armature in zip(robot.joint_names, model.armature, strict=True):
         at = chain.model.idx_vs[chain.model.getJointId(name)]
         assert chain.model.armature[at] == armature

@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import linprog, nnls
 
-from coopqp.checked import Array
-from coopqp.contact import Contact
+from coopqp.base.spec import Array
+from coopqp.grasp import Contact
 from coopqp.grasps import PointContact, SurfaceContact
 from coopqp.grasps._pad import Pad, corners_hold, pad_rows
 

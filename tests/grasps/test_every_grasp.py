@@ -8,21 +8,21 @@ import pytest
 from chains import BOX
 from example_grasps import EXAMPLES
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import matrix_rank
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
 from coopqp.grasp import Grasp
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
-from coopqp.rank import matrix_rank
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 each_grasp = pytest.mark.parametrize("grasp", EXAMPLES.values(), ids=EXAMPLES.keys())
 
 
 def held(nao: RobotModel, chain: ClosedChain, grasp: Grasp) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, grasp, BOX)
+    return ClosedChain.attach(nao, chain.q_start, grasp, BOX)
 
 
 @each_grasp

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import coopqp
+from coopqp.base.errors import GraspError
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.controller_run import run
-from coopqp.errors import GraspError
+from coopqp.execution.controller_run import run
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
 from coopqp.plants import RigidBody

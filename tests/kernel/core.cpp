@@ -11,7 +11,7 @@
 #include "../../coopqp/kernel/core/bounds.hpp"
 #include "../../coopqp/kernel/core/kernel.hpp"
 #include "../../coopqp/kernel/core/program.hpp"
-#include "../../coopqp/kernel/core/survey.hpp"
+#include "../../coopqp/kernel/core/trajectory_evaluation.hpp"
 #include "../../coopqp/kernel/core/twist_limits.hpp"
 
 using namespace coopqp;
@@ -314,7 +314,7 @@ int wrong_survey(Random& random) {
     }
     std::vector<double> e(3 * rows), rate(3 * rows), moved(2 * rows), p_WO(9), R_WO(27), loops(18);
     std::vector<double> at(9 * points);
-    Survey survey(std::move(arena), std::move(model), {level}, {p},
+    TrajectoryEvaluation survey(std::move(arena), std::move(model), {level}, {p},
                   {{-1, {1.0, 2.0, 3.0}}, {int(n) - 1, {0.1, 0.0, 0.0}}});
     survey.look(3, t.data(), q.data(), v.data(),
                 {e.data(), rate.data(), moved.data(), p_WO.data(), R_WO.data(), loops.data(), at.data()});

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from coopqp import geometry, limit, profile, program
+from coopqp import limit, program
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
-from coopqp.qp_law import equations, level, nearest, priorities, safety, way_back
+from coopqp.model import geometry, profile
+from coopqp.qp_law import equations, level, limit_recovery, nearest, priorities, safety
 from coopqp.tasks import manipulability
 
 HEADER = Path(compiled.__file__).parent / "core" / "shared.hpp"
@@ -30,7 +31,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     level: {"DECIDED": "DECIDED"},
     priorities: {"NOISE": "NOISE"},
     safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
-    way_back: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
+    limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},
@@ -63,7 +64,7 @@ def _lines() -> Iterator[str]:
     yield from _enum("enum class Status : int", outcomes)
     yield f"constexpr int {', '.join(f'{name} = {int(o)}' for name, o in flags.items())};"
     yield ""
-    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.profile.KINDS"
+    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.model.profile.KINDS"
     yield from _enum("enum class Kind", {_camel(k.name): k for k in program.Kind})
     yield from _enum("enum class Bounded", {_camel(k.name): k for k in limit.Bounded})
     kinds = {_camel(name): i for i, name in enumerate(profile.KINDS)}

@@ -15,15 +15,15 @@ from chains import ring, robot_of, serial
 from forking import program
 from laws import LIMITS, NEAR, problem
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.kernel import native
 from coopqp.kernel.fit import why_not
 from coopqp.kernel.law import KernelLaw
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot_files.mdh import MdhParameters as Parameters
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
@@ -62,7 +62,7 @@ def test_an_arm_of_one_joint() -> None:
     joints = [Parameters(alpha=1.0, d=0.1 * k, r=0.1) for k in range(7)]
     robot = robot_of("uneven", {"long": serial("l", joints), "short": serial("s", joints[:1])},
                      (0.1, 0.0, 0.0))  # fmt: skip
-    chain = ClosedChain.take_hold(robot, np.linspace(-0.5, 0.6, 8), Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, np.linspace(-0.5, 0.6, 8), Rigid(), HeldObject())
     alike(chain, PointOnPoint(goal=tuple((chain.start_position + 0.001).tolist())))
 
 

@@ -11,17 +11,17 @@ import pytest
 from chains import ring, short_pair
 from laws import LIMITS, NEAR, STEP, problem
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError
 from coopqp.kernel import native
 from coopqp.kernel.fit import why_not
 from coopqp.kernel.law import KernelLaw
 from coopqp.limits import Workspace
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status
 from coopqp.solvers import Osqp
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, PointOnPoint
 

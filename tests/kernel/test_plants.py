@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scenario_files import HEAD, PHASES, TAIL, phased
 
-from coopqp.controller_run import run
 from coopqp.controllers import QPController
+from coopqp.execution.controller_run import run
 from coopqp.kernel import native
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario

@@ -11,9 +11,9 @@ from example_tasks import EXAMPLES, TIMES, over
 from laws import problem
 from side_by_side import laws
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.kernel import native
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import Task, TaskStack
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

@@ -11,11 +11,11 @@ from laws import LIMITS, NEAR, UNREACHABLE, problem
 from stress.draw import LAW as STRESSED
 from stress.draw import draw
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.tasks import JointCentering, PointOnPoint
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

@@ -12,18 +12,18 @@ from following import NAMES, following, one_of_each, way
 from laws import LIMITS, problem
 from side_by_side import drive
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.input import InputSettings
+from coopqp.execution.controller_run import run
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.loader import load
-from coopqp.signal import POINT, Course, Followed, Kind, Signal
+from coopqp.signal import POINT, InputValues, Kind, Signal, Trajectory
 from coopqp.signals import Input, Line
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
@@ -131,13 +131,13 @@ def test_the_kernel_reads_an_input_itself_wherever_its_arrays_are(chain: ClosedC
         found = []
         for law, state in zip(laws, states, strict=True):
             if k == 0:
-                state.inputs = Followed()
+                state.inputs = InputValues()
             elif k in (10, 40):  # another object
-                state.inputs["target"] = Course(POINT, state.p_WO)
+                state.inputs["target"] = Trajectory(POINT, state.p_WO)
             elif k == 20:  # another array
                 state.inputs["target"].value = state.inputs["target"].value.copy()
             elif k == 30:
-                state.inputs["target"] = Course(Kind("pair", 2), np.zeros(2))
+                state.inputs["target"] = Trajectory(Kind("pair", 2), np.zeros(2))
             elif k == 50:
                 del state.inputs["target"]
             if k > 10 and not 30 <= k < 40 and k < 50:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from stress import arrangements
 
+from coopqp.base.rank import null_space
 from coopqp.kernel import native
 from coopqp.kernel.slide import slide
-from coopqp.rank import null_space
-from coopqp.state import State
+from coopqp.model.state import State
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
 

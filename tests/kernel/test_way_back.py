@@ -11,18 +11,18 @@ from side_by_side import drive
 from stress.draw import LAW as STRESSED
 from stress.draw import draw
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.limit import Limit
 from coopqp.limits import FollowingError, JointAcceleration, Workspace
-from coopqp.qp_law.way_back import KEPT, LEAST_MOTION
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.qp_law.limit_recovery import KEPT, LEAST_MOTION
 from coopqp.robot import RobotModel
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 

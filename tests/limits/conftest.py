@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from chains import HANDS
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 
 
 @pytest.fixture(scope="session")
 def held_box(nao: RobotModel) -> ClosedChain:
     q = nao.configuration(HANDS)
-    return ClosedChain.take_hold(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))
+    return ClosedChain.attach(nao, q, Rigid(), HeldObject(size=(0.08, 0.19, 0.08)))

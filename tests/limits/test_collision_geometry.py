@@ -15,15 +15,15 @@ import pytest
 from collision_robots import CASES, Oracle, bodies_of_rows
 from scenario_files import needs_robots
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import names_of
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import SelfCollision
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robot_files.keys import ArmJoints
 from coopqp.robots import Mjcf, Urdf
-from coopqp.row import names_of
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "collisions.py"
 
@@ -144,7 +144,7 @@ ARM = """
 
 def held(robot: RobotModel) -> ClosedChain:
     q = np.zeros(robot.model.nq)
-    return ClosedChain.take_hold(robot, q, Rigid(), HeldObject(size=(0.02, 0.02, 0.02)))
+    return ClosedChain.attach(robot, q, Rigid(), HeldObject(size=(0.02, 0.02, 0.02)))
 
 
 def urdf(folder: Path, arm: str = ARM) -> RobotModel:

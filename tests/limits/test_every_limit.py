@@ -11,11 +11,10 @@ import pytest
 from example_limits import EXAMPLES, TABLE, TOLERANCE, by_name, empty_rows
 from laws import DT, run
 
-from coopqp.checked import Pose as PoseSpec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Pose as PoseSpec
 from coopqp.controllers import QPController
 from coopqp.grasps import Spherical
-from coopqp.held_object import HeldObject
 from coopqp.limit import SHALLOW, Limit, LimitRows, damp
 from coopqp.limits import (
     JointAcceleration,
@@ -24,10 +23,11 @@ from coopqp.limits import (
     ObjectSpeed,
     SelfCollision,
 )
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.row import names_of
-from coopqp.state import State
 from coopqp.tasks import JointCentering, Pose
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))
@@ -97,7 +97,7 @@ def test_margins_are_negative_where_a_limit_is_broken(held_box: ClosedChain) -> 
 
 
 def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) -> None:
-    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
+    loose = ClosedChain.attach(nao, held_box.q_start, Spherical(), HeldObject())
     q, v = np.vstack([loose.q_start] * 2), np.zeros((1, loose.n))
     passive = loose.joint_names[loose.passive[0]]
     assert f"limit.velocity[{passive}].upper" not in by_name(

@@ -7,16 +7,16 @@ import pytest
 from example_limits import empty_rows
 from laws import DT, problem
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.grasps import Revolute
-from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 MOST = 0.03  # rad
@@ -56,7 +56,7 @@ def test_what_is_not_measured_bounds_nothing(held_box: ClosedChain, measured: Ar
 
 
 def test_passive_joints_follow_the_others(nao: RobotModel, held_box: ClosedChain) -> None:
-    hinged = ClosedChain.take_hold(
+    hinged = ClosedChain.attach(
         nao, held_box.q_start, Revolute(point=(0.0, 0.0, -0.05)), HeldObject()
     )
     state = State(hinged)

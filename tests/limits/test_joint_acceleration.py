@@ -11,14 +11,14 @@ import pytest
 from example_limits import empty_rows
 from laws import DT, LIMITS, run
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import UnknownNameError
 from coopqp.controllers import QPController
-from coopqp.errors import UnknownNameError
 from coopqp.limit import Limit, LimitRows
 from coopqp.limits import JointAcceleration, JointPosition
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))

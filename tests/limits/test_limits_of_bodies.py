@@ -12,9 +12,9 @@ from command_line import typed
 from scenario_files import HEAD, TAIL, write
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import summarize
-from coopqp.errors import InvalidValueError, ScenarioError
+from coopqp.base.errors import InvalidValueError, ScenarioError
+from coopqp.base.qp import names_of
+from coopqp.execution.comparison import summarize
 from coopqp.limits import (
     JointPosition,
     JointVelocity,
@@ -24,13 +24,13 @@ from coopqp.limits import (
     _keep_apart,
 )
 from coopqp.limits._keep_apart import distances_along
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report.cells import cells
-from coopqp.row import names_of
 from coopqp.scenario.loader import load
 from coopqp.scenario.notes import notes
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 REACH = """\
@@ -126,7 +126,7 @@ def test_a_start_nearer_than_asked_is_a_note(held_box: ClosedChain, gap: float, 
 
 
 def pulled_into_a_ball(gap: float, **keys: float) -> Scenario:
-    """NAO's box goes to the middle of a ball over it; only the QP heeds the limit."""
+    """NAO's box goes to the middle of a ball over it; only the QP supports the limit."""
     like = coopqp.load("point_on_point")
     ball = beside_the_object(like.chain, gap)
     limits = (JointPosition(), JointVelocity(), Obstacles(shapes={"ball": ball}, **keys))  # type: ignore[arg-type]

@@ -12,12 +12,12 @@ import pytest
 from example_limits import empty_rows, least
 from laws import DT, run
 
-from coopqp.checked import Pose as PoseSpec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Pose as PoseSpec
 from coopqp.controllers import QPController
 from coopqp.limits import ObjectSpeed
-from coopqp.profile import Profile
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.tasks import JointCentering, Pose
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))

@@ -11,16 +11,16 @@ import pytest
 from example_limits import SHELF, empty_rows, least
 from laws import DT, LIMITS, run
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, ScenarioError, UnknownNameError
+from coopqp.base.qp import names_of
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError, ScenarioError, UnknownNameError
 from coopqp.limits import Obstacle, Obstacles
-from coopqp.mark import SolidMark
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import SolidMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot_files import obj
-from coopqp.row import names_of
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 #: A pyramid over a square of 10 cm, 8 cm high, and a flat square.
@@ -140,7 +140,7 @@ def test_what_is_pulled_into_a_ball_stops_before_it(held_box: ClosedChain) -> No
 
 def test_pictures_show_the_things() -> None:
     marks = SHELF.marks(0.0)
-    assert [mark.kind for mark in marks if isinstance(mark, SolidMark)] == [
+    assert [mark.kind for mark in marks if isinstance(mark, SolidMarker)] == [
         "box", "cylinder", "sphere"
     ]  # fmt: skip
 

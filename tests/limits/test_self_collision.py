@@ -15,18 +15,18 @@ from chains import HANDS
 from example_limits import by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.grasps import Rigid, Spherical
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, SelfCollision
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import Capsule, RobotModel
 from coopqp.robots import NaoT14, PlanarPair
-from coopqp.row import names_of
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))
@@ -199,7 +199,7 @@ def test_bodies_in_each_other_give_finite_rows(nao: RobotModel, held_box: Closed
     same = robot(at("a", None, shoulder, 0.0), at("b", "RShoulderPitch", here, 0.0))
     along = robot(at("a", None, shoulder, 0.1), at("b", "RShoulderPitch", here, 0.1))
     for model in (same, along):
-        chain = ClosedChain.take_hold(model, held_box.q_start, Rigid(), HeldObject())
+        chain = ClosedChain.attach(model, held_box.q_start, Rigid(), HeldObject())
         limit = SelfCollision(pairs=(("b", "a"), ("object", "a")))
         rows = empty_rows(chain, limit)
         limit.bind(chain, DT)(State(chain), rows)
@@ -212,7 +212,7 @@ def test_bodies_that_the_grasps_fix_to_each_other_are_no_pair(
 ) -> None:
     hands = "limit.self_collision[RHand|LHand]"
     assert hands not in names_of(SelfCollision().rows(held_box))
-    loose = ClosedChain.take_hold(nao, held_box.q_start, Spherical(), HeldObject())
+    loose = ClosedChain.attach(nao, held_box.q_start, Spherical(), HeldObject())
     assert hands in names_of(SelfCollision().rows(loose))
     assert not any("Hand" in n for n in names_of(SelfCollision().rows(loose)) if "object" in n)
 
@@ -227,7 +227,7 @@ def test_self_collision_refuses_what_it_cannot_watch(held_box: ClosedChain) -> N
         SelfCollision(gain=101.0).bind(held_box, DT)
     pair = PlanarPair().build()
     q = pair.configuration({"right": [0.5, -1.0, 0.5], "left": [-0.5, 1.0, -0.5]})
-    bare = ClosedChain.take_hold(pair, q, Rigid(), HeldObject())
+    bare = ClosedChain.attach(pair, q, Rigid(), HeldObject())
     with pytest.raises(InvalidValueError, match="has no collision geometry"):
         SelfCollision().rows(bare)
 
@@ -259,7 +259,7 @@ def test_a_waist_that_arms_share_is_watched_against_both() -> None:
         name="lifted", model=whole, arms=(one, other), capsules=(waist, *robot.capsules[1:])
     )
     q = lifted.configuration({"right": [0, *HANDS["right"]], "left": [0, *HANDS["left"]]})
-    chain = ClosedChain.take_hold(lifted, q, Rigid(), HeldObject())
+    chain = ClosedChain.attach(lifted, q, Rigid(), HeldObject())
     names = _of_pairs(SelfCollision(), chain)
     for arm in "RL":
         assert any(f"{arm}Hand" in name and "waist" in name for name in names)

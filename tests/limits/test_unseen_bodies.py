@@ -9,11 +9,11 @@ import pytest
 from collision_robots import bodies_of_rows
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import SelfCollision
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.report.page import render
 from coopqp.robots import Mjcf
 
@@ -45,7 +45,7 @@ def write(folder: Path, more: str = "") -> Path:
 def chain_of(path: Path) -> ClosedChain:
     robot = Mjcf(path=path, arms={"right": "right_hand", "left": "left_hand"}).build()
     held = HeldObject(size=(0.02, 0.02, 0.02))
-    return ClosedChain.take_hold(robot, np.zeros(robot.model.nq), Rigid(), held)
+    return ClosedChain.attach(robot, np.zeros(robot.model.nq), Rigid(), held)
 
 
 def test_geoms_of_the_world_have_their_own_names(tmp_path: Path) -> None:

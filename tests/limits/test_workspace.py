@@ -10,13 +10,13 @@ import pytest
 from example_limits import TABLE, by_name, empty_rows, least
 from laws import DT, LIMITS, run
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import names_of
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError, UnknownNameError
 from coopqp.limits import Workspace
-from coopqp.profile import Profile
-from coopqp.row import names_of
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.tasks import JointCentering, PointOnPoint
 
 problem = partial(laws.problem, secondary=(JointCentering(gain=0.5),))

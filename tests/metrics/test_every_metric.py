@@ -10,9 +10,9 @@ import pytest
 from example_metrics import EXAMPLES
 from laws import LIMITS, NEAR, UNREACHABLE, problem, run
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import Pseudoinverse, QPController
 from coopqp.metric import Metric
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.tasks import PointOnPoint
 from coopqp.trace import Trace
 

@@ -9,12 +9,12 @@ import pytest
 from laws import DT, PLAIN, run
 
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.metrics.limits_audit import LimitsAudit
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.trace import Trace
 
 

@@ -10,9 +10,9 @@ from scenario_files import HAS_ROBOTS
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.comparison import Comparison, summarize
-from coopqp.disturbance import Disturbance, Push
+from coopqp.base.spec import Array
+from coopqp.execution.comparison import Comparison, summarize
+from coopqp.plant import Disturbance, Push
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

@@ -13,13 +13,13 @@ from online_loops import FOLLOWS, Scripted, Told, follows, go, simulated
 from scenario_files import needs_robots
 
 import coopqp
-from coopqp.controller_run import run
-from coopqp.errors import GraspError, InvalidValueError
+from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.execution.controller_run import run
 from coopqp.limits import JointAcceleration
+from coopqp.model.state import State
 from coopqp.online.loop import OnlineLoop
 from coopqp.plants import RigidBody
 from coopqp.solver import Status
-from coopqp.state import State
 
 NEAR = [0.15, 0.01, 0.05]
 

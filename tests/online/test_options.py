@@ -13,7 +13,7 @@ import pytest
 from online_loops import Scripted, follows
 
 import coopqp
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import real_time
 

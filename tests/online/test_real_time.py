@@ -15,7 +15,7 @@ import pytest
 from online_loops import Scripted, follows, go, simulated
 
 import coopqp
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import real_time
 from coopqp.scenario.scenario import Scenario

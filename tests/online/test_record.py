@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from online_loops import follows, go, simulated
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 
 TARGET = {"target": [0.15, 0.01, 0.05]}
 

@@ -15,9 +15,9 @@ import pytest
 from online_loops import follows, go, simulated
 
 import coopqp
-from coopqp.comparison import compare
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
+from coopqp.execution.comparison import compare
+from coopqp.execution.controller_run import run
 from coopqp.online.loop import OnlineLoop
 from coopqp.scenario.scenario import Scenario
 

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from online_loops import Scripted, follows
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import spec
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.online.loop import OnlineLoop
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task, TaskRows
 
 

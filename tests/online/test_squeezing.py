@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from online_loops import follows, simulated
 
+from coopqp.base.errors import InvalidValueError
 from coopqp.closed_loop.admittance import Admittance
 from coopqp.closed_loop.section import section
 from coopqp.controllers import QPController
-from coopqp.errors import InvalidValueError
 from coopqp.online.simulated import SimulatedRobot
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status

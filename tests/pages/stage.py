@@ -18,7 +18,7 @@ from command_line import typed
 from numpy.typing import ArrayLike
 
 from coopqp import Scenario
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 from .blocks import ROOT, Block, blocks
 from .outputs import check_output

@@ -10,10 +10,10 @@ import pytest
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.closed_chain import ClosedChain
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.comparison import summarize
+from coopqp.execution.comparison import summarize
 from coopqp.metrics.internal_force import InternalForce
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.plants._end_stops import STOP_ANGLE, EndStops
 from coopqp.scenario.scenario import Scenario

@@ -7,13 +7,12 @@ import pytest
 from example_plants import EXAMPLES
 from laws import DT, problem
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.rank import null_space
 from coopqp.controller import Command
-from coopqp.disturbance import Disturbance
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco
-from coopqp.rank import null_space
-from coopqp.state import State
 
 each_plant = pytest.mark.parametrize("plant", EXAMPLES.values(), ids=EXAMPLES.keys())
 

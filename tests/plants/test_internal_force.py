@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from scenario_files import HAS_ROBOTS, needs_robots
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import Command, ControlProblem
-from coopqp.controller_run import run
-from coopqp.disturbance import Disturbance
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Revolute, Rigid
-from coopqp.held_object import HeldObject
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 Array = NDArray[np.float64]
 
@@ -39,12 +38,12 @@ PLANTS: Mapping[str, Plant] = {
 
 @pytest.fixture(scope="module")
 def box(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, Rigid(), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Rigid(), BOX)
 
 
 @pytest.fixture(scope="module")
 def hinged(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
-    return ClosedChain.take_hold(nao, chain.q_start, Revolute(point=(0.0, 0.0, -0.05)), BOX)
+    return ClosedChain.attach(nao, chain.q_start, Revolute(point=(0.0, 0.0, -0.05)), BOX)
 
 
 def at_rest(plant: Plant, chain: ClosedChain, ticks: int = 150) -> tuple[PlantModel, Array]:

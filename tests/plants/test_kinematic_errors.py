@@ -11,20 +11,19 @@ import pinocchio as pin
 import pytest
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance, Slip
-from coopqp.errors import InvalidValueError, ScenarioError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.metrics.internal_force import InternalForce
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, Slip
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.plants._true_chain import true_chain
 from coopqp.robot import RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.trace import Trace
 
 DT = 0.01  # s
@@ -130,7 +129,7 @@ def test_errors_that_no_pose_can_close_are_refused_in_one_line() -> None:
     """Planar arms that point at each other, stretched out: shorter links do not meet."""
     pair = PlanarPair(distance=1.3).build()
     q = np.radians([90.0, 0.0, 0.0, -90.0, 0.0, 0.0])
-    stretched = ClosedChain.take_hold(pair, q, Rigid(), HeldObject())
+    stretched = ClosedChain.attach(pair, q, Rigid(), HeldObject())
     refused = []
     for seed in range(10):
         try:

@@ -11,26 +11,25 @@ import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.controller_run import run
-from coopqp.disturbance import Disturbance
-from coopqp.errors import GraspError
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 
 def test_a_hand_that_takes_hold_in_motion_stops_as_pinocchio_says(
     chain: ClosedChain, rng: np.random.Generator
 ) -> None:
     box = HeldObject(size=(0.08, 0.19, 0.08), mass=0.2)
-    closed = ClosedChain.take_hold(chain.robot, chain.q_start, Rigid(), box)
+    closed = ClosedChain.attach(chain.robot, chain.q_start, Rigid(), box)
     dynamics = ClosedLoopDynamics(closed)
     v = rng.normal(size=closed.n)
     dynamics.update(closed.q_start, v)
@@ -102,7 +101,7 @@ def taking_hold(before: ClosedChain, after: ClosedChain, v: Array) -> Array:
 def test_the_object_brings_its_own_momentum_into_the_impact(
     chain: ClosedChain, released: str
 ) -> None:
-    both = ClosedChain.take_hold(chain.robot, chain.q_start, Rigid(), HeldObject(mass=2.0))
+    both = ClosedChain.attach(chain.robot, chain.q_start, Rigid(), HeldObject(mass=2.0))
     q, v = both.q_start, np.random.default_rng(3).normal(size=both.n)
     alone = both.handed_over(q, [released])
     after = taking_hold(alone, alone.handed_over(q), v)

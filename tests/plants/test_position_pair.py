@@ -12,23 +12,23 @@ from scenario_files import HAS_ROBOTS
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.closed_loop.admittance import Admittance
 from coopqp.controller import Command
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
 from coopqp.grasps import Rigid
 from coopqp.metrics.gap import Gap
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.plants._mjcf import SpringHand
 from coopqp.plants._servo import Servo
-from coopqp.rank import null_space
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import InternalWrench, PointOnPoint
 from coopqp.trace import Trace
 
@@ -108,7 +108,7 @@ def test_springs_that_steps_cannot_follow_are_refused(scenario: Scenario) -> Non
 def test_servos_with_a_frequency_follow_alike_whatever_they_move(nao: RobotModel) -> None:
     """A speed that sets in: the error is that of a critically damped oscillator, v t exp(-w t)."""
     w, ticks = 40.0, 5
-    chain = ClosedChain.take_hold(nao, nao.configuration(HANDS), Rigid(), BOX)
+    chain = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), BOX)
     x, y, z = chain.start_position
     asked = problem(chain, PointOnPoint(goal=(x, y, z)))
     plant = RigidBody(servo=Servo(frequency=w)).build(asked, 0, Disturbance())

@@ -12,15 +12,13 @@ from chains import HANDS
 from pads import pressing
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.section import section
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import TorqueQp, WrenchSplit
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import InvalidValueError
+from coopqp.execution.rollout import rollout
 from coopqp.grasps import PointContact, Rigid
-from coopqp.held_object import HeldObject
 from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held
@@ -28,10 +26,11 @@ from coopqp.metrics.load_share import LoadShare
 from coopqp.metrics.slip_distance import SlipDistance
 from coopqp.metrics.squeeze import Squeeze
 from coopqp.metrics.torque_margin import TorqueMargin
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robots import NaoT14
-from coopqp.rollout import rollout
 from coopqp.solver import Status
 from coopqp.solvers import Daqp
 from coopqp.task import Task
@@ -47,7 +46,7 @@ def nao() -> ClosedChain:
     """With pads that touch a box as wide as the hands are apart."""
     robot = NaoT14().build()
     box = HeldObject(size=(0.08, 0.20864352, 0.08), mass=MASS)
-    firm = ClosedChain.take_hold(robot, robot.configuration(HANDS), Rigid(), box)
+    firm = ClosedChain.attach(robot, robot.configuration(HANDS), Rigid(), box)
     return pressing(firm, MASS, 0.02)
 
 
@@ -189,7 +188,7 @@ def test_a_push_uses_friction_and_a_large_one_loses_the_box() -> None:
 def test_a_fragile_box_is_not_pressed_harder_than_it_stands() -> None:
     firm = nao()
     fragile = {name: replace(grasp, least=5.0, most=6.0) for name, grasp in firm.grasps.items()}
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, fragile, firm.held)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, fragile, firm.held)
     trace = ran(Mujoco(), chain=chain)
     assert np.allclose(trace.signals["normal_force"][-50:], 5.0, rtol=0.01)  # more than friction's
     with pytest.raises(InvalidValueError, match=r"can do 5 to 6 N; most force of (right|left)"):
@@ -215,7 +214,7 @@ def test_torques_stay_inside_the_motors_and_the_least_margin_is_told() -> None:
 def test_mujoco_refuses_a_contact_that_does_not_touch_the_box() -> None:
     firm = nao()
     away = replace(firm.held, size=(0.08, 0.16, 0.08))
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, firm.grasps, away)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, firm.grasps, away)
     with pytest.raises(InvalidValueError, match=r"contact of right is 24\.3 mm from the object"):
         ran(Mujoco(), chain=chain)
 
@@ -227,7 +226,7 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
         name: PointContact(normal=g.normal, along=g.along, edges=16)
         for name, g in firm.grasps.items()
     }
-    chain = ClosedChain.take_hold(firm.robot, firm.q_start, tips, firm.held)
+    chain = ClosedChain.attach(firm.robot, firm.q_start, tips, firm.held)
     trace = ran(Mujoco(), chain=chain, seconds=0.3)
     assert Held().measure(trace) == {"held": True, "lost_at": None}
     h = trace.signals["hand_wrench"][-1].reshape(2, 6)

@@ -12,18 +12,17 @@ import pytest
 from chains import BOX, closed_states, heavy, planar_pair, ring, with_mass
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import InvalidValueError
 from coopqp.closed_loop.dynamics import Friction
 from coopqp.controller import Command, ControlProblem
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
 from coopqp.grasps import Rigid
-from coopqp.plant import PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import RigidBody
 from coopqp.plants._servo import Servo
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
-from coopqp.state import State
 
 DT = 0.01  # control period [s]
 FINE = RigidBody(time_step=2e-4)
@@ -43,14 +42,14 @@ def limp(chain: ClosedChain) -> ClosedChain:
     model.effortLimit = np.zeros(model.nv)
     robot = replace(chain.robot, model=model)
     active = np.setdiff1d(np.arange(chain.n), chain.passive)
-    return ClosedChain.take_hold(robot, chain.q_start[active], chain.grasps, chain.held)
+    return ClosedChain.attach(robot, chain.q_start[active], chain.grasps, chain.held)
 
 
 @pytest.fixture(scope="module")
 def box_chain(nao: RobotModel, chain: ClosedChain) -> ClosedChain:
     """NAO in a pose without symmetry holds a box whose weight is not in its middle."""
     q = closed_states(chain, 6)[-1][0]
-    return ClosedChain.take_hold(nao, q, Rigid(), BOX)
+    return ClosedChain.attach(nao, q, Rigid(), BOX)
 
 
 class Ledger:

@@ -32,11 +32,11 @@ from walks import walk
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.qp_law.equations import Damping
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.study.engine import Engine, Lost
 from coopqp.tasks import JointCentering
 

@@ -14,12 +14,12 @@ from chains import HANDS
 from conflicts import GRASPS, REACH, TURN, beyond, each_grasp
 from laws import LIMITS, PLAIN, run
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
-from coopqp.held_object import HeldObject
+from coopqp.base.qp import QP
+from coopqp.base.spec import spec
 from coopqp.limits import JointAcceleration
 from coopqp.metrics.fallback_ticks import FallbackTicks
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.solver import Solution, Solve, Solver, Status, causes_of
 from coopqp.solvers import Daqp
@@ -69,7 +69,7 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     fault: Any, grasp: str, secondary: tuple[Task, ...], nao: RobotModel
 ) -> None:
     """Every fifth call goes wrong: limits and loops hold, the goal is reached, all is counted."""
-    chain = ClosedChain.take_hold(nao, nao.configuration(HANDS), GRASPS[grasp], HeldObject())
+    chain = ClosedChain.attach(nao, nao.configuration(HANDS), GRASPS[grasp], HeldObject())
     goal = chain.start_position + np.array([0.01, -0.01, 0.02])
     reach = PointOnPoint(name="reach", goal=(goal[0], goal[1], goal[2]))
     given = problem(chain, reach, secondary=secondary, solver=Faulty(fault=fault))

@@ -13,17 +13,17 @@ from chains import Walk
 from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run, ticks
 from scipy.optimize import linprog
 
-from coopqp.checked import Array
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPoint, Pose, Posture
 
 Point = tuple[float, float, float]
@@ -193,7 +193,7 @@ def test_copy_of_a_command_keeps_its_share(chain: ClosedChain) -> None:
 @pytest.fixture(scope="module")
 def planar() -> ClosedChain:
     q = np.radians([-20, 70, -50, 20, -70, 50])
-    return ClosedChain.take_hold(PlanarPair().build(), q, Rigid(), HeldObject())
+    return ClosedChain.attach(PlanarPair().build(), q, Rigid(), HeldObject())
 
 
 STACKS: dict[str, tuple[str, ...]] = {

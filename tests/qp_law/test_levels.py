@@ -16,14 +16,14 @@ import scipy.linalg
 from chains import Walk
 from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run
 
-from coopqp.checked import Array, spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array, spec
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.qp_law.priorities import Order
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, MinimumVelocity, PointOnPlane, PointOnPoint
 

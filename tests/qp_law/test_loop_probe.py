@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import coopqp
-from coopqp.qp_law.safety import LoopProbe
-from coopqp.rank import null_space
+from coopqp.base.rank import null_space
+from coopqp.model.state import State
+from coopqp.qp_law.safety import StepVerification
 from coopqp.solver import Budget
-from coopqp.state import State
 
 
 @pytest.mark.parametrize("name", ["point_on_point", "passive_grasp_pose", "planar_pair"])
@@ -18,7 +18,7 @@ def test_a_step_that_passes_leaves_the_loops_within_the_budget(
 ) -> None:
     scenario = coopqp.load(name)
     problem, budget = scenario.problem(), Budget()
-    probe, state = LoopProbe(problem), State(scenario.chain)
+    probe, state = StepVerification(problem), State(scenario.chain)
     after = State(scenario.chain)
     passed = refused = 0
     for _ in range(600):
@@ -49,5 +49,5 @@ def test_a_step_is_not_refused_for_a_loop_that_it_closes(rng: np.random.Generato
     state.update()
     assert state.loop_position_error > Budget().loop_position
     closing = -np.linalg.pinv(state.J_loop) @ state.e_loop / problem.dt
-    assert LoopProbe(problem).within(state, 0.5 * closing)
-    assert not LoopProbe(problem).within(state, -0.5 * closing)
+    assert StepVerification(problem).within(state, 0.5 * closing)
+    assert not StepVerification(problem).within(state, -0.5 * closing)

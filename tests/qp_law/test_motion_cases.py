@@ -17,12 +17,12 @@ from laws import problem, ticks
 from scenario_files import HAS_ROBOTS
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
+from coopqp.execution.controller_run import run
 from coopqp.limits import JointPosition, JointVelocity, Workspace
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.solver import Status, causes_of
 from coopqp.tasks import PointOnPoint

@@ -12,10 +12,10 @@ import pytest
 from conflicts import REACH, TURN, jerked
 from laws import LIMITS, PLAIN, run
 
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import QP
+from coopqp.base.spec import spec
 from coopqp.limits import JointAcceleration
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Solution, Solve, Solver, Status
 
 problem = partial(laws.problem, limits=LIMITS)

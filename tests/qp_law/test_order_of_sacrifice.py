@@ -13,16 +13,16 @@ from conflicts import REACH, TURN, jerked, slightly_open
 from laws import DT, LIMITS, NEAR, PLAIN, run, ticks
 from scipy.optimize import linprog, lsq_linear
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import QP
+from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity
-from coopqp.profile import Profile
-from coopqp.qp import QP
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.solver import Budget, Status
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 
@@ -34,7 +34,7 @@ def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
     model = chain.robot.model.copy()
     model.lowerPositionLimit, model.upperPositionLimit = q - room, q + room
     narrow = replace(chain.robot, model=model)
-    return ClosedChain.take_hold(narrow, chain.q_start, Rigid(), HeldObject())
+    return ClosedChain.attach(narrow, chain.q_start, Rigid(), HeldObject())
 
 
 def keeps_position_and_velocity_limits(chain: ClosedChain, q: Array, v: Array) -> bool:
@@ -67,7 +67,7 @@ def test_hard_task_that_cannot_hold_is_the_least_squares_nearest(chain: ClosedCh
     command = law.tick(state)
     assert command.status is Status.TASKS_RELAXED
     J, wanted = law.exact.J, law.exact.wanted
-    lb, ub = law.way_back.bounds.lb, law.way_back.bounds.ub
+    lb, ub = law.limit_recovery.bounds.lb, law.limit_recovery.bounds.ub
     firmly = 1e4  # the weight of the loops beside the task
     rows = np.vstack([firmly * state.J_loop, J])
     sides = np.concatenate([-firmly * given.kappa * state.e_loop, wanted])

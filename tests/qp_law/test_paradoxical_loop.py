@@ -14,12 +14,12 @@ import pytest
 from laws import problem, ticks
 from scipy.optimize import least_squares
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.tasks import PointOnPoint
 
@@ -76,7 +76,7 @@ def q(robot: RobotModel) -> Array:
 
 
 def test_the_rank_is_that_of_the_closed_linkage(robot: RobotModel, q: Array) -> None:
-    chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
     assert chain.loops.rank == 3
     sizes = np.linalg.svd(chain.loop_jacobian(q))[1]
     assert sizes[3] < 1e-9 < sizes[2]
@@ -87,7 +87,7 @@ def test_the_linkage_moves_along_its_path(robot: RobotModel, q: Array, kappa: fl
     goal_q = q
     for first in np.linspace(q[0], q[0] + 0.4, 9)[1:]:
         goal_q = on_the_path(robot, goal_q, float(first))
-    chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
     x, y, z = chain.object_pose(goal_q).translation.tolist()
     reach = PointOnPoint(name="reach", goal=(x, y, z))
     law = QPController().build(

@@ -29,18 +29,18 @@ import pytest
 from laws import step
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import MissingDependencyError
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.errors import MissingDependencyError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robots import ExampleRobot, example_robot
 from coopqp.solvers import Daqp
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 pink = pytest.importorskip("pink")
@@ -96,7 +96,7 @@ class Baxter:
             joint_limits={"*_e1": {"lower": self.lowest_elbow}},
         ).build()
         q = robot.configuration({"right": RIGHT, "left": LEFT})
-        self.chain = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+        self.chain = ClosedChain.attach(robot, q, Rigid(), HeldObject())
         self.way = np.array(self.goal)
         self.task = PointOnPoint(
             goal=tuple(self.chain.start_position + self.way),

@@ -7,12 +7,12 @@ import pytest
 from chains import Walk
 from laws import NEAR, STEP, problem
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import names_of
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.row import names_of
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.tasks import PointOnPoint
 
 

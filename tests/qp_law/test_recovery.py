@@ -12,13 +12,13 @@ from conflicts import OUTSIDE, beyond, each_grasp, started_outside
 from laws import DT, LIMITS, PLAIN, run
 from scipy.optimize import linprog
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.solver import Status, causes_of
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace

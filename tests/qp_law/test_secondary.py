@@ -11,16 +11,16 @@ import pinocchio as pin
 import pytest
 from laws import LIMITS, PLAIN, WIDE, run, ticks
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 
@@ -67,7 +67,7 @@ def gantry() -> ClosedChain:
     arms = tuple(Arm(name=s, tip=t) for s, t in zip(("right", "left"), tips, strict=True))
     robot = RobotModel(name="gantry", model=model, arms=arms)
     start = np.array([0.3, -0.1, 0.2, 0.0, -0.2, 0.1, 0.0, 0.1])
-    return ClosedChain.take_hold(robot, start, Rigid(), HeldObject())
+    return ClosedChain.attach(robot, start, Rigid(), HeldObject())
 
 
 @pytest.mark.parametrize("secondary", [
@@ -117,7 +117,7 @@ SINGULAR_DEG: dict[str, list[float]] = {
 @pytest.mark.parametrize("start", SINGULAR_DEG.values(), ids=SINGULAR_DEG.keys())
 def test_secondary_costs_nothing_after_a_singular_start(start: list[float]) -> None:
     """Stretched arms lose rank; some ticks later they have it back."""
-    chain = ClosedChain.take_hold(PlanarPair().build(), np.radians(start), Rigid(), HeldObject())
+    chain = ClosedChain.attach(PlanarPair().build(), np.radians(start), Rigid(), HeldObject())
     x, y, z = State(chain).p_WO.tolist()
     task = PointOnPoint(name="pull back", goal=(x - 0.1, y + 0.05, z))
     posture = Posture(name="posture", goal=[0.5, -0.3, 0.4, 0.2, 0.6, -0.3])

@@ -13,11 +13,11 @@ import pytest
 from conflicts import TURN, slightly_open
 from laws import DT, LIMITS, PLAIN, STEP, run, ticks
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem
 from coopqp.metrics.fallback_ticks import FallbackTicks
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.solver import Budget, Status, causes_of
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint
 
 problem = partial(laws.problem, limits=LIMITS)

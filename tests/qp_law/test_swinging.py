@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from laws import DT, LIMITS, NEAR, STEP
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.memory import Memory
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_swing
-from coopqp.state import State
 from coopqp.tasks import JointCentering, PointOnPlane
 
 problem = partial(laws.problem, limits=LIMITS)

@@ -14,9 +14,9 @@ import click
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for workers as well
 
 from coopqp import __version__
+from coopqp.base.errors import CoopqpError
 from coopqp.cli.ending import Command
 from coopqp.cli.options import JSON, WRITTEN, engined
-from coopqp.errors import CoopqpError
 from coopqp.report import strict_json
 from coopqp.report.terminal import console, progress_bars
 from coopqp.study.sweep.journal import Journal, head_of, records

@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 from walks import vector, walk
 
-from coopqp.checked import Array
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import MissingDependencyError
+from coopqp.base.spec import Array
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.controller import ControlProblem
-from coopqp.errors import MissingDependencyError
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robots.example_robot import robots
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from coopqp.assessment.thresholds import within
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.state import State
+from coopqp.model.state import State
 from coopqp.task import TaskStack
 
 LOOP = 10.0  # weight of the loops' errors against the tasks'

@@ -17,13 +17,13 @@ from rich.console import Console
 
 import coopqp
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
+from coopqp.execution.rollout import rollout
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.profile import Profile
 from coopqp.report import strict_json
-from coopqp.rollout import rollout
-from coopqp.state import State
 from coopqp.study.sweep.journal import records
 from coopqp.study.sweep.paired import wilson
 from coopqp.tasks import PointOnPoint

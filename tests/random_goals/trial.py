@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp.assessment import assess
 from coopqp.assessment.limits import beyond
+from coopqp.base.errors import CoopqpError
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import (
     DampedPseudoinverse,
@@ -20,10 +21,9 @@ from coopqp.controllers import (
     TwoStep,
     WeightedLeastNorm,
 )
-from coopqp.disturbance import Disturbance
-from coopqp.errors import CoopqpError
+from coopqp.execution.rollout import rollout
+from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.rollout import rollout
 from coopqp.study.engine import Engine, Lost
 from coopqp.task import Task
 from coopqp.tasks import JointLimitBarrier

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES
 
-from coopqp.comparison import Comparison, compare
+from coopqp.execution.comparison import Comparison, compare
 from coopqp.recordings.known import EXPORTS, export, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog

@@ -11,7 +11,7 @@ import pytest
 from command_line import typed
 from scenario_files import HEAD
 
-from coopqp.comparison import compare
+from coopqp.execution.comparison import compare
 from coopqp.recordings.column import Columns
 from coopqp.recordings.known import NAMES, format_of, read
 from coopqp.report import files

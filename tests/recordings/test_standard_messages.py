@@ -11,7 +11,7 @@ import pytest
 from command_line import typed
 from scipy.spatial.transform import Rotation
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.trace import Trace
 
 QUATERNION, EXACT = "xyzw", 1e-12

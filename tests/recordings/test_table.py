@@ -13,7 +13,7 @@ import pytest
 from scenario_files import HEAD
 
 import coopqp
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.online import recording as live
 from coopqp.online.recording import LiveRecording
 from coopqp.recordings import column

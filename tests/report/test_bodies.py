@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.checked import Array
-from coopqp.errors import UnknownNameError
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.report.scene.bodies import Body, robot_bodies
 from coopqp.robot import Capsule, RobotModel, Shape
 from coopqp.robots import Mjcf, NaoT14, PlanarPair, Several, Urdf

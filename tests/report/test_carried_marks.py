@@ -11,14 +11,14 @@ import pinocchio as pin
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
-from coopqp.checked import Pose as PoseValue
-from coopqp.comparison import Comparison
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.execution.comparison import Comparison
 from coopqp.grasp import pose_matrix
-from coopqp.mark import PostureMark, RelativeMark
+from coopqp.model.marker import PostureMarker, RelativeMarker
+from coopqp.model.state import State
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
 from coopqp.signal import Moment
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import Posture, RelativeMotion
 
@@ -68,7 +68,7 @@ def test_a_posture_given_as_numbers_of_all_joints_shows_all_arms() -> None:
     _, run = compared(Posture(goal=load("point_on_point").chain.q_start.tolist()))
     assert len(run["postures"]) == 2
     (mark,) = Posture(goal={"right": RIGHT}).marks(Moment(0.3))
-    assert isinstance(mark, PostureMark)
+    assert isinstance(mark, PostureMarker)
 
 
 def test_a_relative_goal_is_as_far_from_the_second_hand_as_the_error_says(tmp_path: Path) -> None:
@@ -101,6 +101,6 @@ def test_a_relative_goal_is_as_far_from_the_second_hand_as_the_error_says(tmp_pa
 def test_a_relative_mark_has_the_goal() -> None:
     goal = PoseValue(position=(0.0, 0.03, 0.0), rpy=(0.1, 0.2, 0.3))
     (mark,) = RelativeMotion(goal=goal).marks(Moment(1.0))
-    assert isinstance(mark, RelativeMark)
+    assert isinstance(mark, RelativeMarker)
     np.testing.assert_array_equal(mark.position, goal.position)
     np.testing.assert_allclose(mark.rotation, pose_matrix(goal).rotation)

@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 
 import coopqp
 import coopqp.tasks
-from coopqp.checked import Pose as PoseValue
-from coopqp.checked import spec
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.base.spec import spec
 from coopqp.limits import Obstacle, Obstacles, Workspace
-from coopqp.mark import (
-    LineMark,
-    Mark,
-    PoseMark,
-    TrackedMark,
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.marker import (
+    LineMarker,
+    Marker,
+    PoseMarker,
+    TrackedMarker,
 )
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.report.page import render
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
 from coopqp.signal import Instant
-from coopqp.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import (
     Orientation,
@@ -69,12 +69,12 @@ class Own(Task):
 
         return evaluate
 
-    def marks(self, at: Instant) -> tuple[Mark, ...]:
+    def marks(self, at: Instant) -> tuple[Marker, ...]:
         if self.wrong:
             return (np.zeros(3),)  # type: ignore[return-value]
-        line = LineMark(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + at.t, 0, 0]))
-        axes = PoseMark(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
-        return (line, TrackedMark(point=POINT), *([axes] if 0.095 < at.t < 0.205 else []))
+        line = LineMarker(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + at.t, 0, 0]))
+        axes = PoseMarker(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
+        return (line, TrackedMarker(point=POINT), *([axes] if 0.095 < at.t < 0.205 else []))
 
 
 def drawn(*tasks: Task, limits: tuple[coopqp.Limit, ...] = ()) -> Any:
@@ -104,7 +104,7 @@ def test_a_users_own_task_is_drawn_by_its_marks_and_by_nothing_else() -> None:
 def test_what_is_no_mark_is_left_out_with_a_note() -> None:
     found = drawn(Own(name="own", wrong=True))
     (note,) = found["notes"]
-    assert note.startswith("own.marks: ndarray among its marks, needs PointMark")
+    assert note.startswith("own.marks: ndarray among its marks, needs PointMarker")
     assert not found["lines"]
 
 

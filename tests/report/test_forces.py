@@ -10,9 +10,9 @@ from scenario_files import cut
 
 import coopqp
 from coopqp.closed_loop.admittance import Admittance
-from coopqp.comparison import Comparison, compare
 from coopqp.controllers import QPController
-from coopqp.disturbance import Disturbance
+from coopqp.execution.comparison import Comparison, compare
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.report.figures.groups import groups
 from coopqp.report.scene.forces import LONGEST

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from scenario_files import cut
 
 import coopqp
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.closed_loop.mobility import manipulability as mobility_measure
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.report.figures import freedom
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.freedom import (
@@ -30,7 +31,6 @@ from coopqp.report.figures.freedom import (
     singular_values,
 )
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint, Pose
 

@@ -11,10 +11,10 @@ from scenario_files import phased
 from scipy.spatial.transform import Rotation
 
 import coopqp
-from coopqp.checked import Pose as PoseValue
-from coopqp.comparison import summarize
-from coopqp.controller_run import run
-from coopqp.profile import Profile
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.execution.comparison import summarize
+from coopqp.execution.controller_run import run
+from coopqp.model.profile import Profile
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.errors import task_errors
 from coopqp.scenario.loader import load

@@ -14,7 +14,7 @@ from scenario_files import HAS_ROBOTS, cut, write
 import coopqp
 from coopqp.assessment import assess
 from coopqp.assessment.verdict import verdict
-from coopqp.comparison import Comparison, compare
+from coopqp.execution.comparison import Comparison, compare
 from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.metrics.held import Held

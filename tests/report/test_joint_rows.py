@@ -10,14 +10,14 @@ import pytest
 from scenario_files import HEAD, PHASES, TAIL, cut, needs_robots, phased
 
 import coopqp
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
+from coopqp.model.state import State
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.groups import groups
 from coopqp.report.figures.joints import joint_figures, joint_rows
 from coopqp.report.figures.limits import criterion, limit_figures
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering
 

@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 
 import coopqp
 import coopqp.tasks
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import AXES, ClosedChain
-from coopqp.geometry import Turn
+from coopqp.base.spec import Pose as PoseValue
 from coopqp.limits import Workspace
-from coopqp.mark import (
-    CircleMark,
-    LineMark,
-    Mark,
-    PlaneMark,
-    PointMark,
-    PoseMark,
-    SphereMark,
-    TrackedMark,
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.geometry import Turn
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    SphereMarker,
+    TrackedMarker,
 )
-from coopqp.profile import Profile
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.signal import Moment
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import (
     Distance,
@@ -73,34 +73,34 @@ def off(mark: Any, p: Array) -> float:
 
 
 @off.register
-def _(mark: PointMark, p: Array) -> float:
+def _(mark: PointMarker, p: Array) -> float:
     return math.dist(p, mark.at)
 
 
 @off.register
-def _(mark: LineMark, p: Array) -> float:
+def _(mark: LineMarker, p: Array) -> float:
     return float(np.linalg.norm(np.cross(p - mark.through, mark.direction)))
 
 
 @off.register
-def _(mark: PlaneMark, p: Array) -> float:
+def _(mark: PlaneMarker, p: Array) -> float:
     return abs(float((p - mark.through) @ mark.normal))
 
 
 @off.register
-def _(mark: CircleMark, p: Array) -> float:
+def _(mark: CircleMarker, p: Array) -> float:
     height = float((p - mark.center) @ mark.normal)
     beside = np.linalg.norm(p - mark.center - height * mark.normal)
     return math.hypot(float(beside) - mark.radius, height)
 
 
 @off.register
-def _(mark: SphereMark, p: Array) -> float:
+def _(mark: SphereMarker, p: Array) -> float:
     return abs(math.dist(p, mark.center) - mark.radius)
 
 
 @off.register
-def _(mark: PoseMark, p: Array) -> float:
+def _(mark: PoseMarker, p: Array) -> float:
     return math.dist(p, mark.position)
 
 
@@ -109,14 +109,14 @@ def angle(a: Array, b: Array) -> float:
     return 2.0 * math.atan2(float(np.linalg.norm(a - b)), float(np.linalg.norm(a + b)))
 
 
-def turned_off(mark: Mark, state: State) -> float:
+def turned_off(mark: Marker, state: State) -> float:
     """Angle of the rotation from the orientation shown to the object's, by its trace."""
-    assert isinstance(mark, PoseMark)
+    assert isinstance(mark, PoseMarker)
     return math.acos(0.5 * (float(np.trace(state.R_WO @ mark.rotation.T)) - 1.0))
 
 
-def tracked(marks: tuple[Mark, ...], state: State) -> Array:
-    (mark,) = (mark for mark in marks if isinstance(mark, TrackedMark))
+def tracked(marks: tuple[Marker, ...], state: State) -> Array:
+    (mark,) = (mark for mark in marks if isinstance(mark, TrackedMarker))
     return state.p_WO + state.R_WO @ np.array(mark.point)
 
 
@@ -174,7 +174,7 @@ PLACED: dict[str, tuple[Task, tuple[slice | None, ...]]] = {
 }
 
 #: By name: the task, its rows that are an angle, and that angle from the first mark or the last.
-TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Mark, ...], State], float]]] = {
+TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Marker, ...], State], float]]] = {
     "line_on_plane": (
         PLACED["line_on_plane"][0],
         slice(1, 2),
@@ -278,7 +278,7 @@ def test_marks_are_where_the_reference_is_then(name: str) -> None:
     task = replace(PLACED[name][0], profile=Profile(duration=2.0))
     for t in TIMES:
         mark: Any = task.marks(Moment(t))[0]
-        place = mark.center if isinstance(mark, CircleMark | SphereMark) else mark.through
+        place = mark.center if isinstance(mark, CircleMarker | SphereMarker) else mark.through
         np.testing.assert_allclose(place, np.array(AT) + t * np.array(VELOCITY), atol=1e-15)
 
 
@@ -286,9 +286,9 @@ def test_a_turning_plane_is_drawn_turned() -> None:
     quarter = Turn(axis=(3, 0, 0), angle_deg=90.0, profile=Profile(duration=3.0))
     task = PointOnPlane(normal=(0, 0, 2), through=AT, turn=quarter)
     begin, middle, end = (task.marks(Moment(t))[0] for t in (0.0, 1.5, 3.0))
-    assert isinstance(begin, PlaneMark)
-    assert isinstance(middle, PlaneMark)
-    assert isinstance(end, PlaneMark)
+    assert isinstance(begin, PlaneMarker)
+    assert isinstance(middle, PlaneMarker)
+    assert isinstance(end, PlaneMarker)
     np.testing.assert_allclose(begin.normal, (0, 0, 1), atol=1e-15)
     np.testing.assert_allclose(middle.normal, np.array((0, -1, 1)) / math.sqrt(2), atol=1e-15)
     np.testing.assert_allclose(end.normal, (0, -1, 0), atol=1e-15)
@@ -296,7 +296,7 @@ def test_a_turning_plane_is_drawn_turned() -> None:
 
 def test_a_slide_without_an_orientation_shows_its_line_alone() -> None:
     marks = Prismatic(direction=ALONG, through=AT, point=POINT).marks(Moment(0.5))
-    assert [type(mark) for mark in marks] == [LineMark, TrackedMark]
+    assert [type(mark) for mark in marks] == [LineMarker, TrackedMarker]
 
 
 def test_twist_shows_the_point_whose_velocity_it_asks_for(
@@ -328,7 +328,7 @@ def test_the_plane_of_a_workspace_is_as_near_as_its_margin_says(
 ) -> None:
     wall = Workspace(normal=ALONG, through=(0.1, 0.0, -0.1), points=(POINT,))
     (mark,) = wall.marks(0.7)
-    assert isinstance(mark, PlaneMark)
+    assert isinstance(mark, PlaneMarker)
     q = np.array([chain.q_start, *closed_loop_walk(chain, 3)])
     (margin,) = wall.margins(chain, q, np.zeros((3, chain.n)), 0.01).values()
     for row, left in zip(q[1:], margin, strict=True):
@@ -354,7 +354,7 @@ def test_limits_without_a_place_show_nothing() -> None:
 
 def test_marks_take_any_length_and_keep_a_copy() -> None:
     through = np.array([1.0, 2.0, 3.0])
-    mark = PlaneMark(normal=np.array([0.0, 3.0, 4.0]), through=through)
+    mark = PlaneMarker(normal=np.array([0.0, 3.0, 4.0]), through=through)
     through[:] = 0.0
     np.testing.assert_allclose(mark.normal, (0.0, 0.6, 0.8))
     np.testing.assert_allclose(mark.through, (1.0, 2.0, 3.0))
@@ -363,15 +363,15 @@ def test_marks_take_any_length_and_keep_a_copy() -> None:
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: PointMark(at=np.zeros(2)), "at"),
-        (lambda: PointMark(at=np.array([0.0, math.nan, 0.0])), "3 finite numbers"),
-        (lambda: PointMark(at=None), "3 finite numbers"),  # type: ignore[arg-type]
-        (lambda: LineMark(direction=np.zeros(3)), "needs a direction"),
-        (lambda: PoseMark(rotation=np.diag([1.0, 1.0, -1.0])), "needs a rotation matrix"),
-        (lambda: PoseMark(rotation=2.0 * np.eye(3)), "needs a rotation matrix"),
-        (lambda: SphereMark(center=np.zeros(3), radius=-1.0), "radius"),
+        (lambda: PointMarker(at=np.zeros(2)), "at"),
+        (lambda: PointMarker(at=np.array([0.0, math.nan, 0.0])), "3 finite numbers"),
+        (lambda: PointMarker(at=None), "3 finite numbers"),  # type: ignore[arg-type]
+        (lambda: LineMarker(direction=np.zeros(3)), "needs a direction"),
+        (lambda: PoseMarker(rotation=np.diag([1.0, 1.0, -1.0])), "needs a rotation matrix"),
+        (lambda: PoseMarker(rotation=2.0 * np.eye(3)), "needs a rotation matrix"),
+        (lambda: SphereMarker(center=np.zeros(3), radius=-1.0), "radius"),
     ],
 )
-def test_marks_that_cannot_be_drawn_are_refused(build: Callable[[], Mark], words: str) -> None:
+def test_marks_that_cannot_be_drawn_are_refused(build: Callable[[], Marker], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         build()

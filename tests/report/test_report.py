@@ -17,9 +17,9 @@ from plotly.offline import get_plotlyjs
 from rich.console import Console
 
 import coopqp
-from coopqp.comparison import Comparison, summarize
+from coopqp.base.errors import CoopqpError
 from coopqp.controllers import QPController
-from coopqp.errors import CoopqpError
+from coopqp.execution.comparison import Comparison, summarize
 from coopqp.kernel import native
 from coopqp.report import curves, files
 from coopqp.report.cells import cells, facts

@@ -11,7 +11,7 @@ import pytest
 from scenario_files import cut
 
 import coopqp
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.recordings.column import unit_of
 from coopqp.report import files
 from coopqp.study.trace_file import recorded_tick

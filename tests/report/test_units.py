@@ -14,8 +14,8 @@ from rich.console import Console
 from scenario_files import HAS_ROBOTS
 
 import coopqp
-from coopqp.comparison import Comparison, summarize
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
+from coopqp.execution.comparison import Comparison, summarize
 from coopqp.limits import JointAcceleration, Workspace
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, cells

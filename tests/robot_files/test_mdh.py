@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.checked import Array
-from coopqp.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.robot_files import mdh
 
 

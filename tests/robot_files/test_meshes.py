@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scenario_files import needs_robots
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.meshes import read_mesh
 from coopqp.robots.example_robot import robots
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robot_files.mjcf_defaults import all_given
 from coopqp.robot_files.xml import read_xml

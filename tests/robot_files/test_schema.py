@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from scenario_files import needs_robots
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robot_files.mjcf_schema import KNOWN
 from coopqp.robot_files.urdf import read_urdf

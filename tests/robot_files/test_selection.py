@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from chains import held
 
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.robots import Mjcf, Several, Urdf
 
 

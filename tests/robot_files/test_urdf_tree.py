@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.urdf import read_urdf
 
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from nao_in_files import in_mjcf, in_table, in_urdf
 
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.robot import Robot
 from coopqp.robots import NaoT14
 from coopqp.scenario.loader import load

@@ -11,8 +11,8 @@ import pytest
 from chains import held
 from scenario_files import needs_robots
 
-from coopqp.controller_run import run
-from coopqp.errors import MissingDependencyError, UnknownNameError
+from coopqp.base.errors import MissingDependencyError, UnknownNameError
+from coopqp.execution.controller_run import run
 from coopqp.robot import Robot
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.loader import load

@@ -11,7 +11,7 @@ import pytest
 from nao_in_files import in_urdf
 from scenario_files import GOOD, write
 
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import check, chosen
 from coopqp.scenario.loader import load

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from coopqp.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.robots import MdhTable
 from coopqp.robots.mdh_table import TableRow
 

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.robot import RobotModel
 
 RIGHT, LEFT = slice(0, 5), slice(5, 10)

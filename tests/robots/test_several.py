@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.robots import NaoT14, PlanarPair, Several, Urdf
 
 

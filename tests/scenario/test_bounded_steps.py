@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 
 NEVER = Stop(steps=200, most=1.0, enough=lambda r: False, stuck=0.0)

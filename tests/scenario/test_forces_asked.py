@@ -10,10 +10,10 @@ from command_line import typed
 from scenario_files import LOADABLE
 
 import coopqp
+from coopqp.base.errors import InvalidValueError
 from coopqp.controllers import TorqueQp
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
-from coopqp.input import InputSettings
+from coopqp.plant import Disturbance
+from coopqp.scenario.input import InputSettings
 from coopqp.scenario.loader import shipped
 from coopqp.scenario.notes import notes
 from coopqp.scenario.scenario import Scenario

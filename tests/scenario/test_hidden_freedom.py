@@ -12,14 +12,14 @@ from chains import HANDS, planar_pair, ring, stretched_pair, three_arms
 from command_line import typed
 from scenario_files import LOADABLE, write
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import GraspError, ScenarioError
+from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
 from coopqp.closed_loop.mobility import mobility
-from coopqp.comparison import compare
-from coopqp.errors import GraspError, ScenarioError
+from coopqp.execution.comparison import compare
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.scenario.loader import load, load_and_solve
@@ -202,7 +202,7 @@ def regrasped(robot: RobotModel, q: Array) -> dict[str, Rigid]:
 
 def mirrored() -> ClosedChain:
     robot = NaoT14().build()
-    return ClosedChain.take_hold(robot, robot.configuration(HANDS), Rigid(), HeldObject())
+    return ClosedChain.attach(robot, robot.configuration(HANDS), Rigid(), HeldObject())
 
 
 CHAINS = {
@@ -228,7 +228,7 @@ def test_rounded_starts_of_other_loops_hide_nothing_even_near_singular_poses(
             for grasps in (given, Rigid()):
                 rounded = np.round(start, digits)
                 try:
-                    rough = ClosedChain.take_hold(chain.robot, rounded, grasps, HeldObject())
+                    rough = ClosedChain.attach(chain.robot, rounded, grasps, HeldObject())
                 except GraspError:
                     continue  # farther off than counts as closed
                 tried += 1

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.controller_run import run
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
+from coopqp.execution.controller_run import run
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.known import Known
 from coopqp.scenario.loader import find, load_file

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scenario_files import GOOD
 
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
 from coopqp.scenario.loader import load
 
 TABLE = """\

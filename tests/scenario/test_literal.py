@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import check
 from coopqp.scenario.loader import shipped

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenario_files import GOOD, write
 
-from coopqp.errors import CoopqpError, ScenarioError, UnknownNameError
+from coopqp.base.errors import CoopqpError, ScenarioError, UnknownNameError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import load, shipped, with_solver
@@ -159,9 +159,9 @@ def test_a_solver_can_be_changed_by_name() -> None:
 
 USERS_TASK = '''"""Holds the height of the object."""
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.checked import spec
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.base.spec import spec
+from coopqp.model.state import State
 from coopqp.task import Evaluate, Task, TaskRows
 
 
@@ -190,7 +190,7 @@ def test_a_users_task_is_one_file(tmp_path: Path) -> None:
     keys = file_model(catalog).model_json_schema()["$defs"]["HoldHeight"]["properties"]
     assert keys["height"]["description"] == "Above the torso [m]."
     text = GOOD.split("tasks:", 1)[0] + "tasks:\n  - hold_height: {height: 0.06}\nduration: 2\n"
-    from coopqp.controller_run import run
+    from coopqp.execution.controller_run import run
 
     trace = run(load(write(tmp_path, text), catalog), controller="qp")
     assert abs(trace.position[-1, 2] - 0.06) < 1e-4

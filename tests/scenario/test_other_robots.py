@@ -12,16 +12,16 @@ import pytest
 from scenario_files import LOADABLE, needs_robots
 from shipped_runs import comparison
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import ScenarioError
 from coopqp.closed_loop.mobility import Mobility, mobility
-from coopqp.errors import ScenarioError
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import find, load, load_file
 from coopqp.scenario.yaml import read_yaml
-from coopqp.state import State
 
 # ---- what each scenario allows ---------------------------------------------------------------
 
@@ -88,7 +88,7 @@ def test_three_rigid_arms_of_seven_joints_have_rank_12_and_mobility_9() -> None:
     robot = Several(robots=robots).build()
     home = [0.0, -0.3, 0.0, -2.0, 0.0, 1.9, 0.7]
     q = robot.configuration({f"{name}/arm": home for name in names})
-    found = mobility(ClosedChain.take_hold(robot, q, Rigid(), HeldObject()))
+    found = mobility(ClosedChain.attach(robot, q, Rigid(), HeldObject()))
     assert (found.rank, found.freedom, found.object_freedom) == (12, 9, 6)
 
 

@@ -14,10 +14,10 @@ from command_line import typed
 from scenario_files import HEAD, PHASES, TAIL, needs_robots, phased, write
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.comparison import compare, summarize
-from coopqp.controller_run import run
-from coopqp.errors import ScenarioError, UnknownNameError
+from coopqp.base.errors import ScenarioError, UnknownNameError
+from coopqp.base.spec import Array
+from coopqp.execution.comparison import compare, summarize
+from coopqp.execution.controller_run import run
 from coopqp.report import files
 from coopqp.report.mobility import study
 from coopqp.scenario.loader import load

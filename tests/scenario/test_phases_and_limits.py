@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scenario_files import HEAD, PHASES, TAIL, phased
 
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError, ScenarioError
+from coopqp.base.errors import CoopqpError, ScenarioError
+from coopqp.execution.controller_run import run
 
 LIMITS = "limits:\n  - joint_position: {}\n  - joint_velocity: {}\n"
 

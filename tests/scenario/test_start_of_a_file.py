@@ -10,11 +10,11 @@ import pytest
 from command_line import typed
 from scenario_files import write
 
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
+from coopqp.model.state import State
 from coopqp.scenario.loader import load, load_and_solve, shipped
 from coopqp.scenario.start_solver import StartSolution, yaml_text
 from coopqp.scenario.yaml import read_yaml
-from coopqp.state import State
 
 CLOSED = 1e-9  # loop error of a start [m, rad]
 YEO = shipped()["yeo_4_5"].read_text(encoding="utf-8")

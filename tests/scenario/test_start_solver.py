@@ -10,18 +10,18 @@ import pinocchio as pin
 import pytest
 from scenario_files import LOADABLE
 
-from coopqp.checked import Array, Pose
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import GraspError, UnknownNameError
+from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.spec import Array, Pose
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots import NaoT14, PlanarPair
 from coopqp.scenario.loader import load, load_and_solve
 from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start
-from coopqp.state import State
 
 CLOSED = 1e-9  # loop error of a start [m, rad]
 NEW = ("baxter_tray", "tiago_torso", "two_pandas", "three_ur", "yeo_4_5")
@@ -89,7 +89,7 @@ def check(
     robot: RobotModel, grasps: Grasp | dict[str, Grasp], held: HeldObject, found: StartSolution
 ) -> ClosedChain:
     """All loops closed, the object where it was asked for, all joints inside; margin as said."""
-    chain = ClosedChain.take_hold(robot, found.q, grasps, held, passive_start=found.passive)
+    chain = ClosedChain.attach(robot, found.q, grasps, held, passive_start=found.passive)
     state = State(chain)
     assert np.abs(state.loop_error).max() < CLOSED
     assert held.pose is not None
@@ -159,7 +159,7 @@ def test_a_hinge_must_turn_where_the_arm_alone_cannot_reach() -> None:
     q = nao_start(robot)
     hinge = {"point": (0.0, 0.0, -0.05), "lower": 0.15, "upper": 0.6}
     turned = {"right.hinge": 0.3, "left.hinge": 0.4}
-    made = ClosedChain.take_hold(robot, q, Revolute(**hinge), HeldObject(), passive_start=turned)
+    made = ClosedChain.attach(robot, q, Revolute(**hinge), HeldObject(), passive_start=turned)
     data, straight = made.model.createData(), made.q_start.copy()
     straight[made.passive] = 0.0
     pin.framesForwardKinematics(made.model, data, straight)
@@ -172,7 +172,7 @@ def test_a_hinge_must_turn_where_the_arm_alone_cannot_reach() -> None:
     check(robot, grasps, held, found)
     assert all(0.15 < value < 0.6 for value in found.passive.values())
     with pytest.raises(GraspError, match="does not close"):
-        ClosedChain.take_hold(robot, found.q, grasps, held)  # with the hinges at zero
+        ClosedChain.attach(robot, found.q, grasps, held)  # with the hinges at zero
 
 
 def test_arms_on_one_torso_agree_on_it() -> None:

@@ -10,8 +10,8 @@ import pytest
 from command_line import typed
 from scenario_files import HEAD, TAIL, write
 
-from coopqp.checked import Pose
-from coopqp.errors import InvalidValueError, ScenarioError
+from coopqp.base.errors import InvalidValueError, ScenarioError
+from coopqp.base.spec import Pose
 from coopqp.scenario.loader import load
 from coopqp.scenario.notes import notes
 

@@ -13,9 +13,9 @@ import pytest
 from scenario_files import LOADABLE
 
 from coopqp import CoopqpError, Limit, LimitRows, Row, ScenarioError, State, Task, TaskRows, spec
-from coopqp.closed_chain import ClosedChain
 from coopqp.limit import Tighten
-from coopqp.profile import Profile
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.scenario.trial import Places, try_limit, try_task

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenario_files import needs_robots
 
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Waypoints

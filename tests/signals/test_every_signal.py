@@ -12,17 +12,17 @@ from example_signals import EXAMPLES, TIMES, near
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.signal import (
     DIRECTION,
     POINT,
     POSE,
     ROTATION,
-    Course,
     Kind,
     Moment,
     Signal,
+    Trajectory,
     of_joints,
     of_twist,
 )
@@ -39,12 +39,12 @@ def waypoints(kind: Kind, between: str, repeat: str) -> Waypoints:
     return Waypoints(times=TIMES, values=values, between=between, repeat=repeat)  # type: ignore[arg-type]
 
 
-def look(course: Course, t: float) -> tuple[Array, Array]:
+def look(course: Trajectory, t: float) -> tuple[Array, Array]:
     course.update(Moment(t))
     return course.value.copy(), course.rate.copy()
 
 
-def seen_rate(kind: Kind, course: Course, t: float) -> Array:
+def seen_rate(kind: Kind, course: Trajectory, t: float) -> Array:
     """The rate by central differences."""
     before, after = look(course, t - H)[0], look(course, t + H)[0]
     k = kind.numbers

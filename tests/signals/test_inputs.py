@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import compare
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError, ScenarioError
-from coopqp.input import Inputs, InputSettings
+from coopqp.base.errors import CoopqpError, ScenarioError
+from coopqp.execution.comparison import compare
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.recordings.known import read
 from coopqp.report.files import write
+from coopqp.scenario.input import Inputs, InputSettings
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Circle, Input, Line, Waypoints
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.study.trace_file import recorded_tick, state_from_trace
 from coopqp.task import Task
 from coopqp.tasks import Distance, Orientation, PointOnPoint, Twist

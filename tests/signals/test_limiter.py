@@ -9,16 +9,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.checked import Array
-from coopqp.errors import InvalidValueError
-from coopqp.limiter import Limiter, Pace
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
 from coopqp.signal import DIRECTION, POINT, POSE, ROTATION, Kind, matrix, of_joints, of_twist
 
 DT = 0.002
-PACE = Pace(velocity=0.3, acceleration=1.5, jerk=20.0)
+PACE = MotionLimits(velocity=0.3, acceleration=1.5, jerk=20.0)
 
 
-def follow(limiter: Limiter, target: Array | None, ticks: int) -> dict[str, Array]:
+def follow(limiter: TrajectoryFilter, target: Array | None, ticks: int) -> dict[str, Array]:
     found: dict[str, list[Array]] = {"value": [], "rate": [], "acceleration": []}
     for _ in range(ticks):
         assert limiter.step(target)
@@ -33,7 +33,7 @@ def lengths(values: Array) -> Array:
 
 @pytest.mark.parametrize("way", [(0.1, 0.0, 0.0), (0.06, -0.07, 0.04)])
 def test_a_step_of_ten_centimetres_is_a_bounded_motion(way: tuple[float, ...]) -> None:
-    limiter = Limiter(POINT, PACE, DT, np.zeros(3))
+    limiter = TrajectoryFilter(POINT, PACE, DT, np.zeros(3))
     seen = follow(limiter, np.array(way), 1500)
     speed = np.diff(seen["value"], axis=0) / DT
     jerk = np.diff(seen["acceleration"], axis=0) / DT
@@ -47,7 +47,7 @@ def test_a_step_of_ten_centimetres_is_a_bounded_motion(way: tuple[float, ...]) -
 
 
 def test_a_target_that_jumps_about_is_followed_within_the_bounds(rng: np.random.Generator) -> None:
-    limiter, seen = Limiter(POINT, PACE, DT, np.zeros(3)), []
+    limiter, seen = TrajectoryFilter(POINT, PACE, DT, np.zeros(3)), []
     for _ in range(60):
         seen.append(follow(limiter, rng.uniform(-0.2, 0.2, 3), int(rng.integers(1, 120))))
     value, rate, acceleration = (
@@ -62,7 +62,7 @@ def test_a_target_that_jumps_about_is_followed_within_the_bounds(rng: np.random.
 
 
 def test_it_brakes_to_rest_and_stays() -> None:
-    limiter = Limiter(POINT, PACE, DT, np.zeros(3))
+    limiter = TrajectoryFilter(POINT, PACE, DT, np.zeros(3))
     follow(limiter, np.array([1.0, 0.0, 0.0]), 300)
     braking = follow(limiter, None, 400)
     assert lengths(braking["acceleration"]).max() <= 1.5 + 1e-9
@@ -70,12 +70,12 @@ def test_it_brakes_to_rest_and_stays() -> None:
     np.testing.assert_allclose(braking["value"][-1], braking["value"][-50], atol=1e-9)
 
 
-def angle_to(limiter: Limiter, R: Array) -> float:
+def angle_to(limiter: TrajectoryFilter, R: Array) -> float:
     return float(np.linalg.norm(pin.log3(limiter.R @ R.T)))
 
 
 def test_a_rotation_is_followed_within_its_bounds(rng: np.random.Generator) -> None:
-    limiter = Limiter(ROTATION, PACE, DT, ROTATION.zero)
+    limiter = TrajectoryFilter(ROTATION, PACE, DT, ROTATION.zero)
     before, speeds = limiter.R, []
     for _ in range(12):
         axis = rng.standard_normal(3)
@@ -91,7 +91,7 @@ def test_a_rotation_is_followed_within_its_bounds(rng: np.random.Generator) -> N
 
 
 def test_a_direction_goes_the_shortest_way(rng: np.random.Generator) -> None:
-    limiter = Limiter(DIRECTION, PACE, DT, DIRECTION.read((0, 0, 1)))
+    limiter = TrajectoryFilter(DIRECTION, PACE, DT, DIRECTION.read((0, 0, 1)))
     target = DIRECTION.read((1, 0, 0))
     for _ in range(2500):
         assert limiter.step(target)
@@ -104,13 +104,13 @@ def test_a_direction_goes_the_shortest_way(rng: np.random.Generator) -> None:
 
 def test_each_joint_has_the_bounds_for_itself() -> None:
     kind = of_joints(("a", "b"))
-    seen = follow(Limiter(kind, PACE, DT, np.zeros(2)), np.array([1.0, -1.0]), 800)
+    seen = follow(TrajectoryFilter(kind, PACE, DT, np.zeros(2)), np.array([1.0, -1.0]), 800)
     assert np.abs(seen["rate"]).max() == pytest.approx(0.3, abs=1e-9)
 
 
 def test_velocities_change_within_their_bounds() -> None:
     kind = of_twist(("x", "y", "rot_z"))
-    limiter = Limiter(kind, PACE, DT, np.zeros(3))
+    limiter = TrajectoryFilter(kind, PACE, DT, np.zeros(3))
     seen = follow(limiter, np.array([9.0, 0.0, 0.1]), 2000)
     assert lengths(seen["value"][:, :2]).max() <= 0.3 + 1e-9
     assert lengths(seen["rate"][:, :2]).max() <= 1.5 + 1e-9
@@ -122,7 +122,9 @@ def test_velocities_change_within_their_bounds() -> None:
 
 @pytest.mark.parametrize("kind", [POINT, POSE, ROTATION, DIRECTION, of_joints(("a",))])
 def test_it_does_not_raise_whatever_it_is_told(kind: Kind, rng: np.random.Generator) -> None:
-    limiter: Any = Limiter(kind, Pace(velocity=1e-3, acceleration=1.0, jerk=1e3), DT, kind.zero)
+    limiter: Any = TrajectoryFilter(
+        kind, MotionLimits(velocity=1e-3, acceleration=1.0, jerk=1e3), DT, kind.zero
+    )
     for size in (0.0, 1e-300, 1e-3, 1e6):
         target = kind.zero
         target[: kind.numbers] += size
@@ -146,7 +148,7 @@ def test_bounds_with_which_there_may_be_no_way_are_refused(
     bounds: dict[str, float], said: str
 ) -> None:
     with pytest.raises(InvalidValueError) as refused:
-        Pace(**bounds)
+        MotionLimits(**bounds)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -160,11 +162,13 @@ def test_with_all_other_bounds_there_is_a_way(rng: np.random.Generator) -> None:
         if not (1e-3 <= v / a <= 1e3 and 1e-3 <= a / j <= 1e3):
             continue
         tried += 1
-        pace = Pace(
+        pace = MotionLimits(
             velocity=v, acceleration=a, jerk=j,
             angular_velocity=v, angular_acceleration=a, angular_jerk=j,
         )  # fmt: skip
-        limiter = Limiter(POSE if k % 2 else POINT, pace, DT, (POSE if k % 2 else POINT).zero)
+        limiter = TrajectoryFilter(
+            POSE if k % 2 else POINT, pace, DT, (POSE if k % 2 else POINT).zero
+        )
         for at in range(60):
             if at % 9 == 0:
                 turn = rng.normal(size=4)

@@ -11,21 +11,16 @@ import pytest
 from following import NAMES, following, moving_fields, one_of_each, place, way
 from scipy.spatial.transform import Rotation
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.profile import Profile
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
-from coopqp.signal import (
-    Course,
-    Followed,
-    Kind,
-    Signal,
-)
+from coopqp.signal import POSE, InputValues, Kind, Signal, Trajectory
 from coopqp.signals import Circle, Input, Line, Waypoints
-from coopqp.state import State
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import Twist
 
@@ -40,12 +35,12 @@ def test_all_tasks_with_a_goal_are_here(chain: ClosedChain) -> None:
 def check_rates(task: Task, chain: ClosedChain, walk: list[Array], inputs: Any = None) -> None:
     """E at a fixed configuration changes by -rate, and J is as if nothing moved."""
     start = State(chain)
-    start.inputs = inputs(0.0) if inputs else Followed()
+    start.inputs = inputs(0.0) if inputs else InputValues()
     stack = TaskStack([task], start)
 
     def look(q: Array, t: float) -> TaskStack:
         state = State(chain, q, t)
-        state.inputs = inputs(t) if inputs else Followed()
+        state.inputs = inputs(t) if inputs else InputValues()
         stack.update(state)
         return stack
 
@@ -81,11 +76,11 @@ def test_every_task_follows_an_input_with_its_exact_rate(
         for key, kind in moving_fields(task, chain).items()
     }
 
-    def inputs(t: float) -> Followed:
-        found, at = Followed(), State(chain, t=t)
+    def inputs(t: float) -> InputValues:
+        found, at = InputValues(), State(chain, t=t)
         for key, course in moves.items():
             course.update(at)
-            found[key] = Course(course.kind, course.value)
+            found[key] = Trajectory(course.kind, course.value)
             found[key].rate[:] = course.rate
         return found
 
@@ -106,6 +101,18 @@ def test_every_task_follows_closed_forms_where_they_are_of_its_kind(
 
         if any(made(place(kind, chain)) for kind in kinds.values()):
             check_rates(following(task, chain, signal_of), chain, closed_loop_walk(chain, 4))
+
+
+def test_a_signal_that_several_rows_follow_moves_once_a_state(
+    chain: ClosedChain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signal, moved = way(chain, "linear", "once")("goal", POSE), list[float]()
+    task = following(one_of_each(chain)["pose"], chain, lambda key, kind: signal)
+    stack = TaskStack([task], State(chain))
+    course = type(signal.bind(POSE, State(chain), None))
+    monkeypatch.setattr(course, "update", lambda self, at: moved.append(at.t))
+    stack.update(State(chain, t=0.5))
+    assert moved == [0.5]
 
 
 def _circle(value: Array) -> Signal | None:

@@ -22,8 +22,8 @@ from example_solvers import (
     solved,
 )
 
-from coopqp.errors import UnknownNameError
-from coopqp.qp import QP
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.qp import QP
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 

@@ -12,9 +12,9 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for workers as well
 
+from coopqp.base.errors import InvalidValueError
 from coopqp.cli.ending import Command
 from coopqp.cli.options import JSON, engined
-from coopqp.errors import InvalidValueError
 from coopqp.report import strict_json
 from coopqp.report.terminal import console, progress_bars
 from coopqp.scenario.catalog import Catalog

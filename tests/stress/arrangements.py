@@ -12,10 +12,10 @@ from functools import cache, partial
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import MissingDependencyError
+from coopqp.base.errors import MissingDependencyError
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid, Spherical
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.robots.example_robot import robots
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load

@@ -14,23 +14,22 @@ import numpy as np
 import pinocchio as pin
 from walks import vector, walk
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import into_contacts
-from coopqp.contact import NO_CONTACT
 from coopqp.controller import Command, ControlProblem
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.disturbance import Disturbance, Push
-from coopqp.errors import CoopqpError
-from coopqp.grasp import Grasp
+from coopqp.execution.rollout import drive
+from coopqp.grasp import NO_CONTACT, Grasp
 from coopqp.grasps import PointContact, SurfaceContact
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Push
 from coopqp.plants.rigid_body import RigidBody
-from coopqp.profile import Profile
-from coopqp.rollout import drive
 from coopqp.solver import Solver, Status
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench
 
@@ -122,7 +121,7 @@ def _pressing(
                 normal=normal, along=along, friction=mu, half_lengths=(half[0], half[1])
             )
     mass = float(heaviest * rng.uniform(0.1, 1.0))
-    return ClosedChain.take_hold(firm.robot, q, grasps, replace(firm.held, mass=mass, pose=None))
+    return ClosedChain.attach(firm.robot, q, grasps, replace(firm.held, mass=mass, pose=None))
 
 
 def _tasks(rng: np.random.Generator, chain: ClosedChain) -> tuple[Task, ...]:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from walks import vector, walk
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controller import ControlProblem, OnInfeasible
 from coopqp.controllers import QPController
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed, Workspace
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Solver
 from coopqp.solvers.daqp import Daqp
 from coopqp.task import Task

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from coopqp.assessment.oscillation import turns
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop import many_poses
 from coopqp.controller import ControlProblem, Law
-from coopqp.kernel.survey import loop_survey
+from coopqp.kernel.trajectory_evaluation import loop_survey
 from coopqp.limits import JointVelocity
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 from . import signs
 from .ending import PartErrors

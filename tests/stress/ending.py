@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT, within
-from coopqp.checked import Array
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.rank import null_space
 from coopqp.solver import written
-from coopqp.state import State
 from coopqp.study.explanation import asked_now, explain_asked
 from coopqp.task import TaskStack
 
@@ -106,7 +106,7 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
     if stands and problem.on_infeasible == "stop":
         return asked
     if outside:
-        way = way_back(problem, state)
+        way = limit_recovery(problem, state)
         stuck = way > INWARD and signs.at_rest(record)
         return Ending("recovering", f"could come back at {way:.2g} rad/s", never_back=stuck)
     if stands:
@@ -138,7 +138,7 @@ def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     return Ending("at rest", why.sentence, frozen=signs.slowest(record) < signs.STILL)
 
 
-def way_back(problem: ControlProblem, state: State) -> float:
+def limit_recovery(problem: ControlProblem, state: State) -> float:
     """Fastest way inward of a joint outside, that loops and limits leave [rad/s, m/s].
 
     A linear program of its own, that knows nothing of the QP law: most sum of inward speeds.

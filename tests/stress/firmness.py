@@ -17,8 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.controller import ControlProblem, Law
-from coopqp.memory import Memory
-from coopqp.state import State
+from coopqp.model.state import Memory, State
 from coopqp.task import Task, TaskStack
 
 from . import signs

@@ -14,10 +14,10 @@ import numpy as np
 import pinocchio as pin
 from walks import vector
 
-from coopqp.checked import Array, cross
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
-from coopqp.profile import KINDS, Profile
+from coopqp.base.spec import Array, cross
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import KINDS, Profile
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,

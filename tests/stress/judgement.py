@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.controller import Law
-from coopqp.state import State
+from coopqp.model.state import State
 
 from . import signs
 from .draw import Draw

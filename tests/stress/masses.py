@@ -22,20 +22,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from walks import vector, walk
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controller import ControlProblem, Law
-from coopqp.disturbance import Disturbance, Push, Slip
+from coopqp.execution.rollout import drive
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.loop_observer import TICKS, TIME
-from coopqp.plant import Plant, PlantModel
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import TICKS, TIME
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel, Push, Slip
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import fair_shares
-from coopqp.profile import Profile
-from coopqp.rollout import drive
 from coopqp.solver import Solver
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment.thresholds import rests
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.solver import Budget, Status
 
 EXCESS = 1e-9  # what a bound may be exceeded by, rounding [rad, rad/s]

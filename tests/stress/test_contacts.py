@@ -10,9 +10,9 @@ from laws import problem
 from pads import pressing
 from rich.console import Console
 
-from coopqp.closed_chain import ClosedChain
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
 from stress import arrangements

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from coopqp.disturbance import Disturbance
-from coopqp.errors import MissingDependencyError
+from coopqp.base.errors import MissingDependencyError
+from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.solvers import Osqp, Proxqp
 from coopqp.study.engine import Engine

@@ -18,15 +18,15 @@ from laws import problem
 from numpy.typing import NDArray
 
 from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation, turns
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.state import State
 from coopqp.tasks import PointOnPoint, Twist
-from coopqp.ticks import Ticks
+from coopqp.trace import TickBatch
 from stress.draw import LAW
 from stress.driving import LONGEST, drive_on, record_of
 from stress.ending import PartErrors
@@ -223,8 +223,8 @@ class Standing:
     def __init__(self, problem: ControlProblem) -> None:
         self.problem = problem
 
-    def run(self, state: State, ticks: int) -> Ticks:
-        made = Ticks.room(ticks, len(state.q), 0)
+    def run(self, state: State, ticks: int) -> TickBatch:
+        made = TickBatch.room(ticks, len(state.q), 0)
         made.q[:] = state.q
         return made
 

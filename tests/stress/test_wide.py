@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from coopqp.controller import Law
+from coopqp.model.state import State
 from coopqp.solver import Budget, Status
-from coopqp.state import State
 from coopqp.study.engine import Engine
 from stress import arrangements, driving, signs
 from stress.__main__ import main
 from stress.draw import LAW, draw
 from stress.driving import FEWEST, LONGEST, MOST, ROUND, drive_on, record_of
-from stress.ending import PartErrors, ending, way_back
+from stress.ending import PartErrors, ending, limit_recovery
 from stress.goals import pick
 from stress.judgement import Rollout
 from stress.signs import Record
@@ -212,7 +212,7 @@ def test_standing_outside_with_a_way_back_is_never_back() -> None:
     found = ending(law, state, record, errors)
     assert found.outcome == "recovering"
     assert found.never_back
-    assert way_back(law.problem, state) > 0.01
+    assert limit_recovery(law.problem, state) > 0.01
     # The law itself does come back.
     state, record = law.start(), record_of(law.problem)
     drive_on(law, state, record, errors)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-from coopqp.errors import MissingDependencyError
+from coopqp.base.errors import MissingDependencyError
 from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
 from coopqp.solver import Solver

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from plate_study import plate_in
 
-from coopqp.comparison import Comparison, compare
 from coopqp.controllers import QPController
+from coopqp.execution.comparison import Comparison, compare
 from coopqp.qp_law.law import QPLaw
 from coopqp.report import files
 from coopqp.scenario.loader import load

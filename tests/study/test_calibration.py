@@ -14,20 +14,19 @@ from command_line import typed
 from scenario_files import HEAD, PHASES, TAIL, cut, phased
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import summarize
-from coopqp.disturbance import Disturbance
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.execution.comparison import summarize
+from coopqp.execution.rollout import rollout
 from coopqp.grasps import Revolute, Rigid
-from coopqp.plant import Plant
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.plants._true_chain import true_chain
-from coopqp.rank import null_space
 from coopqp.report import files
-from coopqp.rollout import rollout
 from coopqp.scenario.scenario import Scenario
-from coopqp.state import State
 from coopqp.study.calibration import Calibration, calibrate
 from coopqp.study.trace_file import measured_run
 from coopqp.trace import Trace

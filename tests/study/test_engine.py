@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp.errors import (
+from coopqp.base.errors import (
     CoopqpError,
     Fault,
     InvalidValueError,

@@ -11,9 +11,9 @@ from explained import explained
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.comparison import summarize
 from coopqp.controllers import TorqueQp, WrenchSplit
-from coopqp.disturbance import Disturbance, Push
+from coopqp.execution.comparison import summarize
+from coopqp.plant import Disturbance, Push
 from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario

@@ -18,7 +18,9 @@ from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
+from coopqp.base.qp import Row
+from coopqp.execution.controller_run import run
+from coopqp.execution.phase_run import begin_phase
 from coopqp.limits import (
     JointAcceleration,
     JointPosition,
@@ -26,14 +28,12 @@ from coopqp.limits import (
     Obstacle,
     Obstacles,
 )
-from coopqp.phase_run import begin_phase
-from coopqp.row import Row
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
-from coopqp.state import State
-from coopqp.study.explanation import explain_run, late, words
-from coopqp.study.explanation.leg import legs
+from coopqp.study.explanation import explain_run, insufficient_time, words
+from coopqp.study.explanation.explained_phase import legs
 from coopqp.study.explanation.rerun import _Wider
 from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.shares import Share
@@ -141,13 +141,13 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     leg = next(legs(replace(like, limits=limits), run(like, controller="qp")))
     room = Room(leg.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
-    told = late._told(Share(corner, 1.0), room, like.chain.q_start)
+    told = insufficient_time._told(Share(corner, 1.0), room, like.chain.q_start)
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
     d = z - 0.025 - pose.p_WO[2] - np.abs(pose.R_WO[2]) @ half  # the slab is level
     assert told.row.bodies == ("object", "slab")
     assert told.row.words == f"the distance of object and slab ({1e3 * d:.1f} mm)"
     joint = Share(next(iter(room.sides.values())), 1.0)
-    assert late._told(joint, room, like.chain.q_start) is joint
+    assert insufficient_time._told(joint, room, like.chain.q_start) is joint
 
 
 def test_joint_values_that_are_told_close_the_loops() -> None:

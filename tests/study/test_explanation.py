@@ -13,15 +13,15 @@ from scipy.optimize import linprog
 from stress.draw import LAW, draw
 
 import coopqp
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
 from coopqp.controllers import QPController
+from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
-from coopqp.state import State
 from coopqp.study.explanation import Explanation, Relaxation, asked_now, explain, explain_asked
 from coopqp.task import TaskStack
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint
@@ -153,7 +153,7 @@ def test_law_with_the_relaxed_limits_meets_the_task(
             upper[scenario.chain.joint_names.index(joint)] += change
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     chain = scenario.chain
-    wider = ClosedChain.take_hold(
+    wider = ClosedChain.attach(
         replace(scenario.robot_model, model=model),
         chain.q_start,
         scenario.grasps,

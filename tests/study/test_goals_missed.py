@@ -16,12 +16,12 @@ from laws import UNREACHABLE
 from scenario_files import needs_robots
 
 from coopqp.assessment import assess
-from coopqp.checked import Pose as PoseValue
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.spec import Pose as PoseValue
+from coopqp.execution.controller_run import run
 from coopqp.limits import JointPosition, JointVelocity
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
-from coopqp.study.explanation.late import _rests
+from coopqp.study.explanation.insufficient_time import _rests
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pose, Twist
 
 

@@ -14,8 +14,8 @@ from laws import LIMITS
 from scipy.optimize import minimize
 
 from coopqp.assessment import assess
-from coopqp.checked import Array
-from coopqp.controller_run import run
+from coopqp.base.spec import Array
+from coopqp.execution.controller_run import run
 from coopqp.limits import (
     JointAcceleration,
     SelfCollision,

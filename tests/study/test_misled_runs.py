@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import coopqp
-from coopqp.comparison import summarize
-from coopqp.disturbance import Disturbance
+from coopqp.execution.comparison import summarize
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario

@@ -1,4 +1,4 @@
-"""Ticks kept in files, and solved again."""
+"""TickBatch kept in files, and solved again."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import qpsolvers
 from kept_ticks import POSE, at, first_tick, problem, record
 from laws import LIMITS, NEAR, STEP, UNREACHABLE, ticks
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
+from coopqp.base.errors import CoopqpError
+from coopqp.base.qp import names_of
 from coopqp.controllers import QPController
-from coopqp.errors import CoopqpError
+from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration, ObjectSpeed
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.qp_law.law import QPLaw
-from coopqp.row import names_of
 from coopqp.solver import Budget, Solver, Status
 from coopqp.solvers import Daqp, Osqp, Proxqp, Qpsolvers
 from coopqp.study.explanation import explain

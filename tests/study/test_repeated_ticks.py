@@ -11,10 +11,9 @@ import pytest
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
-from coopqp.comparison import summarize
-from coopqp.disturbance import Disturbance, Slip
+from coopqp.execution.comparison import summarize
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
-from coopqp.plant import Plant
+from coopqp.plant import Disturbance, Plant, Slip
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.report import files
 from coopqp.study.trace_file import recorded_tick

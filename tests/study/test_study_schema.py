@@ -10,7 +10,7 @@ from command_line import typed
 from plate_study import STUDY, written
 from pydantic import ValidationError
 
-from coopqp.errors import ScenarioError
+from coopqp.base.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep import read_study

@@ -11,9 +11,9 @@ from command_line import typed
 from plate_study import HERE, STUDY, table_of, written
 
 from coopqp.assessment import assess
+from coopqp.base.errors import CoopqpError, ScenarioError
 from coopqp.cli.sweep import _Drawn
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError, ScenarioError
+from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import kept_study, read_study, scenario_of_row, sweep

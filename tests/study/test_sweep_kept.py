@@ -17,7 +17,7 @@ from command_line import typed
 from forking import forked
 from plate_study import HERE, STUDY, plate_in, table_of, written
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import Progress, Study, kept_study, read_study, sweep
@@ -143,7 +143,7 @@ from coopqp import Metric, Trace, spec
 
 @spec
 class Twice(Metric):
-    """Ticks, twice."""
+    """TickBatch, twice."""
 
     def measure(self, trace: Trace) -> int:
         return 2 * trace.ticks

@@ -16,7 +16,7 @@ from command_line import typed
 from plate_study import HERE, STUDY, plate_in, table_of, written
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
 from coopqp.study.sweep.journal import HEAD, Journal, head_of
@@ -320,7 +320,7 @@ print("imported")
 
 @spec
 class Talks(Metric):
-    """Ticks."""
+    """TickBatch."""
 
     def measure(self, trace: Trace) -> int:
         print("measured")
@@ -358,7 +358,7 @@ Path(__file__).with_suffix(".mark").touch()
 
 @spec
 class Thrice(Metric):
-    """Ticks, thrice."""
+    """TickBatch, thrice."""
 
     def measure(self, trace: Trace) -> int:
         return 3 * trace.ticks

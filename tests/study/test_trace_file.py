@@ -13,8 +13,8 @@ from kept_ticks import at, record
 from laws import LIMITS
 from scenario_files import HEAD, NO_DRIFT, PHASES
 
-from coopqp.comparison import Comparison, compare
-from coopqp.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.execution.comparison import Comparison, compare
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
 from coopqp.recordings.known import read

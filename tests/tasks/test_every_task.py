@@ -15,10 +15,10 @@ from free_body import FreeBody, block_of
 from pydantic import TypeAdapter
 from ruamel.yaml import YAML
 
-from coopqp.closed_chain import ClosedChain
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import chosen, one_of
-from coopqp.state import State
 from coopqp.task import Task
 
 

@@ -12,8 +12,8 @@ import pytest
 from example_tasks import AXIS, EXAMPLES, MOVING, POINT, THROUGH, TILTED, object_point, plane_at
 from free_body import FreeBody, block_of
 
-from coopqp.checked import Array
-from coopqp.profile import Profile
+from coopqp.base.spec import Array
+from coopqp.model.profile import Profile
 from coopqp.signal import axes_along
 from coopqp.task import Task
 from coopqp.tasks import (

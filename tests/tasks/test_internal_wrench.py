@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from chains import planar_pair, ring, three_arms
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.virtual_linkage import virtual_linkage
 from coopqp.closed_loop.wrench_stack import WrenchStack
-from coopqp.errors import CoopqpError
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.signals import Waypoints
-from coopqp.state import State
 from coopqp.tasks import InternalWrench
 
 

@@ -9,12 +9,12 @@ import pytest
 from chains import Hinge
 from example_tasks import EXAMPLES, IN_JOINTS, TIMES, H, at, error, over, rows
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError
-from coopqp.held_object import HeldObject
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, JointLimitBarrier, Posture
 from coopqp.tasks.posture import posture
@@ -114,7 +114,7 @@ def test_posture_of_another_robot_is_refused(goal: Any, match: str, chain: Close
 
 
 def test_joint_without_limits_is_left_alone(nao: RobotModel, chain: ClosedChain) -> None:
-    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
     q = np.full(hinged.n, 0.3)
     e = error(JointCentering(), State(hinged, q))
     np.testing.assert_array_equal(e[hinged.passive], [0.0, 0.0])

@@ -7,12 +7,12 @@ import pytest
 from chains import Walk, three_arms
 from example_tasks import error
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robots import PlanarPair
-from coopqp.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import Manipulability
 
@@ -48,7 +48,7 @@ def test_manipulability_stays_finite_where_there_is_none(rng: np.random.Generato
     """A planar robot cannot rise: with z it has no gradient, without it has one."""
     robot = PlanarPair().build()
     q = robot.configuration({"right": [0.3, 0.6, 0.4], "left": [-0.3, -0.6, -0.4]})
-    planar = ClosedChain.take_hold(robot, q, Rigid(), HeldObject())
+    planar = ClosedChain.attach(robot, q, Rigid(), HeldObject())
     for q in (planar.q_start, np.zeros(planar.n), *planar.sample(rng, 5)):
         state = State(planar, q)
         assert np.abs(error(Manipulability(), state)).max() < 1e-3

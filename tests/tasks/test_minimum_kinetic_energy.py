@@ -8,10 +8,10 @@ import pytest
 from chains import Hinge, Walk
 from example_tasks import rows
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.held_object import HeldObject
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot import RobotModel
-from coopqp.state import State
 from coopqp.tasks import MinimumKineticEnergy
 
 
@@ -34,7 +34,7 @@ def test_least_energy_rows_measure_the_kinetic_energy(
 def test_least_energy_is_finite_with_joints_that_move_no_mass(
     nao: RobotModel, chain: ClosedChain
 ) -> None:
-    hinged = ClosedChain.take_hold(nao, chain.q_start, Hinge(), HeldObject())
+    hinged = ClosedChain.attach(nao, chain.q_start, Hinge(), HeldObject())
     J = rows(MinimumKineticEnergy(), State(hinged)).J
     assert np.isfinite(J).all()
     assert np.linalg.matrix_rank(J) >= hinged.n - 1

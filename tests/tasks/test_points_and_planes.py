@@ -21,10 +21,10 @@ from example_tasks import (
     rows,
 )
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.geometry import Turn
-from coopqp.profile import Profile
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Turn
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.tasks import PointOnPlane
 
 

@@ -8,9 +8,9 @@ import pytest
 from chains import three_arms
 from example_tasks import EXAMPLES, H, at, error, rows
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.errors import CoopqpError
-from coopqp.state import State
+from coopqp.base.errors import CoopqpError
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.task import TaskStack
 from coopqp.tasks import RelativeMotion
 

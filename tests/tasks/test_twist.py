@@ -13,10 +13,10 @@ from chains import Walk
 from example_tasks import EXAMPLES, POINT, H, at, object_point, rows
 
 from coopqp.assessment import assess
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
-from coopqp.profile import Profile
-from coopqp.row import names_of
+from coopqp.base.qp import names_of
+from coopqp.execution.controller_run import run
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.signals import Waypoints
 from coopqp.tasks import Twist

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
-from coopqp.profile import Profile
+from coopqp.execution.controller_run import run
+from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.study.explanation import explain_standing
 from coopqp.viewer.beside import Line

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.scenario.loader import load
 from coopqp.viewer.messages import Show
 from coopqp.viewer.play import play

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from command_line import typed
 
-from coopqp.controller_run import run
+from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 
 COMMAND = [sys.executable, "-c", "from coopqp.cli import main; main()", "play"]

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scenario_files import HEAD, PHASES
 
-from coopqp.checked import Array
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.execution.controller_run import run
+from coopqp.model.state import State
 from coopqp.scenario.loader import load
-from coopqp.state import State
 from coopqp.viewer.messages import Asked, Told
 from coopqp.viewer.panel import _head, _verdict
 from coopqp.viewer.play import _Clock

@@ -1,5 +1,5 @@
 // The look at the loops after the step, and how fast the drift is corrected, as
-// coopqp.qp_law.safety.LoopProbe.
+// coopqp.qp_law.safety.StepVerification.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -35,7 +35,7 @@ class Bounds {
         }
     }
 
-    // Limits tighten in their order, since braking heeds those before it.
+    // Limits tighten in their order, since braking supports those before it.
     void update(const Model& m, const double* q, const double* v, double* lb, double* ub) {
         const std::size_t n = lower.size();
         double *least = least_.data(), *most = most_.data();

@@ -94,7 +94,8 @@ class Cascade {
             if (!(outcome.off < off)) break;
         }
         pulls_[std::size_t(l)] = outcome.pull;
-        return outcome.status;
+        // Where rows give way so far that the answer is another, they clash.
+        return outcome.status == Status::Inaccurate && clash_ ? Status::Clashing : outcome.status;
     }
 
     // Take the first level, of exact rows alone, as decided by a motion v, in lanes.
@@ -274,6 +275,7 @@ class Cascade {
     Status bring_inside(int l, int first, double curvature) {
         LeastDistance& nearest = constraints_.nearest;
         nearest.active = 0;
+        clash_ = false;
         if (constraints_.hold(l, v_) || fault(Fault::LimitsForgotten)) return Status::Optimal;
         const int shares = l == 0 ? shares_.count() : 0, K = loops_.free - first;
         constraints_.begin(v_);
@@ -288,6 +290,7 @@ class Cascade {
         if (l == 0 && levels_[0].exact > first)
             for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
                  wide = by, by *= WIDER) {
+                clash_ = check_.excludes(first, constraints_, wide) != Status::Unproven;
                 constraints_.widen(by - wide);
                 status = nearest.solve(shares + K);
             }
@@ -325,6 +328,7 @@ class Cascade {
     Constraints constraints_;
     Check check_;
     double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
+    bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;
     SmallLeastSquares small_;
     std::vector<double> pulls_;

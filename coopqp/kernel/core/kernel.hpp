@@ -14,7 +14,7 @@
 #include "nearest.hpp"
 #include "problem.hpp"
 #include "rows.hpp"
-#include "way_back.hpp"
+#include "limit_recovery.hpp"
 
 namespace coopqp {
 
@@ -336,7 +336,7 @@ class Kernel {
   private:
     Cascade tasks_;
     Nearest nearest_;
-    WayBack way_back_;
+    LimitRecovery way_back_;
     std::vector<double> b_;
     std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares

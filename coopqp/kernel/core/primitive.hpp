@@ -8,7 +8,7 @@
 
 namespace coopqp {
 
-// As coopqp.profile.Profile.
+// As coopqp.model.profile.Profile.
 struct Profile {
     using Kind = ProfileKind;
     Kind kind = Kind::Step;
@@ -49,17 +49,17 @@ struct Profile {
 };
 
 // Where a reference is that follows a signal: arrays that Python fills before each tick.
-struct Followed {
+struct InputValues {
     const double *c = nullptr, *RT = nullptr, *c_dot = nullptr, *omega = nullptr;
 };
 
-// As coopqp.geometry.Reference.
+// As coopqp.model.geometry.Reference.
 struct Reference {
     double c_0[3], RT_0[9], c_dot[3], turn[3];
     Profile turning;
     bool turns = false, moves = false;
     double c[3], RT[9], omega[3];
-    Followed followed;
+    InputValues followed;
 
     void begin() {
         std::copy(c_0, c_0 + 3, c);

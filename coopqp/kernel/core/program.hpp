@@ -62,7 +62,7 @@ class Program {
         }
     }
 
-    // e_r = (1 - s) e_start, as coopqp.geometry.Approach.
+    // e_r = (1 - s) e_start, as coopqp.model.geometry.Approach.
     static void approach(const Primitive& p, double t, int count, Level& level) {
         double share, speed;
         p.profile.at(t, share, speed);
@@ -133,7 +133,7 @@ class Program {
         return seen;
     }
 
-    // As coopqp.geometry.Alignment.
+    // As coopqp.model.geometry.Alignment.
     static void lean(const Primitive& p, double t, const Kinematics& k, Level& level) {
         const Reference& r = p.reference;
         double share, speed, C[9], axis[3], y[3];
@@ -181,7 +181,7 @@ class Program {
         approach(p, t, 1, level);
     }
 
-    // As coopqp.geometry.RotationError, whose goal is at rest.
+    // As coopqp.model.geometry.RotationError, whose goal is at rest.
     struct Turn {
         double e[3], left[9], turned[3];
     };

@@ -32,7 +32,7 @@ constexpr double NOISE = 1e-06;
 constexpr double SHORTEN = 0.5;
 constexpr double SHORTEST = 0.0009765625;
 
-// coopqp.qp_law.way_back
+// coopqp.qp_law.limit_recovery
 constexpr double LEAST_RECOVERY = 0.02;
 constexpr double LEAST_MOTION = 0.0001;
 constexpr double KEPT = 0.995;
@@ -41,10 +41,10 @@ constexpr double KEPT = 0.995;
 constexpr double OUTSIDE = 1e-09;
 constexpr double SHALLOW = 0.001;
 
-// coopqp.profile
+// coopqp.model.profile
 constexpr double RAMP = 0.25;
 
-// coopqp.geometry
+// coopqp.model.geometry
 constexpr double TINY = 1e-12;
 constexpr double CONE = 0.02;
 
@@ -70,7 +70,7 @@ enum class Status : int {
 };
 constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 
-// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.profile.KINDS
+// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.model.profile.KINDS
 enum class Kind {
     Point = 0,
     Radial = 1,

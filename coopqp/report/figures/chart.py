@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.comparison import Comparison
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.execution.comparison import Comparison
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.style import styles

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.report import curves
 from coopqp.report.cells import length
 from coopqp.report.curves import Figure, Json

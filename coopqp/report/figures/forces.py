@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Window

@@ -16,16 +16,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.rank import RANK_TOLERANCE, null_space
+from coopqp.base.spec import Array
+from coopqp.base.wording import suppressed
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
-from coopqp.rank import RANK_TOLERANCE, null_space
+from coopqp.model.state import State
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
-from coopqp.state import State
 from coopqp.task import LENGTHS, TaskStack
-from coopqp.wording import suppressed
 
 MOST_INSTANTS = 300  # that are looked at, of each controller and phase
 WORST = 1e6  # larger conditions are drawn here

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.report import audit
 from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart

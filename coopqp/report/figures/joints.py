@@ -8,8 +8,8 @@ from itertools import chain as joined
 import numpy as np
 
 from coopqp.assessment.thresholds import OUTSIDE
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
 from coopqp.report.figures.chart import Chart

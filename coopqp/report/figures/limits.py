@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.assessment.assessment import accelerations
 from coopqp.assessment.limits import beyond
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Window

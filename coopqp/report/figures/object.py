@@ -19,15 +19,15 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
-from coopqp.mark import (
-    CircleMark,
-    LineMark,
-    Mark,
-    PlaneMark,
-    PointMark,
-    PoseMark,
-    TrackedMark,
+from coopqp.base.spec import Array
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    TrackedMarker,
     asked,
 )
 from coopqp.report import curves
@@ -68,33 +68,33 @@ class Coordinate:
         moved: Array = position[:, self.axis] + rotation[:, self.axis] @ np.array(self.point)
         return moved
 
-    def goal(self, marks: Sequence[Mark]) -> float:
+    def goal(self, marks: Sequence[Marker]) -> float:
         """Of the marks of a task that steers this point [m]."""
-        if any(isinstance(m, TrackedMark) and m.point != self.point for m in marks):
+        if any(isinstance(m, TrackedMarker) and m.point != self.point for m in marks):
             return np.nan
         known = [value for value in (self._fixed(mark) for mark in marks) if not np.isnan(value)]
         return known[0] if known else np.nan
 
-    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
+    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """Straight there [m]."""
         goal = np.array([self.goal(then) for then in marks])
         begin = self.of(start.translation[None], start.rotation[None])[0]
         way: Array = goal + (1.0 - share) * (begin - goal[0])
         return way
 
-    def _fixed(self, mark: Mark) -> float:
+    def _fixed(self, mark: Marker) -> float:
         """The coordinate that all points of a mark have in common, or NaN."""
         i, place, normal = self.axis, None, None
         match mark:
-            case PointMark():
+            case PointMarker():
                 place = mark.at
-            case PoseMark():
+            case PoseMarker():
                 place = mark.position
-            case LineMark() if abs(mark.direction[i]) < ALIGNED:
+            case LineMarker() if abs(mark.direction[i]) < ALIGNED:
                 place = mark.through
-            case PlaneMark():
+            case PlaneMarker():
                 place, normal = mark.through, mark.normal
-            case CircleMark():
+            case CircleMarker():
                 place, normal = mark.center, mark.normal
         across = normal is not None and np.abs(np.delete(normal, i)).max() > ALIGNED
         return np.nan if place is None or across else float(place[i])
@@ -116,14 +116,14 @@ class Tilt:
         angle: Array = np.degrees(np.arctan2(sine, rotation[:, 2, 2]))
         return angle
 
-    def goal(self, marks: Sequence[Mark]) -> float:
+    def goal(self, marks: Sequence[Marker]) -> float:
         """Of an orientation [degrees]."""
-        found = [mark for mark in marks if isinstance(mark, PoseMark)]
+        found = [mark for mark in marks if isinstance(mark, PoseMarker)]
         return float(self.of(np.zeros((1, 3)), found[0].rotation[None])[0]) if found else np.nan
 
-    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Mark]], share: Array) -> Array:
+    def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """About one axis [degrees]; NaN for a goal that turns."""
-        goals = [mark.rotation for then in marks for mark in then if isinstance(mark, PoseMark)]
+        goals = [mark.rotation for then in marks for mark in then if isinstance(mark, PoseMarker)]
         if any(not np.array_equal(R, goals[0]) for R in goals):
             return np.full(len(share), np.nan)
         turn = pin.log3(goals[0] @ start.rotation.T)
@@ -204,7 +204,7 @@ def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
     marks = [m for task in tasks for m in asked(task.name, partial(task.marks, Moment()), [])]
-    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMark))
+    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMarker))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 
 

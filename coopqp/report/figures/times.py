@@ -11,7 +11,7 @@ from itertools import chain as joined
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.report import curves
 from coopqp.report.cells import LANGUAGES, tick_times_in
 from coopqp.report.curves import Figure, Json

@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidValueError
-from coopqp.mark import SolidMark
+from coopqp.base.errors import InvalidValueError
+from coopqp.model.marker import SolidMarker
 from coopqp.report.scene.triangles import (
     NOTHING,
     Triangles,
@@ -73,7 +73,7 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     return tuple(bodies), faults
 
 
-def solid_body(solid: SolidMark) -> Body:
+def solid_body(solid: SolidMarker) -> Body:
     """What stands in the world, as a body of the base."""
     shape = Shape(
         frame="universe",

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.report.scene.marks import short
+from coopqp.base.spec import Array
+from coopqp.report.scene.markers import short
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
-from coopqp.comparison import Comparison
+from coopqp.execution.comparison import Comparison
 from coopqp.report.cells import length
 from coopqp.report.figures.limits import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
 from coopqp.report.scene.forces import arrows, squeeze_words, told
-from coopqp.report.scene.marks import SOLID, as_json, carried, in_view, short, shown_marks
+from coopqp.report.scene.markers import SOLID, as_json, carried, in_view, short, shown_marks
 from coopqp.report.scene.triangles import joined, moved
 from coopqp.report.style import styles
 from coopqp.robot import RobotModel

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.robot import Capsule, Shape
 from coopqp.robot_files.meshes import read_mesh
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.space import Box
 from coopqp.study.sweep.study import Study

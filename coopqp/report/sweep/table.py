@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from coopqp.errors import one_line
+from coopqp.base.errors import one_line
 from coopqp.study.sweep.paired import Difference
 from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.summary import Line, Summary

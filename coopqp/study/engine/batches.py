@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from coopqp.errors import CoopqpError
+from coopqp.base.errors import CoopqpError
 
 SECONDS = 1.0  # that a batch shall take
 MOST = 500  # items in a batch

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from coopqp.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError
 from coopqp.study.engine.batches import (
     Batch,
     Batches,

@@ -17,15 +17,15 @@ from functools import cached_property
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.checked import Array
+from coopqp.base.qp import Row
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem
+from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.safety import drift_gain
-from coopqp.rank import null_space
-from coopqp.row import Row
 from coopqp.solver import Status, causes_of
-from coopqp.state import State
-from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.room import PLACE_UNITS
 from coopqp.study.explanation.shares import Share, forces, shares
 from coopqp.study.tick_record import NamedBounds, TickRecord
@@ -118,13 +118,13 @@ def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: 
     )  # fmt: skip
 
 
-class Ticks:
+class TickBatch:
     """The ticks of a leg, whose law commands velocities, looked at again one by one.
 
     State and stack of tasks are those of the last that was looked at.
     """
 
-    def __init__(self, leg: Leg) -> None:
+    def __init__(self, leg: ExplainedPhase) -> None:
         self._leg, problem = leg, leg.problem
         self.state = State(problem.chain)
         self.stack = TaskStack(problem.tasks, State(problem.chain))
@@ -162,9 +162,9 @@ class Ticks:
         return [(row, amount / total * size) for row, amount in found if total > 0.0]
 
 
-def held_up(leg: Leg, ticks: range | None = None) -> tuple[Share, ...]:
+def held_up(leg: ExplainedPhase, ticks: range | None = None) -> tuple[Share, ...]:
     """Which limits held a run up in some ticks or all, the largest share first."""
-    look, ticks = Ticks(leg), ticks or range(len(leg.v))
+    look, ticks = TickBatch(leg), ticks or range(len(leg.v))
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return shares(force for k in some for force in look.forces(k))
 

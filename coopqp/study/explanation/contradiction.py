@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.search import Search

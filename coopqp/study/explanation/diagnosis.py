@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import BEYOND
-from coopqp.checked import Array
-from coopqp.rank import independent_rows, null_space
+from coopqp.base.rank import independent_rows, null_space
+from coopqp.base.spec import Array
 from coopqp.study.explanation.contradiction import (
     Contradiction,
     on_a_free_object,

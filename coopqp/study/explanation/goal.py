@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.assessment.thresholds import within
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.signal import Followed
-from coopqp.state import State
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.signal import InputValues
 from coopqp.task import Part, Task, TaskStack
 
 #: A step and how well J must agree with the differences of e for a task to have a place.
@@ -52,11 +52,11 @@ class Goal:
     """
 
     def __init__(
-        self, chain: ClosedChain, tasks: Sequence[Task], t: float, inputs: Followed | None = None
+        self, chain: ClosedChain, tasks: Sequence[Task], t: float, inputs: InputValues | None = None
     ) -> None:
         self.chain, self.tasks, self.t = chain, tuple(tasks), t
         self.state = State(chain, t=t)
-        self.state.inputs = inputs or Followed()
+        self.state.inputs = inputs or InputValues()
         self.stack = TaskStack(tasks, State(chain))
         self.parts = tuple(parts_of(tasks, chain))
         counts = [_level_weight(task) for task in tasks]

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.closed_chain import ClosedChain
-from coopqp.controller_run import run
+from coopqp.base.qp import Row
+from coopqp.execution.controller_run import run
 from coopqp.grasp import PassiveJoint
-from coopqp.hold import Hold
 from coopqp.limit import Limit
-from coopqp.row import Row
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation.explained_phase import ExplainedPhase, legs
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.leg import Leg, legs
 from coopqp.study.explanation.room import PLACE_UNITS
 
 #: A longer run has so many times the time more, and so much [s].
@@ -40,8 +40,12 @@ class _Wider(Scenario):
 
 
 def rerun(
-    leg: Leg, *, longer: bool = False, wider: Mapping[Row, float] | None = None, **changed: Any
-) -> Leg:
+    leg: ExplainedPhase,
+    *,
+    longer: bool = False,
+    wider: Mapping[Row, float] | None = None,
+    **changed: Any,
+) -> ExplainedPhase:
     """What becomes of a phase when something is changed.
 
     Args:
@@ -64,7 +68,7 @@ def rerun(
     return list(legs(other, run(other, controller=leg.name, timed=False)))[leg.index]
 
 
-def arrival(goal: Goal, leg: Leg) -> float:
+def arrival(goal: Goal, leg: ExplainedPhase) -> float:
     """From when on a leg that reached a goal is there [s]."""
     dt = leg.problem.dt
     for k in range(len(leg.v), 0, -1):
@@ -86,7 +90,7 @@ def without_places(scenario: Scenario) -> tuple[Limit, ...]:
     )
 
 
-def _widened(hold: Hold, wider: Mapping[Row, float]) -> Hold:
+def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfiguration:
     """The hold with other position limits; passive joints have theirs in the grasp."""
     model, own = hold.robot.model.copy(), hold.robot.joint_names
     passive = dict(hold.passive)

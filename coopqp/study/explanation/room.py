@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import Limit, LimitRows, RoomLeft
-from coopqp.row import Row
-from coopqp.state import State
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 PLACE_UNITS = ("m", "rad")
 #: This near to it a limit is at its bound [rad, m].

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.row import Row
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 
 #: A limit with a smaller share is idle, and never named.
 IDLE = 0.01

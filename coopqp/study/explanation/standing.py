@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.study.explanation import words
-from coopqp.study.explanation.cure import least_needs, needed
 from coopqp.study.explanation.diagnosis import BlockedByLimits, NotBlocked, diagnose
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.suggested_relaxation import least_needs, needed
 from coopqp.task import Task
 
 

@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checked import Array
-from coopqp.row import Row, names_of
+from coopqp.base.qp import Row, names_of
+from coopqp.base.spec import Array
 from coopqp.solver import HALTS, Budget, Status
 from coopqp.study.explanation.asked import Asked, asked_then
 from coopqp.study.explanation.contradiction import contradicting

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 from coopqp.solver import Status
-from coopqp.study.explanation.asked import Ticks
-from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.asked import TickBatch
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.task import Mode
 
 #: A task that lacks more than this share of its rate counts, beside the one that lacks most.
@@ -62,7 +62,7 @@ def part_of_rate(got: Array, wanted: Array) -> float:
     return 1.0 - off / max(size, off, 1e-300)
 
 
-def relaxed(legs: Sequence[Leg]) -> tuple[Relaxed, ...]:
+def relaxed(legs: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
     """Who is not met in full in the ticks that say so, the most often first.
 
     Those of a law that commands torques do not show it.
@@ -83,9 +83,9 @@ def relaxed(legs: Sequence[Leg]) -> tuple[Relaxed, ...]:
     )
 
 
-def _lacks(leg: Leg) -> Iterator[tuple[int, dict[str, float]]]:
+def _lacks(leg: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
     """Relaxed ticks of a leg, with the share that each task lacks."""
-    look = Ticks(leg)
+    look = TickBatch(leg)
     every = zip(leg.problem.tasks, look.stack.slices, strict=True)
     firm = [(task.name, rows) for task, rows in every if task.mode != "soft"]
     for k in (k for k, causes in enumerate(leg.causes) if Status.TASKS_RELAXED in causes):

@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.checked import Array
-from coopqp.rank import null_space
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
-from coopqp.study.explanation.asked import Ticks, held_up, speed_share
+from coopqp.study.explanation.asked import TickBatch, held_up, speed_share
 from coopqp.study.explanation.contradiction import contradicting as smallest
-from coopqp.study.explanation.cure import by_rerun, with_cure
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import PartOfTask
-from coopqp.study.explanation.leg import Leg
+from coopqp.study.explanation.suggested_relaxation import by_rerun, with_cure
 from coopqp.task import Task
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
@@ -33,7 +33,7 @@ CUT = 1e-4
 LAST, MOSTLY = 50, 0.5
 
 
-def explain(leg: Leg, base: RunExplanation) -> RunExplanation:
+def explain(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in leg.missed if part.task.asks_velocity)
     k = len(leg.v) - 1
@@ -52,8 +52,10 @@ def explain(leg: Leg, base: RunExplanation) -> RunExplanation:
     return base.because("speed", why + more, held, tasks=(part.task.name,))
 
 
-def _at_the_edge(leg: Leg, k: int, part: PartOfTask, base: RunExplanation) -> RunExplanation:
-    look = Ticks(leg)
+def _at_the_edge(
+    leg: ExplainedPhase, k: int, part: PartOfTask, base: RunExplanation
+) -> RunExplanation:
+    look = TickBatch(leg)
     u = look.look(k)[part.rows]
     names = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
     i = int(np.abs(u).argmax())
@@ -70,7 +72,7 @@ def _at_the_edge(leg: Leg, k: int, part: PartOfTask, base: RunExplanation) -> Ru
     return base.because("reach", said, tasks=(part.task.name,), way=unit)
 
 
-def _speed_needed(leg: Leg, k: int, rows: slice) -> float:
+def _speed_needed(leg: ExplainedPhase, k: int, rows: slice) -> float:
     """Least share of the joints' speeds with which some rows could be followed at tick k.
 
     Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
@@ -78,7 +80,7 @@ def _speed_needed(leg: Leg, k: int, rows: slice) -> float:
     """
     from scipy.optimize import linprog  # which takes a sixth of a second to come
 
-    look = Ticks(leg)
+    look = TickBatch(leg)
     look.look(k)
     J, most = look.stack.J[rows], leg.problem.chain.velocity
     known, n = np.isfinite(most), len(most)
@@ -92,23 +94,23 @@ def _speed_needed(leg: Leg, k: int, rows: slice) -> float:
     return float(found.fun) if found.success else np.inf
 
 
-def _singular(leg: Leg, k: int, part: PartOfTask) -> bool:
+def _singular(leg: ExplainedPhase, k: int, part: PartOfTask) -> bool:
     """Whether the loops have all but taken away the direction that is missed."""
-    look = Ticks(leg)
+    look = TickBatch(leg)
     u = look.look(k)[part.rows]
     now = _freedom(look, part, u)
     look.look(0)
     return now < SINGULAR * _freedom(look, part, u)
 
 
-def _freedom(look: Ticks, part: PartOfTask, u: Array) -> float:
+def _freedom(look: TickBatch, part: PartOfTask, u: Array) -> float:
     Z = null_space(look.state.J_loop)
     return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
 
 
-def contradicting(leg: Leg) -> tuple[Task, ...]:
+def contradicting(leg: ExplainedPhase) -> tuple[Task, ...]:
     """Tasks whose velocities at the last tick rule each other out; none where they do not."""
-    look = Ticks(leg)
+    look = TickBatch(leg)
     look.look(len(leg.v) - 1)
     Z, stack = null_space(look.state.J_loop), look.stack
     rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))

@@ -11,10 +11,9 @@ from coopqp.assessment import Assessment, assess
 from coopqp.assessment.verdict import loop_words, not_followed, saturation_words
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import late, velocity, words
+from coopqp.study.explanation import insufficient_time, velocity, words
 from coopqp.study.explanation.answer import MissedPart, RunExplanation
 from coopqp.study.explanation.contradiction import Contradiction
-from coopqp.study.explanation.cure import by_geometry, with_cure
 from coopqp.study.explanation.diagnosis import (
     BlockedByLimits,
     Diagnosis,
@@ -24,9 +23,10 @@ from coopqp.study.explanation.diagnosis import (
     Unreachable,
     diagnose,
 )
+from coopqp.study.explanation.explained_phase import ExplainedPhase, legs
 from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.leg import Leg, legs
-from coopqp.study.explanation.lost import lost
+from coopqp.study.explanation.grasp_lost import lost
+from coopqp.study.explanation.suggested_relaxation import by_geometry, with_cure
 from coopqp.study.explanation.unmet import relaxed
 from coopqp.trace import Trace
 
@@ -56,7 +56,7 @@ def explain_run(
 
 
 def _explained(
-    found: Assessment, phases: Sequence[Leg], leg: Leg, report: Report
+    found: Assessment, phases: Sequence[ExplainedPhase], leg: ExplainedPhase, report: Report
 ) -> RunExplanation:
     base, torn = _base(leg), any(task.torn for task in found.tasks)
     suspect = leg.missed or torn or found.held is False
@@ -78,7 +78,7 @@ def _explained(
     return replace(answer, sentence=said)
 
 
-def _base(leg: Leg) -> RunExplanation:
+def _base(leg: ExplainedPhase) -> RunExplanation:
     missed = tuple(
         MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
     )
@@ -86,7 +86,9 @@ def _base(leg: Leg) -> RunExplanation:
     return RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
 
 
-def _kept(found: Assessment, phases: Sequence[Leg], base: RunExplanation) -> RunExplanation:
+def _kept(
+    found: Assessment, phases: Sequence[ExplainedPhase], base: RunExplanation
+) -> RunExplanation:
     """Of a run that got there, but perhaps not as it should."""
     said, kind = [], "reached"
     if not found.succeeds:
@@ -103,7 +105,7 @@ def _kept(found: Assessment, phases: Sequence[Leg], base: RunExplanation) -> Run
     return base.because(kind, f"{goals}{', but ' if said else ''}{'; '.join(said)}")
 
 
-def _failed(leg: Leg) -> str:
+def _failed(leg: ExplainedPhase) -> str:
     """Why the last tick stood still, where that is no answer of geometry's."""
     last = leg.causes[-1][0]
     if last.usable or last in (Status.INFEASIBLE, Status.LOOP_BUDGET):
@@ -111,7 +113,7 @@ def _failed(leg: Leg) -> str:
     return f"{leg.stands_still}: {last.value.removeprefix('stands still: ')}"
 
 
-def _blocked(leg: Leg, base: RunExplanation, report: Report) -> RunExplanation:
+def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
     """Of a run that missed, with what it misses in ``base``."""
     goal = leg.goal()
     places = [part for part, _ in leg.missed if part.task in goal.tasks]
@@ -128,7 +130,7 @@ def _blocked(leg: Leg, base: RunExplanation, report: Report) -> RunExplanation:
     if isinstance(found, NotBlocked):
         if velocities:
             return velocity.explain(leg, base)
-        return late.explain(leg, goal, found.place, base)
+        return insufficient_time.explain(leg, goal, found.place, base)
     if isinstance(found, BlockedByLimits):
         cure = by_geometry(leg, goal, found, report)
         other = found.elsewhere
@@ -137,7 +139,7 @@ def _blocked(leg: Leg, base: RunExplanation, report: Report) -> RunExplanation:
     return _by_geometry(leg, found, base)
 
 
-def _diagnosed(leg: Leg, goal: Goal) -> tuple[Goal, Diagnosis]:
+def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
     """Of hard and scaled tasks alone where geometry keeps them already from their goals."""
     modes = {part.task.mode for part, _ in leg.missed} if _ordered(leg) else {"soft"}
     heeded = {"hard"} if "hard" in modes else {"hard", "scaled"}
@@ -150,12 +152,12 @@ def _diagnosed(leg: Leg, goal: Goal) -> tuple[Goal, Diagnosis]:
     return goal, diagnose(goal, leg.room, leg.q[-1])
 
 
-def _ordered(leg: Leg) -> bool:
-    """Whether the law heeds which task comes first."""
-    return {"modes", "priorities"} <= leg.controller.heeds
+def _ordered(leg: ExplainedPhase) -> bool:
+    """Whether the law supports which task comes first."""
+    return {"modes", "priorities"} <= leg.controller.supports
 
 
-def _by_geometry(leg: Leg, found: Unreachable, base: RunExplanation) -> RunExplanation:
+def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
     """Of what limits alone do not explain."""
     said = words.geometry(found, leg.missed, leg.problem.chain, ordered=_ordered(leg))
     base = replace(base, sentence="")

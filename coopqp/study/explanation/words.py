@@ -8,13 +8,13 @@ import numpy as np
 
 from coopqp.assessment import Assessment
 from coopqp.assessment.verdict import loop_words
-from coopqp.checked import Array
-from coopqp.closed_chain import ClosedChain
-from coopqp.row import Row
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.study.explanation.contradiction import Contradiction
 from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, Unreachable
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Missed, PartOfTask
-from coopqp.study.explanation.leg import Leg
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share
 from coopqp.task import Task
@@ -45,7 +45,7 @@ def with_note(row: Row, note: str) -> str:
     return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
-def stops(leg: Leg) -> str:
+def stops(leg: ExplainedPhase) -> str:
     """What the worst part of a task ended off by."""
     return stops_short(*leg.missed[0])
 
@@ -84,7 +84,7 @@ def geometry(
 ) -> str:
     """What keeps a chain from its goal, where that is not its limits alone.
 
-    It is ordered where the law heeds which task comes first.
+    It is ordered where the law supports which task comes first.
     """
     if isinstance(found, Contradiction):
         return _contradiction(found, missed, ordered=ordered)

@@ -18,8 +18,9 @@ from typing import Any
 from ruamel.yaml import YAML
 
 import coopqp
-from coopqp.errors import CoopqpError, ScenarioError
-from coopqp.reading import absolute
+from coopqp.base.errors import CoopqpError, ScenarioError
+from coopqp.base.reading import absolute
+from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import FILE_KEYS, has_files
 from coopqp.scenario.plugin import COLLECTIONS
@@ -29,7 +30,6 @@ from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
 from coopqp.study.sweep.study import CONTROLLERS, Study
 from coopqp.study.sweep.variant import Folders
-from coopqp.wording import dotted
 
 #: Modules of shipped plug-ins; their files count as the version.
 SHIPPED = tuple(f"coopqp.{kind}." for kind in COLLECTIONS)

@@ -16,8 +16,8 @@ from pydantic import (
     create_model,
 )
 
-from coopqp import wording
-from coopqp.errors import unknown_name
+from coopqp.base import wording
+from coopqp.base.errors import unknown_name
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import STRICT, Words, file_model
 from coopqp.scenario.yaml import Wrong, YamlFile

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from coopqp.errors import CoopqpError
-from coopqp.reading import check_plain
+from coopqp.base.errors import CoopqpError
+from coopqp.base.reading import check_plain
 from coopqp.study.engine import Share
 
 PATTERN = "journal*.sqlite3"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik
 
-from coopqp.checked import Array
+from coopqp.base.spec import Array
 
 Z = 1.959963984540054  # of a two-sided 95 % interval
 TAIL = 0.025  # of it, on each side

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from coopqp.errors import InvalidValueError, unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 
 _STEP = re.compile(r"\[(\d{1,6})\]|\.?([^.\[\]]+)")
 

@@ -11,9 +11,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from coopqp.checked import taken_names
-from coopqp.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
-from coopqp.reading import absolute
+from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
+from coopqp.base.reading import absolute
+from coopqp.base.spec import taken_names
+from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import refuse
 from coopqp.scenario.form import check, file_model
@@ -23,7 +24,6 @@ from coopqp.study.sweep.form import StudyFile, read_form
 from coopqp.study.sweep.path import located, put
 from coopqp.study.sweep.space import GRID, MOST, Listed, Points, Variation, drawn, grid
 from coopqp.study.sweep.study import CONTROLLERS, Study, Varied
-from coopqp.wording import dotted
 
 #: Measured in every study, because its page shows them.
 ALWAYS = ("reached", "task_error", "limit_margin_min", "limit_violation_max")

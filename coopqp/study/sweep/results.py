@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import coopqp
-from coopqp.checked import Array
-from coopqp.errors import CoopqpError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, MissingDependencyError
+from coopqp.base.spec import Array
 from coopqp.study.sweep.journal import journals, records
 from coopqp.study.sweep.study import Study, Varied
 from coopqp.study.sweep.variant import Row

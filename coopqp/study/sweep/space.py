@@ -26,8 +26,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, WrapValidator
 from scipy.special import ndtri
 
-from coopqp.checked import Array
-from coopqp.wording import shown
+from coopqp.base.spec import Array
+from coopqp.base.wording import shown
 
 LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
 MOST_LEVELS = 1_000_000

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from coopqp.assessment import assess
-from coopqp.controller_run import run
-from coopqp.errors import CoopqpError, InternalError
+from coopqp.base.errors import CoopqpError, InternalError
+from coopqp.base.wording import by_user, raised
+from coopqp.execution.controller_run import run
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.known import Known
 from coopqp.scenario.loader import load_file
@@ -26,7 +27,6 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, parsed
 from coopqp.study.sweep.study import Study, Variant, changed
 from coopqp.trace import Trace
-from coopqp.wording import by_user, raised
 
 DONE, INVALID, FAILED = "done", "invalid", "failed"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from coopqp.checked import told
+from coopqp.base.spec import told
 from coopqp.scenario.plugin import COLLECTIONS
 from coopqp_site.writing import table
 

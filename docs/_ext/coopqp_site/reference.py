@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
-from coopqp.checked import told
+from coopqp.base.spec import told
 from coopqp.report.terminal import help_lines
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from coopqp import Array, Course, Instant, Kind, Signal, spec
-from coopqp.checked import Positive, Vector3
-from coopqp.errors import InvalidValueError
+from coopqp import Array, Instant, Kind, Signal, Trajectory, spec
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Positive, Vector3
 
 
 @spec
@@ -20,14 +20,14 @@ class FigureEight(Signal):
     period: Positive
     """Time of one round [s]."""
 
-    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Course:
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
         """Any three numbers."""
         if kind.values != 3:
             raise InvalidValueError(f"figure_eight: is 3 numbers, but a {kind.name} is needed here")
         return _Eight(kind, self)
 
 
-class _Eight(Course):
+class _Eight(Trajectory):
     """Going round."""
 
     moves = True

@@ -1,0 +1,1 @@
+"""What everything stands on: errors, words, reading, typed specs, rank, the QP and time tables."""

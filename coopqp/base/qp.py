@@ -1,0 +1,119 @@
+"""The quadratic program of one tick; every variable and row says what it is.
+
+    minimise  1/2 v' P v + q' v   subject to  A v = b,  G v <= h,  lb <= v <= ub
+
+with the letters of qpsolvers. All constraints lie in one block, lower <= [I; C] v <= upper with
+C = [G; A], so that solvers with either convention read it without a copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+Kind = Literal["joint", "share", "loop", "task", "limit", "free", "dynamics", "motor", "hand"]
+Side = Literal["lower", "upper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One variable, equality, inequality or bound.
+
+    Attributes:
+        name: for people, such as "limit.position[RElbowRoll].upper".
+        kind: what it belongs to.
+        owner: which one of the kind: an arm for a loop, a task's or a limit's name.
+        unit: of what it bounds or asks for, such as "rad" or "m/s".
+        joint: whose, where it belongs to one joint.
+        side: which, where there are two.
+        label: what a sentence calls it, such as "RElbowRoll (upper)"; the name when empty.
+        of_place: whether it bounds a place, so that its excess in a QP of velocities, times dt,
+            has the unit given.
+        bodies: the two whose distance it is; none for other rows.
+        kept: distance that is kept free between them [m]; rows that differ in it alone are equal.
+    """
+
+    name: str
+    kind: Kind
+    owner: str = ""
+    unit: str = ""
+    joint: str = ""
+    side: Side | None = None
+    label: str = ""
+    of_place: bool = False
+    bodies: tuple[str, ...] = ()
+    kept: float = field(default=0.0, compare=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def words(self) -> str:
+        """What a sentence calls it."""
+        return self.label or self.name
+
+
+def names_of(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The names of rows, in their order."""
+    return tuple(row.name for row in rows)
+
+
+@lru_cache(maxsize=64)
+def joint_rows(joints: tuple[str, ...], units: tuple[str, ...]) -> tuple[Row, ...]:
+    """The velocities of joints, the variables of most QPs.
+
+    Args:
+        joints: their names.
+        units: of their coordinates, "rad" or "m".
+    """
+    return tuple(
+        Row(name=joint, kind="joint", unit=f"{unit}/s", joint=joint)
+        for joint, unit in zip(joints, units, strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the QP's variables and rows are.
+
+    Attributes:
+        variables: shape (n,), such as the velocity of RElbowRoll.
+        inequalities: rows of G, shape (p,).
+        equalities: rows of A, shape (m,), such as "loop[left].rot_y".
+    """
+
+    variables: tuple[Row, ...]
+    inequalities: tuple[Row, ...] = ()
+    equalities: tuple[Row, ...] = ()
+
+
+class QP:
+    """A quadratic program in preallocated arrays; G, h, A, b, lb, ub are views of C and bounds.
+
+    Args:
+        rows: fix the sizes: n variables, p inequality rows, m equality rows.
+
+    Attributes:
+        P: shape (n, n), symmetric. q: shape (n,).
+        C: [G; A], shape (p + m, n).
+        lower, upper: of [v; G v; A v], shape (n + p + m,).
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        n, p, m = len(rows.variables), len(rows.inequalities), len(rows.equalities)
+        self.rows = rows
+        self.n, self.p, self.m = n, p, m
+        self.P, self.q, self.C = np.eye(n), np.zeros(n), np.zeros((p + m, n))
+        self.lower, self.upper = np.full(n + p + m, -np.inf), np.full(n + p + m, np.inf)
+        self.G, self.A = self.C[:p], self.C[p:]
+        self.h, self.b = self.upper[n : n + p], self.upper[n + p :]
+        self.lb, self.ub = self.lower[:n], self.upper[:n]
+        self._b_lower = self.lower[n + p :]
+
+    def seal(self) -> None:
+        """Copy b to the lower side; call it after b has been written."""
+        self._b_lower[:] = self.b

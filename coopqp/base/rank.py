@@ -1,0 +1,71 @@
+"""Rank, null space and independent rows of a matrix, all by one tolerance.
+
+A singular value counts as zero below ``RANK_TOLERANCE`` of the largest. What is regular here and
+what is redundant is then the same for the loops, the mobility report, the dynamics and the QP.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from coopqp.base.spec import Array
+
+#: Singular values below this share of the largest count as zero.
+RANK_TOLERANCE = 1e-8
+
+_LEAST = 1e-300  # a matrix of zeros has rank zero, whatever the share
+
+
+def matrix_rank(matrix: Array) -> int:
+    """How many rows of a matrix are independent."""
+    if not matrix.size:
+        return 0
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
+
+
+def null_space(matrix: Array) -> Array:
+    """Orthonormal basis of the null space of a matrix (m, n), shape (n, n - rank)."""
+    if not len(matrix):
+        return np.identity(matrix.shape[1])
+    _, values, Vt = np.linalg.svd(matrix)
+    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], _LEAST)))
+    basis: Array = np.ascontiguousarray(Vt[rank:].T)
+    return basis
+
+
+def directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
+    """Singular values above ``least``, orthonormal directions that have these, and all others."""
+    _, values, Vt = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > least))
+    return values[:rank], Vt[:rank], Vt[rank:]
+
+
+def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
+    """Indices of a largest set of independent rows, in their own order, by pivoted QR.
+
+    Args:
+        matrix: shape (m, n).
+        most: not more rows than this; the best pivots are kept.
+    """
+    if not matrix.size:
+        return []
+    _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diag(R))
+    rank = int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], _LEAST)))
+    return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
+
+
+def least_squares(matrix: Array, wanted: Array) -> Array:
+    """The x of least norm that brings matrix x nearest to what is wanted, shape (n,).
+
+    NaN where a number is not finite, which LAPACK would print about, or never end.
+
+    Args:
+        matrix: shape (m, n).
+        wanted: shape (m,), or (m, r) for r of them side by side, which gives shape (n, r).
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
+        return np.full((matrix.shape[1], *wanted.shape[1:]), np.nan)
+    return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=RANK_TOLERANCE)[0], float)

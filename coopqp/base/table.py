@@ -1,0 +1,150 @@
+"""Tables of numbers in files of users: CSV, or Parquet, with named columns."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import io
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.reading import read_bytes, read_text
+from coopqp.base.spec import Array
+
+#: Bytes that a table may have: an hour at 500 Hz with ten columns.
+MOST = 256 << 20
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers by name.
+
+    Attributes:
+        path: of the file.
+        columns: by name, NaN where a cell is empty, shape (rows,) each.
+        first_line: of the first row; 0 where the file has no lines.
+    """
+
+    path: Path
+    columns: dict[str, Array]
+    first_line: int
+
+    def place(self, row: int) -> str:
+        """File and line of a row."""
+        return f"{self.path}:{self.first_line + row}" if self.first_line else f"{self.path}: {row}"
+
+    def take(self, names: Sequence[str]) -> Array:
+        """Some columns beside each other, shape (rows, names).
+
+        Raises:
+            InvalidValueError: a column is missing, with those that are there; a cell is empty.
+        """
+        for name in names:
+            if name not in self.columns:
+                there = ", ".join(self.columns)
+                words = f"unknown column '{name}'; its columns are {there}"
+                raise InvalidValueError(f"{self.path}: {words}")
+        found = np.array([self.columns[name] for name in names]).T
+        wrong = np.argwhere(~np.isfinite(found))
+        if len(wrong):
+            row, column = wrong[0].tolist()
+            raise InvalidValueError(f"{self.place(row)}: {names[column]}: needs a finite number")
+        return found
+
+    def times(self, name: str = "t") -> Array:
+        """A column whose numbers rise, shape (rows,) [s].
+
+        Raises:
+            InvalidValueError: no such column, or a time that is not later than the one before.
+        """
+        t: Array = self.take([name])[:, 0]
+        back = np.flatnonzero(np.diff(t) <= 0.0)
+        if len(back):
+            k = int(back[0]) + 1
+            words = f"found {t[k]:g} s after {t[k - 1]:g} s; times need to rise from row to row"
+            raise InvalidValueError(f"{self.place(k)}: {name}: {words}")
+        return t
+
+
+def read_table(path: str | Path) -> Table:
+    """A file with columns of numbers.
+
+    Args:
+        path: ending in ``.parquet``, or a CSV file with the names in its first line.
+
+    Raises:
+        CoopqpError: it cannot be read, or is no such table.
+    """
+    path = Path(path)
+    try:
+        found = os.stat(path)
+        version = found.st_mtime_ns, found.st_size
+    except (OSError, ValueError):
+        version = 0, 0
+    return _read(path, version)
+
+
+@functools.lru_cache(maxsize=16)
+def _read(path: Path, version: tuple[int, int]) -> Table:
+    return _parquet(path) if path.suffix == ".parquet" else _csv(path)
+
+
+def _csv(path: Path) -> Table:
+    reader = csv.reader(io.StringIO(read_text(path, MOST)), strict=True)
+    try:
+        names = [name.strip() for name in next(reader, [])]
+        if len(set(names)) < len(names) or not all(names):
+            raise InvalidValueError(f"{path}:1: needs a name for each column, each name once")
+        if other := next((c for c in ";\t|" if len(names) == 1 and c in names[0]), None):
+            words = f"its columns are separated by {other!r}, needs commas"
+            raise InvalidValueError(f"{path}:1: {words}")
+        rows = []
+        for cells in reader:
+            place = f"{path}:{reader.line_num}"
+            if not cells:
+                raise InvalidValueError(f"{place}: is a blank line; leave it out")
+            if len(cells) != len(names):
+                words = f"found {len(cells)} cells, needs {len(names)}: {', '.join(names)}"
+                raise InvalidValueError(f"{place}: {words}")
+            rows.append([_number(place, *pair) for pair in zip(names, cells, strict=True)])
+    except csv.Error as error:
+        raise InvalidValueError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
+    return _table(path, names, np.array(rows, float), 2)
+
+
+def _number(place: str, name: str, cell: str) -> float:
+    if not cell.strip():
+        return math.nan
+    try:
+        return float(cell)
+    except ValueError:
+        raise InvalidValueError(f"{place}: {name}: found '{cell[:40]}', needs a number") from None
+
+
+def _parquet(path: Path) -> Table:
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingDependencyError("a Parquet file", "recordings") from error
+    content = read_bytes(path, MOST)
+    try:
+        read = parquet.read_table(arrow.BufferReader(content))
+        columns = [np.asarray(read[name].to_numpy(), float) for name in read.column_names]
+    except (arrow.ArrowException, TypeError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise InvalidValueError(f"{path}: is no Parquet file of numbers: {words}") from None
+    return _table(path, read.column_names, np.array(columns, float).T, 0)
+
+
+def _table(path: Path, names: Sequence[str], rows: Array, first_line: int) -> Table:
+    if not len(rows):
+        raise InvalidValueError(f"{path}: has no rows below the names of its columns")
+    columns = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(names)}
+    return Table(path, columns, first_line)

@@ -1,0 +1,240 @@
+"""The words for what pydantic finds wrong with values: the same in a file and in Python."""
+
+from __future__ import annotations
+
+import json
+import re
+import traceback
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ArgsKwargs, ErrorDetails
+
+from coopqp.base.errors import one_line, short, unknown_name
+
+Location = Sequence[str | int]
+"""Keys and indices from the outermost mapping to a value."""
+
+#: What pydantic says, and what is said instead, one after the other.
+WORDS = {
+    r"^Input should (be )?": "needs ",
+    r"^needs a valid (array|list|tuple)": "needs a list",
+    r"^needs (an object|a valid dictionary)": "needs a mapping, such as {key: value}",
+    r"^needs a valid (number|integer|boolean|string), unable to .*": r"needs a valid \1",
+    r"^needs a valid string": "needs a text",
+    r"^needs a valid integer": "needs a whole number",
+    r"^needs a valid boolean": "needs true or false",
+    r"^needs a valid number": "needs a number",
+    r"^(Dictionary|List|Tuple) should have (at (?:least|most) \d+) items? after validation, not.*":
+        r"needs \2 in it",
+    r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
+}  # fmt: skip
+MOST_SAID = 300  # characters of what an error says of itself
+USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
+
+
+def dotted(location: Location) -> str:
+    """``tasks[0].point_on_plane.normal`` from its parts."""
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{short(part)}"
+    return text.removeprefix(".")
+
+
+def counted(count: int, noun: str) -> str:
+    """``1 row``, ``2 rows``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def faults(
+    error: ValidationError, data: Any, model: type, instead: Mapping[type, Any] | None = None
+) -> list[tuple[Location, str]]:
+    """All that is wrong, as places in the data and what to do about them.
+
+    Args:
+        error: what pydantic found.
+        data: what it was given: mappings, lists and values.
+        model: what the data was checked against, a model or a dataclass.
+        instead: of a class met on the way, the type whose keys count.
+    """
+    details = error.errors(include_url=False, include_context=False)
+    found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
+    places = [place for _, place, _ in found]
+    kept = [(place, words) for kind, place, words in found if not _follows(kind, place, places)]
+    return list(dict.fromkeys(kept))
+
+
+def said(error: BaseException) -> str:
+    """What an error says of itself, in one line; empty where it cannot even do that."""
+    try:
+        words = " ".join(str(error).split())
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - an error may be of a user's class
+        return ""
+    return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
+
+
+def raised(error: BaseException, file: str | None = None) -> str:
+    """``FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught; what ends Python, such as SystemExit, counts too.
+        file: whose line counts; the last that is no library if omitted.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if file in (None, frame.filename)]
+    if file is None:  # who called a library tells more than where in it that ended
+        own = [frame for frame in own if "site-packages" not in frame.filename] or own
+    place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
+    words = said(error)
+    return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
+
+
+@contextmanager
+def suppressed() -> Iterator[None]:
+    """Go on after whatever a user's code raises, but for Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - it may raise anything
+        return
+
+
+def by_user(error: BaseException) -> bool:
+    """Whether code in a user's folder has raised it, or has called what did."""
+    frames = traceback.walk_tb(error.__traceback__)
+    return any(str(frame.f_globals.get("__name__")).startswith(USERS) for frame, _ in frames)
+
+
+def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
+    """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
+
+    Args:
+        error: caught.
+        plugins: whose code may have raised it, with the words for each; of several the outermost
+            counts, and of those with the same code all.
+    """
+    called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+    for code in called:
+        named = [words for words, plugin in plugins if code in _codes(type(plugin))]
+        if named:
+            return f"{' or '.join(named)}: {raised(error, code.co_filename)}"
+    return raised(error)
+
+
+def _codes(cls: type) -> set[types.CodeType]:
+    """All code that is written inside a class."""
+    found = set[types.CodeType]()
+    waiting = [value.__code__ for value in vars(cls).values() if hasattr(value, "__code__")]
+    while waiting:
+        code = waiting.pop()
+        found.add(code)
+        waiting += [const for const in code.co_consts if isinstance(const, types.CodeType)]
+    return found
+
+
+def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
+    """Whether a value is faulted only because one inside it is wrong.
+
+    A list then counts as too short, and, where a number would do as well, as no number.
+    """
+    return kind in ("too_short", "float_type") and any(
+        other[: len(place)] == place and len(other) > len(place) for other in places
+    )
+
+
+def _fault(
+    detail: ErrorDetails, data: Any, model: type, instead: Mapping[type, Any]
+) -> tuple[tuple[str | int, ...], str]:
+    kind, found = detail["type"], shown(detail["input"])
+    location = _inside(data, detail["loc"], missing=kind.startswith("missing"))
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        known = _keys(model, location[:-1], instead)
+        return location, unknown_name("key", str(location[-1]), known)
+    if kind == "unexpected_positional_argument":
+        return (), f"found {found} without a key; needs every value as KEY=VALUE"
+    if kind.startswith("missing"):
+        needed = detail["loc"][-1]
+        if isinstance(needed, int):
+            return location, f"found {found}; needs at least {needed + 1} in it"
+        there = location and location[-1] == needed
+        return location, "is missing" if there else f"needs the key '{needed}'"
+    needs = detail["msg"].removeprefix("Value error, ")
+    for theirs, ours in WORDS.items():
+        needs = re.sub(theirs, ours, needs)
+    if needs.startswith(("unknown ", "found ", "is empty")):
+        return location, needs
+    return location, f"found {found}; {needs[0].lower()}{needs[1:]}"
+
+
+def shown(found: Any) -> str:
+    """What was found, short, as a file would say it where it can."""
+    if isinstance(found, ArgsKwargs):
+        found = found.kwargs or {}
+    try:
+        text = json.dumps(found, default=_plain)
+    except (TypeError, ValueError):
+        text = repr(found)
+    return short(text)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError  # no JSON
+
+
+def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tuple[str | int, ...]:
+    """The location without pydantic's own steps, such as which branch of a union failed.
+
+    Args:
+        data: what was given.
+        location: pydantic's.
+        missing: whether the last step is a key that is not there.
+    """
+    kept: list[str | int] = []
+    for i, part in enumerate(location):
+        last = i == len(location) - 1
+        inside = (isinstance(data, dict) and part in data) or (
+            isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)
+        )
+        if inside:
+            data = data[part]
+        elif not (missing and last and isinstance(data, dict)):
+            continue
+        kept.append(part)
+    return tuple(kept)
+
+
+def _keys(model: Any, location: Location, instead: Mapping[type, Any]) -> list[str]:
+    """Keys allowed at a location."""
+    for part in location:
+        hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
+        model = _bare(hints.get(str(part), model))
+        model = _bare(instead.get(model, model))
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(model.model_fields)
+    return [field.name for field in fields(model)] if is_dataclass(model) else []
+
+
+def _has_keys(model: Any) -> bool:
+    return isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
+
+
+def _bare(hint: Any) -> Any:
+    """The class inside Optional, Annotated, list and dict."""
+    origin = typing.get_origin(hint)
+    if origin is Annotated:
+        return _bare(typing.get_args(hint)[0])
+    if origin in (typing.Union, types.UnionType, list, dict, tuple):
+        inside = [_bare(a) for a in typing.get_args(hint) if a not in (type(None), str)]
+        return inside[0] if inside else hint
+    return hint

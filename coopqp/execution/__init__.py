@@ -1,0 +1,1 @@
+"""Running a scenario: phases, rollouts, one controller, all of them side by side."""

@@ -1,0 +1,129 @@
+"""Run a scenario's controllers side by side, measure them and judge them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from coopqp.assessment import assess
+from coopqp.assessment.verdict import verdict
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.wording import raised
+from coopqp.execution.controller_run import Progress, run
+from coopqp.metric import Metric
+from coopqp.scenario.scenario import Scenario
+from coopqp.trace import Trace
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome of one scenario under several controllers.
+
+    Attributes:
+        scenario: what was run.
+        traces: by controller.
+        metrics: by controller, then by metric.
+        verdicts: one sentence each, by controller.
+        refused: why a controller could not be run, by controller.
+        faults: what metrics raised, one sentence each.
+        notes: what of the robot the limits do not bound, one sentence each.
+    """
+
+    scenario: Scenario
+    traces: Mapping[str, Trace]
+    metrics: Mapping[str, Mapping[str, Any]]
+    verdicts: Mapping[str, str]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    faults: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+    def __str__(self) -> str:
+        said = {**self.verdicts, **{name: f"left out: {why}" for name, why in self.refused.items()}}
+        return "\n".join(f"{name}: {words}" for name, words in said.items())
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``metrics.json`` holds."""
+        return {
+            "scenario": self.scenario.name,
+            "kappa": self.scenario.drift_gain,
+            "dt": self.scenario.dt,
+            "controllers": {name: dict(values) for name, values in self.metrics.items()},
+            **({"refused": dict(self.refused)} if self.refused else {}),
+            **({"notes": list(self.notes)} if self.notes else {}),
+        }
+
+
+def compare(
+    scenario: Scenario,
+    *,
+    controllers: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Comparison:
+    """Run several controllers on one scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controllers: their names; the scenario's own when omitted.
+        progress: called every few ticks.
+
+    A controller that cannot be used for the scenario is left out, and the comparison says so.
+
+    Raises:
+        CoopqpError: none of them can be run: as :func:`run`.
+    """
+    names = list(controllers) or list(scenario.controllers)
+    if not names:
+        raise InvalidValueError("controllers: none given, and the scenario has none")
+    traces: dict[str, Trace] = {}
+    refused: dict[str, CoopqpError] = {}
+    for name in names:
+        try:
+            traces[name] = run(scenario, controller=name, progress=progress)
+        except CoopqpError as error:
+            if isinstance(error, UnknownNameError) and error.kind == "controller":
+                raise
+            refused[name] = error
+    if len(refused) == 1 and not traces:
+        raise next(iter(refused.values()))
+    if not traces:
+        raise CoopqpError("\n".join(dict.fromkeys(map(str, refused.values()))))
+    why = {name: str(error) for name, error in refused.items()}
+    return replace(summarize(scenario, traces), refused=why)
+
+
+def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
+    """Metrics and verdicts of traces; a metric that raises is None."""
+    faults: list[str] = []
+    entries = scenario.catalog.entries("metrics")
+    metrics = {
+        name: {key: _measured(key, entry.cls(), trace, faults) for key, entry in entries.items()}
+        for name, trace in traces.items()
+    }
+    chain, limits = scenario.chain, scenario.limits
+    unseen = [line for limit in limits for line in limit.unseen(chain)]
+    verdicts = {
+        name: verdict(assess(trace), metrics[name], unseen) for name, trace in traces.items()
+    }
+    return Comparison(
+        scenario,
+        traces,
+        metrics,
+        verdicts,
+        faults=tuple(dict.fromkeys(faults)),
+        notes=tuple(line for limit in limits for line in limit.notes(chain)),
+    )
+
+
+def _measured(name: str, metric: Metric, trace: Trace, faults: list[str]) -> Any:
+    """The value of a metric, checked to be one that JSON can hold."""
+    try:
+        value = metric.measure(trace)
+        json.dumps(value)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a metric may be the user's
+        faults.append(f"metric '{name}': {raised(error)}")
+        return None
+    return value

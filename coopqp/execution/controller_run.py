@@ -1,0 +1,155 @@
+"""Run one controller through all phases of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
+from coopqp.base.wording import by_user, raised
+from coopqp.controller import Controller
+from coopqp.execution.phase_run import PhaseRun, begin_phase
+from coopqp.execution.rollout import rollout
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
+from coopqp.trace import PhaseInfo, Trace, join
+
+#: After these there is no next phase.
+ENDED = (Status.PLANT_FAILED.value, Status.OBJECT_LOST.value)
+
+Progress = Callable[[str, int], None]
+"""Called now and then with the controller's name and the number of ticks it has done."""
+
+
+def run(
+    scenario: Scenario,
+    *,
+    controller: str,
+    progress: Progress | None = None,
+    timed: bool = True,
+) -> Trace:
+    """Run one controller of a scenario.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controller: its name in the scenario, or any controller's type name.
+        progress: called every few ticks.
+        timed: whether it is asked how long each tick takes; if not, many are done at once where
+            joints do exactly as told, which is faster, and :attr:`Trace.tick_us` is NaN.
+
+    Raises:
+        UnknownNameError: no such controller.
+        CoopqpError: the controller or the plant cannot be built for this scenario.
+    """
+    chosen = controller_of(scenario, controller)
+    check_plant(scenario, chosen, controller)
+    scenario.check_size()
+    solver = scenario.solver_name if chosen.uses_solver else None
+    with _own_words(controller):
+        held = scenario.held_by(controller)
+        legs = list(_legs(held, chosen, controller, solver, progress, timed=timed))
+        return join(legs) if scenario.phases else legs[0][1]
+
+
+def built(scenario: Scenario, controller: str) -> PhaseRun:
+    """What a run builds for its first phase, without running it.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        controller: its name in the scenario, or any controller's type name.
+
+    Raises:
+        CoopqpError: as :func:`run`.
+    """
+    chosen = controller_of(scenario, controller)
+    check_plant(scenario, chosen, controller)
+    with _own_words(controller):
+        return begin_phase(scenario.held_by(controller), chosen)
+
+
+def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
+    """Refuse a controller by torques where the plant takes none.
+
+    Raises:
+        InvalidValueError: that is so.
+    """
+    if chosen.commands_torques and not scenario.plant.takes_torques:
+        raise InvalidValueError(
+            f"controller '{name}' commands torques, which this plant does not take; use "
+            "plant: rigid_body or plant: mujoco"
+        )
+
+
+@contextmanager
+def _own_words(controller: str) -> Iterator[None]:
+    """One line for what nobody foresaw, so that other controllers can be run all the same.
+
+    Raises:
+        InvalidValueError: a user's code has raised something.
+        InternalError: ours has.
+    """
+    try:
+        yield
+    except (CoopqpError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        kind = InvalidValueError if by_user(error) else InternalError
+        raise kind(f"{controller}: {raised(error)}") from error
+
+
+def controller_of(scenario: Scenario, name: str) -> Controller:
+    """A controller of a scenario, or of its catalogue.
+
+    Args:
+        scenario: from :func:`coopqp.load`.
+        name: in the scenario, or any controller's type name.
+
+    Raises:
+        UnknownNameError: no such controller.
+    """
+    if name in scenario.controllers:
+        return scenario.controllers[name]
+    known = scenario.catalog.entries("controllers")
+    if name not in known:
+        raise UnknownNameError("controller", name, {*known, *scenario.controllers})
+    chosen = known[name].cls()
+    assert isinstance(chosen, Controller)  # what the catalogue holds there
+    return chosen
+
+
+def _legs(
+    scenario: Scenario,
+    chosen: Controller,
+    name: str,
+    solver: str | None,
+    progress: Progress | None,
+    *,
+    timed: bool,
+) -> Iterator[tuple[PhaseInfo, Trace]]:
+    """Run the phases one after the other, each from where the one before has ended."""
+    begun: PhaseRun | None = None
+    for phase in scenario.schedule:
+        begun = begin_phase(scenario, chosen, begun, timed=timed)
+        assert begun.plant is not None  # no robot takes its place
+        begun.ticks = phase.ticks(scenario.dt)
+        leg = rollout(
+            begun.law,
+            begun.plant,
+            begun.ticks,
+            controller=name,
+            solver=solver,
+            supports=chosen.supports,
+            progress=_shifted(progress, name, begun.first),
+            state=begun.state,
+            feed=begun.feed(),
+            timed=timed,
+        )
+        yield PhaseInfo(phase.name, begun.first, phase.released), leg
+        if not begun.is_last and leg.failures and leg.failures[-1].cause in ENDED:
+            words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
+            raise InvalidValueError(f"{name}: {words}")
+
+
+def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:
+    """Progress of a phase as progress of the whole run."""
+    return (lambda k: progress(name, first + k)) if progress else None

@@ -1,0 +1,248 @@
+"""What is so at each instant of a run: the object, the loops, and the errors of the tasks.
+
+Where joints do exactly as told and nothing arrives from outside, all of it follows from t, q and v,
+and is computed for the whole run at once when it has ended (``TrajectoryEvaluation``). Else the
+plant's truth is looked at in every instant.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.spec import Array
+from coopqp.base.wording import suppressed
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.controller import ControlProblem
+from coopqp.execution.directional_manipulability import leverage
+from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import PlantModel
+from coopqp.task import Task, TaskStack
+from coopqp.trace import TaskInfo
+
+
+class Instants:
+    """Arrays for all instants of a run.
+
+    Args:
+        problem: what is controlled.
+        plant: that is.
+        start: where it begins.
+        ticks: T.
+        alone: whether nothing arrives from outside.
+
+    Attributes:
+        at_end: whether all is computed when the run has ended, by :meth:`follow`.
+        parts: what the trace says of each part of each task, and its rows.
+        position, rotation, loop, task_error, goal_error, e, rate, points: as in the trace; ``loop``
+            has both errors.
+    """
+
+    def __init__(
+        self, problem: ControlProblem, plant: PlantModel, start: State, ticks: int, *, alone: bool
+    ) -> None:
+        self._problem, self._plant, rows = problem, plant, ticks + 1
+        chain = problem.chain
+        self.parts = _parts((*problem.tasks, *problem.wrenches), chain)
+        asking = [task for task in problem.tasks for _ in task.parts(chain)]
+        self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
+        self._begin = _beginning(problem, start)
+        self._goals = [task.at_goal() for task in problem.tasks]
+        self._survey: TrajectoryEvaluation | None = None
+        self.points: dict[str, Array] = {}
+        if alone and plant.as_told and not problem.wrenches:
+            points = itertools.chain.from_iterable(chain.once(joint_points).values())
+            tasks = (*problem.tasks, *self._goals)
+            self._survey = survey(chain, tasks, self._begin, tuple(points))
+        self.at_end = self._survey is not None
+        if self.at_end:
+            return
+        self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
+        self.loop = np.zeros((rows, 2))
+        self.task_error, self.goal_error = np.zeros((2, rows, len(self.parts)))
+        # Its own stacks, so that a controller without tasks inside is measured alike.
+        # Starts of their own: a task may keep its arrays.
+        stacks = [
+            TaskStack(tasks, _beginning(problem, start)) for tasks in (problem.tasks, self._goals)
+        ]
+        self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
+        self._wrenches = _MeasuredWrenches(problem, start, plant)
+        asked = len(stacks[0].e) + len(self._wrenches.stack.wanted)
+        self.e, self.rate = np.full((2, rows, asked), np.nan)
+
+    def keep(self, k: int, true: State) -> None:
+        """Look at what is so before tick k, which is what tick k - 1 has led to."""
+        if self.at_end:
+            return
+        if k:
+            self._close(k - 1, true.v)
+        self.position[k], self.rotation[k] = true.p_WO, true.R_WO
+        self.loop[k] = true.loop_position_error, true.loop_orientation_error
+        for stack, error in self._stacks:
+            try:
+                stack.update(true)
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+                error[k] = np.nan
+                continue
+            motion = len(stack.e)
+            for i, (_, part) in enumerate(self.parts):
+                if i not in self._velocities and part.stop <= motion:
+                    error[k, i] = np.linalg.norm(stack.e[part])
+            if error is self.task_error:
+                self.e[k, :motion], self.rate[k, :motion] = stack.e, stack.rate
+        self._wrench_errors(k, true)
+
+    def _wrench_errors(self, k: int, true: State) -> None:
+        """How far the hands' wrenches are from what is wanted; nobody knows before the first."""
+        told, motion = self._wrenches, len(self._stacks[0][0].e)
+        if not len(told.stack.wanted):
+            return
+        self.e[k, motion:] = told.error(true) if k else np.nan
+        self.rate[k, motion:] = 0.0
+        for i, (_, part) in enumerate(self.parts):
+            if part.start >= motion:
+                self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
+
+    def _close(self, k: int, v: Array) -> None:
+        """Keep how far the step of tick k has missed the velocities that tasks ask for."""
+        for i in self._velocities:
+            part = self.parts[i][1]
+            for stack, error in self._stacks:
+                error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
+
+    def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
+        """Compute all of it, after the run.
+
+        Args:
+            t: shape (T + 1,) [s].
+            q: shape (T + 1, n) [rad, m].
+            v: shape (T, n).
+            gap: of the closed loops, which has not changed, shape (6 L,) [m, rad].
+        """
+        chain = self._problem.chain
+        if self._survey is None:
+            self.points = arm_points(chain, q)
+            return
+        found = self._survey.look(t, q, v if self._velocities else None)
+        self.position, self.rotation = found.position, found.rotation
+        apart = found.loop_error[:, : len(gap)] - gap
+        sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)
+        self.loop = sizes.max(axis=1, initial=0.0)
+        rows = found.e.shape[1] // 2
+        self.task_error, self.goal_error = np.zeros((2, len(t), len(self.parts)))
+        for error, first in ((self.task_error, 0), (self.goal_error, rows)):
+            for i, (_, part) in enumerate(self.parts):
+                own = slice(first + part.start, first + part.stop)
+                if i not in self._velocities:
+                    error[:, i] = np.linalg.norm(found.e[:, own], axis=1)
+                elif found.moved is not None:
+                    missed = found.moved[:, own] - found.rate[:-1, own]
+                    error[1:, i] = np.linalg.norm(missed, axis=1)
+        self.e, self.rate = found.e[:, :rows], found.rate[:, :rows]
+        self.points, at = {}, 0
+        for arm, points in chain.once(joint_points).items():
+            self.points[arm] = found.points[:, at : at + len(points)]
+            at += len(points)
+
+    def leverage(self, start: State, end: State) -> Array:
+        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+        parts = [part for _, part in self.parts]
+        own = None if self.at_end else self._stacks[0][0]
+        stack = own or TaskStack(self._problem.tasks, self._begin)
+        with suppressed():  # a tick that met the same error names it
+            return leverage(stack, parts, self._velocities, start, end)
+        return np.ones(len(parts))
+
+
+def _beginning(problem: ControlProblem, start: State) -> State:
+    """The state from which references set out, in arrays of its own."""
+    begin = State(problem.chain, start.q, start.t)
+    begin.inputs = start.inputs
+    return begin
+
+
+class _MeasuredWrenches:
+    """What tasks ask of the hands' wrenches, against what the plant tells of them.
+
+    Args:
+        problem: with the tasks.
+        start: the state from which their references set out.
+        plant: that tells ``hand_wrench``.
+    """
+
+    def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
+        self.stack = WrenchStack(problem.wrenches, _beginning(problem, start))
+        chain = problem.chain
+        robot = [arm.name for arm in chain.robot.arms]
+        self._at = [robot.index(arm.name) for arm in chain.arms[: chain.holding]]
+        self._told = plant.signals.get("hand_wrench")
+
+    def error(self, true: State) -> Array:
+        """C h - wanted of each row; NaN where the plant tells no forces."""
+        try:
+            self.stack.update(true)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            return np.full(len(self.stack.wanted), np.nan)
+        if self._told is None:
+            return np.full(len(self.stack.wanted), np.nan)
+        return self.stack.error(self._told.reshape(-1, 6)[self._at])
+
+
+def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
+    """What the trace says of each part of each task, and its rows in the stack."""
+    found, at = [], 0
+    for task in tasks:
+        first = at
+        for part in task.parts(chain):
+            name = f"{task.name}.{part.name}" if part.name else task.name
+            springs = _springs(task)[at - first : at - first + part.rows]
+            info = TaskInfo(name, part.unit, part.tolerance, task.end, springs=springs)
+            found.append((info, slice(at, at + part.rows)))
+            at += part.rows
+    return found
+
+
+def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
+    """Row, axis and stiffness of each of an impedance's rows; none of other tasks."""
+    asked = task.impedance
+    pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
+    return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
+
+
+def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
+    """Joint origins and hand of each arm at each configuration, for drawing.
+
+    Args:
+        chain: the closed chain.
+        q: shape (T, n).
+
+    Returns:
+        By arm, base first, shape (T, p, 3) [m].
+    """
+    model, data = chain.model, chain.model.createData()
+    joints = {
+        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)]
+        for arm in chain.arms
+    }
+    tips = {arm.name: model.getFrameId(arm.tip) for arm in chain.arms}
+    points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
+    # Views into pinocchio's data, which stay valid, instead of asking in each row.
+    places = [
+        (points[name][:, i], X.translation)
+        for name, ids in joints.items()
+        for i, X in enumerate([*(data.oMi[joint] for joint in ids), data.oMf[tips[name]]])
+    ]
+    for k, row in enumerate(q):
+        pin.framesForwardKinematics(model, data, row)
+        for found, place in places:
+            found[k] = place
+    return points

@@ -1,0 +1,168 @@
+"""A phase of a scenario while it runs: its problem, its controller, its plant, inputs and state.
+
+A comparison, the page of ``coopqp play`` and the loop for robots differ in who measures and who
+sends to the inputs. How a phase begins, when it is over and what it hands over is the same: the
+next phase begins where the joints are measured, with the speed that they have, and the hands that
+then hold the object hold it where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.model.state import State
+from coopqp.plant import PlantModel
+from coopqp.scenario.input import Feed, Inputs
+from coopqp.scenario.scenario import Phase, Scenario
+
+
+class Measured(NamedTuple):
+    """Where a robot is that takes the place of the plant.
+
+    Attributes:
+        q: as measured, shape (n,) [rad, m]; the chain's start when None.
+        observed: whether q stays a measurement, from which commands may differ.
+    """
+
+    q: Array | None
+    observed: bool
+
+    def start(self, law: Law) -> State:
+        """The state of a law's first tick there."""
+        q = self.q
+        return law.start(q_measured=q) if self.observed and q is not None else law.start(q)
+
+
+@dataclass
+class PhaseRun:
+    """A phase while it runs.
+
+    Attributes:
+        scenario: as the controller holds it, :meth:`Scenario.held_by`.
+        controller: the settings of its law.
+        index: of the phase in the schedule.
+        first: how many ticks of the phases before it there have been.
+        problem: of this phase. law: built for it.
+        plant: what moves; None where a robot does.
+        inputs: what tasks follow from outside.
+        state: now; whoever runs the phase leaves it where that ends.
+        ticks: how many its law has done.
+    """
+
+    scenario: Scenario
+    controller: Controller
+    index: int
+    first: int
+    problem: ControlProblem
+    law: Law
+    plant: PlantModel | None
+    inputs: Inputs
+    state: State
+    ticks: int = 0
+
+    @property
+    def phase(self) -> Phase:
+        """As the scenario has it."""
+        return self.scenario.schedule[self.index]
+
+    @property
+    def since(self) -> float:
+        """When it began, in the time of the scenario [s]."""
+        return self.first * self.problem.dt
+
+    @property
+    def over(self) -> bool:
+        """Whether its time is up."""
+        return self.ticks >= self.phase.ticks(self.problem.dt)
+
+    @property
+    def is_last(self) -> bool:
+        """Whether none follows."""
+        return self.index + 1 == len(self.scenario.schedule)
+
+    @property
+    def q(self) -> Array:
+        """Where the joints are, by the sensors where there are any, shape (n,) [rad, m]."""
+        measured = self.plant.measured if self.plant else self.state.q_measured
+        return self.state.q if measured is None else measured
+
+    def feed(self) -> Feed | None:
+        """Who sends to the inputs as the scenario says; nobody where nothing follows any.
+
+        Raises:
+            CoopqpError: a signal or a file cannot feed its input.
+        """
+        return Feed(self.scenario.inputs, self.inputs, self.since) if self.inputs.channels else None
+
+
+def begin_phase(
+    scenario: Scenario,
+    controller: Controller,
+    before: PhaseRun | None = None,
+    *,
+    robot: Measured | None = None,
+    timed: bool = True,
+) -> PhaseRun:
+    """Build what a phase needs.
+
+    Args:
+        scenario: as the controller holds it, :meth:`Scenario.held_by`.
+        controller: the settings of its law.
+        before: the phase before, which has been run; None for the first.
+        robot: takes the place of the plant.
+        timed: whether its ticks are, so that none may wait for what is built late.
+
+    Raises:
+        CoopqpError: the law or the plant cannot be built, or a task wants an input that is not
+            there, or as what it cannot be.
+    """
+    index = before.index + 1 if before else 0
+    phase, chain = scenario.schedule[index], None
+    if before:
+        where = before.q if robot is None or robot.q is None else robot.q
+        chain = before.problem.chain.handed_over(where, phase.released)
+    problem = scenario.problem(phase, chain)
+    law = controller.build(problem) if timed else controller.unprepared(problem)
+    if robot:
+        plant = None
+        if law.squeezer and not robot.observed:
+            raise InvalidValueError(
+                'reference: found "measured"; hands that squeeze by admittance need "commanded", '
+                "because what they press is how far the commands lead"
+            )
+        state = robot.start(law)
+    else:
+        plant = _plant(scenario, controller, law, before)
+        state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
+    if before:
+        state.v[:] = before.state.v
+    return PhaseRun(
+        scenario=scenario,
+        controller=controller,
+        index=index,
+        first=before.first + before.ticks if before else 0,
+        problem=problem,
+        law=law,
+        plant=plant,
+        inputs=Inputs(scenario.inputs, problem.all_tasks, state, problem.dt),
+        state=state,
+    )
+
+
+def _plant(
+    scenario: Scenario, controller: Controller, law: Law, before: PhaseRun | None
+) -> PlantModel:
+    """The scenario's plant, where the one before has ended."""
+    plant = scenario.plant.build(law.problem, scenario.seed, scenario.disturbance)
+    if law.squeezer and plant.hand_wrench is None:
+        raise InvalidValueError(
+            f"controller '{controller.name}' squeezes by measured forces, and this plant "
+            "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
+        )
+    if before and before.plant:
+        plant.resume(before.plant)
+    return plant

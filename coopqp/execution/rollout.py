@@ -1,0 +1,311 @@
+"""The control loop: state, tick, plant, trace. The only place with a clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from coopqp.assessment.thresholds import within
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, type_name
+from coopqp.base.wording import suppressed
+from coopqp.controller import NO_FEATURES, Command, Features, Law
+from coopqp.execution.guarded_plant import GuardedPlant, settled
+from coopqp.execution.instants import Instants
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import PlantModel
+from coopqp.scenario.input import Sender
+from coopqp.solver import Status, written
+from coopqp.task import Task
+from coopqp.trace import Failure, Trace, no_input
+
+Progress = Callable[[int], None]
+"""Called now and then with the number of ticks done."""
+
+PROGRESS_EVERY = 50  # ticks
+OPTIMAL = (Status.OPTIMAL,)
+
+
+def rollout(
+    law: Law,
+    plant: PlantModel,
+    ticks: int,
+    *,
+    controller: str,
+    solver: str | None,
+    supports: Features = NO_FEATURES,
+    progress: Progress | None = None,
+    state: State | None = None,
+    feed: Sender | None = None,
+    timed: bool = True,
+) -> Trace:
+    """Run a law on a plant.
+
+    Where no tick is timed and joints do exactly as told, all ticks are done at once, with the same
+    bits (:meth:`coopqp.controller.Law.run`).
+
+    Args:
+        law: the controller, built.
+        plant: at the start.
+        ticks: how many.
+        controller: its name, for the trace.
+        solver: its name, for the trace.
+        supports: what of the problem the law reads, for the trace.
+        progress: called every few ticks.
+        state: where it begins, of the law's own start; written, so that it is where it ends. At
+            rest where the plant's sensors say when omitted.
+        feed: who sends to the inputs; nothing arrives when omitted.
+        timed: whether it is asked how long each tick takes.
+
+    Returns:
+        All that happened.
+    """
+    if state is None:
+        state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
+    guarded = GuardedPlant(plant)
+    recorder = _Recorder(law, guarded, state, ticks, alone=feed is None)
+    if timed or not recorder.run(state):
+        for k, (command, us) in enumerate(drive(law, guarded, state, ticks, feed)):
+            recorder.instant(k, state)
+            recorder.tick(k, command, us, state)
+            if progress and k % PROGRESS_EVERY == 0:
+                progress(k)
+        recorder.instant(ticks, state)
+    if progress:
+        progress(ticks)
+    return recorder.trace(controller, solver, supports)
+
+
+def drive(
+    law: Law,
+    plant: PlantModel,
+    state: State,
+    ticks: int | Iterable[object],
+    feed: Sender | None = None,
+) -> Iterator[tuple[Command, float]]:
+    """The control loop: take what has arrived, decide, hand over the command, let the plant move.
+
+    Args:
+        law: the controller, built.
+        plant: where the state is.
+        state: written; after the last step its kinematics are up to date.
+        ticks: how many, or as many as there are items.
+        feed: who sends to the inputs; nothing arrives when omitted.
+
+    Yields:
+        The command and how long the tick took [us], before the plant carries it out.
+    """
+    guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
+    for _ in range(ticks) if isinstance(ticks, int) else ticks:
+        if feed:
+            feed.step(state)
+        before = time.perf_counter_ns()
+        broken = guarded.broken
+        command = law.refuse(guarded.why, broken) if broken else law.tick(state)
+        yield command, 1e-3 * (time.perf_counter_ns() - before)
+        guarded.step(state, command)
+        if guarded.broken:
+            state.t += law.problem.dt
+    if feed:
+        feed.step(state)
+    state.update()
+
+
+class _Begun:
+    """Where a run begins, so that it can begin again."""
+
+    def __init__(self, state: State) -> None:
+        self.t, self._q, self._v = state.t, state.q.copy(), state.v.copy()
+        self._remembered, self._corrected = state.memory.numbers.copy(), state.corrected
+
+    def put_back(self, state: State) -> None:
+        state.t, state.q[:], state.v[:] = self.t, self._q, self._v
+        state.memory.numbers[:], state.corrected = self._remembered, self._corrected
+        state.update()
+
+
+class _Recorder:
+    """Arrays for one run, filled tick by tick, or by many ticks at once."""
+
+    def __init__(
+        self, law: Law, plant: PlantModel, start: State, ticks: int, *, alone: bool
+    ) -> None:
+        problem = law.problem
+        n, rows = problem.chain.n, ticks + 1
+        self._law, self._plant, self._ticks = law, plant, ticks
+        alone &= law.squeezer is None and not start.inputs
+        self.instants = Instants(problem, plant, start, ticks, alone=alone)
+        self._gap, self._inputs_at_end = start.gap[: len(start.closed_error)].copy(), start.inputs
+        self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
+        self.commanded, self.gap = np.zeros((ticks, n)), np.zeros((ticks, len(start.gap)))
+        self.measured = np.full((ticks, n), np.nan)
+        self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
+        self._remembered = start.memory.numbers.copy()
+        self.tick_us, self.compiled = np.full(ticks, np.nan), np.zeros(ticks, bool)
+        self.usable = np.ones(ticks, bool)
+        self.inaccurate = np.zeros(ticks, bool)
+        self.status = [Status.OPTIMAL.name] * ticks
+        self.scale = np.ones(ticks)
+        self.inputs = {n: no_input(c.kind, ticks) for n, c in start.inputs.items()}
+        self.failures: list[Failure] = []
+        self.signals = {
+            name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
+        }
+
+    def run(self, state: State) -> bool:
+        """Keep all ticks, done at once; False where they must be looked at, or joints run away."""
+        if not self.instants.at_end:
+            return False
+        law, begun = self._law, _Begun(state)
+        with np.errstate(all="ignore"):  # what overflows is found below
+            found = law.run(state, self._ticks)
+            if not settled(found.q[1:], found.v):
+                begun.put_back(state)
+                return False
+        self.t[0], self.t[1:] = begun.t, law.problem.dt
+        np.add.accumulate(self.t, out=self.t)  # as tick by tick, to the last digit
+        self.q, self.v, self.commanded = found.q, found.v, found.q[:-1]
+        self.gap[:, : len(self._gap)] = self._gap
+        self.memory, self.scale, self.compiled = found.memory, found.scale, found.compiled
+        for k, causes in enumerate(found.causes):
+            if causes != OPTIMAL:
+                self._note(k, causes, found.notes.get(k, ""))
+        return True
+
+    def instant(self, k: int, state: State) -> None:
+        """Keep what tick k - 1 has led to, which is the state before tick k."""
+        true = self._plant.truth(state)
+        true.inputs = state.inputs
+        if k:
+            self._close(k - 1, true.v)
+        self._inputs_at_end = state.inputs
+        self.t[k], self.q[k] = state.t, true.q
+        self.instants.keep(k, true)
+
+    def _close(self, k: int, v: Array) -> None:
+        """Keep what only shows after the step of tick k."""
+        if self._law.command.tau is not None:
+            self.v[k] = v
+        for name, signal in self._plant.signals.items():
+            self.signals[name][k] = signal
+
+    def tick(self, k: int, command: Command, us: float, state: State) -> None:
+        """Keep what the law decided in tick k, and from what."""
+        closed = len(state.closed_error)
+        self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
+        measured = state.q if command.tau is not None else state.q_measured
+        if measured is not None:
+            self.measured[k] = measured
+        self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
+        self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
+        self.compiled[k] = self._law.compiled
+        for name, kept in self.inputs.items():
+            followed = state.inputs[name]
+            kept.value[k], kept.rate[k] = followed.value, followed.rate
+            if name in state.inputs.arrived:
+                kept.sent[k], kept.arrived[k] = state.inputs.arrived[name]
+        if command.causes != OPTIMAL:
+            self._note(k, command.causes, command.note)
+
+    def _note(self, k: int, causes: tuple[Status, ...], note: str) -> None:
+        """Keep why tick k is not optimal."""
+        status = causes[0]
+        self.status[k] = written(causes)
+        if status is Status.INACCURATE:
+            self.inaccurate[k] = True
+        elif not status.usable:
+            self.usable[k] = False
+            self.failures.append(Failure(k, status.value, note))
+
+    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
+        """What every limit had left after each tick."""
+        problem = self._law.problem
+        found: dict[Row, Array] = {}
+        for limit in problem.limits:
+            with suppressed():  # a tick that met the same error names it
+                found |= limit.margins(problem.chain, q, v, problem.dt)
+        return found
+
+    def _unaudited(self) -> tuple[str, ...]:
+        """Limits that do not say what they had left, by name."""
+        found, chain = [], self._law.problem.chain
+        for limit in self._law.problem.limits:
+            with suppressed():
+                if not limit.audited(chain):
+                    found.append(type_name(type(limit)))
+        return tuple(dict.fromkeys(found))
+
+    def _starts(self) -> dict[Row, float]:
+        """What it had left before the first."""
+        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
+        return {row: float(margin[0]) for row, margin in found.items()}
+
+    def _leverage(self, errors: Array) -> Array:
+        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+        parts = zip(errors, self.instants.parts, strict=True)
+        if all(within(error, info.tolerance) for error, (info, _) in parts):
+            return np.ones(len(errors))
+        chain = self._law.problem.chain
+        start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
+        start.inputs = end.inputs = self._inputs_at_end
+        end.v[:] = self.v[-1] if len(self.v) else 0.0
+        return self.instants.leverage(start, end)
+
+    def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
+        """Everything recorded, frozen."""
+        problem, seen = self._law.problem, self.instants
+        chain = problem.chain
+        seen.follow(self.t, self.q, self.v, self._gap)
+        return Trace(
+            controller=controller,
+            solver=solver,
+            engine=self._law.engine,
+            dt=problem.dt,
+            kappa=problem.kappa,
+            joints=chain.joint_names,
+            units=chain.joint_units,
+            lower=chain.lower,
+            upper=chain.upper,
+            velocity=chain.velocity,
+            effort=chain.model.effortLimit.copy(),
+            tasks=tuple(info for info, _ in seen.parts),
+            t=self.t,
+            q=self.q,
+            v=self.v,
+            commanded=self.commanded,
+            measured=self.measured,
+            gap=self.gap,
+            memory=self.memory,
+            position=seen.position,
+            rotation=seen.rotation,
+            loop_position=seen.loop[:, 0],
+            loop_orientation=seen.loop[:, 1],
+            task_error=seen.task_error,
+            leverage=self._leverage(seen.task_error[-1]),
+            goal_error=seen.goal_error,
+            task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
+            e=seen.e,
+            rate=seen.rate,
+            usable=self.usable,
+            inaccurate=self.inaccurate,
+            status=tuple(self.status),
+            scale=self.scale,
+            margins=self._margins(self.q, self.v),
+            starts=self._starts(),
+            unaudited=self._unaudited(),
+            compiled=self.compiled,
+            tick_us=self.tick_us,
+            points=seen.points,
+            supports=supports,
+            failures=tuple(self.failures),
+            signals=self.signals,
+            inputs=self.inputs,
+        )
+
+
+def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))

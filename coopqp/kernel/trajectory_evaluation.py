@@ -1,0 +1,139 @@
+"""What there was along a motion that has been made, compiled: for those who keep what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.base.spec import Array
+from coopqp.kernel import native
+from coopqp.kernel.flat import Flat, flat_model, turned
+from coopqp.kernel.levels import Group, Levels
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.program import Programs
+from coopqp.task import Task
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """What there was at I instants.
+
+    Attributes:
+        e, rate: of each row of the tasks, shape (I, R), as in :class:`coopqp.task.TaskRows`.
+        moved: J v of each row in the ticks between them, shape (I - 1, R); None where not asked.
+        position, rotation: of the object, shapes (I, 3) [m] and (I, 3, 3).
+        loop_error: as ``State.loop_error``, shape (I, 6 L) [m, rad].
+        points: where the points are, shape (I, P, 3) [m].
+    """
+
+    e: Array
+    rate: Array
+    moved: Array | None
+    position: Array
+    rotation: Array
+    loop_error: Array
+    points: Array
+
+
+class TrajectoryEvaluation:
+    """Looks at all instants of a motion at once; :func:`survey` makes it.
+
+    Args:
+        chain: the closed chain.
+        levels: the tasks, in one level.
+        points: ids of joints and where the points are in their frames; 0 is the world.
+    """
+
+    def __init__(
+        self, chain: ClosedChain, levels: Levels, points: Sequence[tuple[int, Array]]
+    ) -> None:
+        found = native.module()
+        assert found is not None  # as survey() has asked
+        self._chain, self._rows, self._points = chain, len(levels.flat[0]["gain"]), len(points)
+        axes = chain.once(turned)
+        places = [axes[joint].T @ p for joint, p in points]
+        self._look = found.TrajectoryEvaluation({
+            "model": flat_model(chain),
+            "levels": levels.flat,
+            "primitives": levels.primitives,
+            "joints": np.array([joint - 1 for joint, _ in points], float),
+            "places": np.concatenate([np.zeros(0), *places]),
+        }).look  # fmt: skip
+
+    def look(self, t: Array, q: Array, v: Array | None = None) -> Surveyed:
+        """What there was.
+
+        Args:
+            t: of the instants, shape (I,) [s].
+            q: there, shape (I, n) [rad, m].
+            v: in between, shape (I - 1, n); only where J v is asked for.
+        """
+        instants, rows = len(t), self._rows
+        moved = None if v is None else np.zeros((max(instants - 1, 0), rows))
+        out = Surveyed(
+            np.zeros((instants, rows)),
+            np.zeros((instants, rows)),
+            moved,
+            np.zeros((instants, 3)),
+            np.zeros((instants, 3, 3)),
+            np.zeros((instants, 6 * (len(self._chain.arms) - 1))),
+            np.zeros((instants, self._points, 3)),
+        )
+        nothing = np.zeros(0)
+        self._look(
+            t, q, nothing if v is None else v, out.e, out.rate,
+            nothing if moved is None else moved,
+            out.position, out.rotation, out.loop_error, out.points,
+        )  # fmt: skip
+        return out
+
+
+def survey(
+    chain: ClosedChain, tasks: Sequence[Task], start: State, points: Sequence[tuple[int, Array]]
+) -> TrajectoryEvaluation | None:
+    """What looks along motions of a chain; None where rows are Python's, or follow signals.
+
+    Args:
+        chain: the closed chain.
+        tasks: whose rows are asked for, in their order.
+        start: the state from which their references set out.
+        points: ids of joints into chain.model.joints, and points in their frames [m].
+    """
+    model: Flat | None = flat_model(chain)
+    if native.module() is None or model is None:
+        return None
+    levels = Levels([Group((), hard=tasks)], Programs(start))
+    rows = sum(len(task.rows(chain)) for task in tasks)
+    if not levels.compiled or levels.arriving or levels.followed:
+        return None
+    if len(levels.flat[0]["gain"]) != rows:  # a posture of some joints has no rows for the others
+        return None
+    return TrajectoryEvaluation(chain, levels, points)
+
+
+def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
+    """What looks at the object and the loops alone, wherever the chain starts; None as above.
+
+    Args:
+        chain: the closed chain.
+    """
+    return chain.once(_loop_survey)
+
+
+def _loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
+    return survey(chain, (), State(chain), ())
+
+
+def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:
+    """Joint origins and hand of each arm, base first, as :func:`survey` takes them."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for arm in chain.arms:
+        joints = [chain.model.getJointId(name) for name in chain.robot.arm_joints(arm)]
+        tip = chain.model.frames[chain.model.getFrameId(arm.tip)]
+        hand = int(tip.parentJoint), tip.placement.translation.copy()
+        found[arm.name] = [*((joint, np.zeros(3)) for joint in joints), hand]
+    return found

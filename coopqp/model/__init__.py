@@ -1,0 +1,1 @@
+"""The robot and what it holds as the control laws see them: closed chain, state, geometry."""

@@ -1,0 +1,405 @@
+"""Where a point and an axis of the object are, seen from a reference in space that may move.
+
+The reference is a frame with origin c on the point, line, plane or circle in space and third axis
+along the line or the normal. The origin moves at c_dot and the frame turns about an axis through
+it at omega. Its first two axes, a basis of the plane normal to the third, are chosen once at the
+start and turn with the frame, so they never jump. With R its axes, p a point and a an axis of the
+object, and everything in the reference's own coordinates,
+
+    x = R' (p - c),   x_dot = R' (J_p v - c_dot - omega x (p - c))
+    y = R' a,         y_dot = R' (J_omega v - omega) x y
+
+so that an error f(x, y) has its exact Jacobian and rate from one chain rule, moving or not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, unit
+from coopqp.grasp import pose_matrix
+from coopqp.model.profile import KINDS, Profile
+from coopqp.model.state import PointOfObject, State
+from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, course
+
+#: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
+TINY = 1e-12  # sine of an angle, or [m]
+
+#: Half angle of the cone about the opposite direction in which rows are kept from growing [rad].
+CONE = 0.02
+
+_STILL, _UP = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@spec
+class Turn:
+    """A turn of a reference about an axis through its point."""
+
+    axis: Direction
+    """In the world; any length."""
+    angle: float | None = None
+    """How far [rad]."""
+    angle_deg: float | None = None
+    """How far [degrees]; instead of angle."""
+    profile: Profile = Profile()
+    """When and how."""
+
+    def __post_init__(self) -> None:
+        one_angle("angle", self.angle, self.angle_deg, needed=True)
+
+    @property
+    def radians(self) -> float:
+        """How far [rad]."""
+        return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
+
+
+def last_end(*moving: object) -> float:
+    """When all of what a task follows is where it stays; what never rests does not count [s].
+
+    Args:
+        moving: profiles, turns, signals; anything else is at rest.
+    """
+    ends = (
+        x.profile.end
+        if isinstance(x, Turn)
+        else x.end
+        if isinstance(x, Profile)
+        else x.rest
+        if isinstance(x, Signal)
+        else 0.0
+        for x in moving
+    )
+    return max((end for end in ends if math.isfinite(end)), default=0.0)
+
+
+class Reference:
+    """A frame that the object is steered to.
+
+    Args:
+        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
+        direction: of its third axis before it turns, in the world; any length; or a signal.
+        velocity: of its origin, in the world, shape (3,) [m/s].
+        turn: about an axis through its origin.
+        start: the instant from which it sets out. An input begins, at a state, where nothing would
+            have to move for it:
+        point: of the object, in the object frame [m]; it is where the origin begins.
+        axis: of the object, in the object frame; it is along it that the direction begins.
+
+    Raises:
+        InvalidValueError: something moves in two ways at once.
+
+    Attributes:
+        c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
+        RT: its axes as rows, R', shape (3, 3).
+        omega: its angular velocity, in the world, shape (3,) [rad/s].
+        moves: whether anything changes with time.
+        follows: whether it follows a signal.
+        arrives: name of the input that is its place, where it follows nothing else; else empty.
+    """
+
+    def __init__(
+        self,
+        origin: Vector3 | Signal | Trajectory = _STILL,
+        direction: Vector3 | Signal = _UP,
+        velocity: Vector3 = _STILL,
+        turn: Turn | None = None,
+        *,
+        start: Instant | None = None,
+        point: Vector3 | None = None,
+        axis: Vector3 | None = None,
+    ) -> None:
+        start = start or Moment()
+        _one_motion(origin, direction, velocity, turn)
+        here = along = None
+        if isinstance(start, State):
+            if isinstance(origin, Signal) and point is not None:
+                here = start.point(np.array(point))
+            if isinstance(direction, Signal):
+                along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
+        self._origin = (
+            origin if isinstance(origin, Trajectory) else course(origin, POINT, start, here)
+        )
+        self._axes = course(direction, DIRECTION, start, along)
+        self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
+        self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
+        self.c_dot, self.omega = np.array(velocity, float), np.zeros(3)
+        self._turning = turn.profile if turn else None
+        self._turn = turn.radians * unit(turn.axis) if turn else np.zeros(3)
+        self._slides = bool(self.c_dot.any())
+        self.follows = self._origin.moves or self._axes.moves
+        self.arrives = "" if turn is not None or self._axes.moves else self._origin.arrives
+        self.moves = self.follows or turn is not None or self._slides
+
+    def numbers(self) -> Array:
+        """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
+
+        The profile is kind, duration and delay; a reference that does not turn has zeros there.
+        What follows a signal is not in them.
+        """
+        turning = self._turning
+        profile = [0.0, 1.0, 0.0]
+        if turning:
+            profile = [float(KINDS.index(turning.kind)), turning.duration, turning.delay]
+        parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
+        return np.concatenate([*parts, [float(turning is not None)]])
+
+    def update(self, at: Instant) -> None:
+        """Go to where it is then."""
+        if not self.moves:
+            return
+        if self._origin.moves:
+            self._origin.update(at)
+            self.c[:], self.c_dot[:] = self._origin.value, self._origin.rate
+        elif self._slides:
+            np.multiply(self.c_dot, at.t, self.c)
+            np.add(self.c, self._c_0, self.c)
+        if self._axes.moves:
+            self._axes.update(at)
+            self.RT[:], self.omega[:] = self._axes.R.T, self._axes.rate
+        elif self._turning:
+            share, speed = self._turning.at(at.t)
+            self._RT_0.dot(pin.exp3(self._turn * share).T, self.RT)
+            np.multiply(self._turn, speed, self.omega)
+
+
+class PlaceOf(Trajectory):
+    """The place of a pose, as the origin of a reference.
+
+    Args:
+        pose: of which it is a part; whoever follows it has moved it before.
+    """
+
+    def __init__(self, pose: Trajectory) -> None:
+        self.kind, self.moves = POINT, pose.moves
+        self.value, self.rate = pose.value[:3], pose.rate[:3]
+
+
+def _one_motion(
+    origin: Vector3 | Signal | Trajectory,
+    direction: Vector3 | Signal,
+    velocity: Vector3,
+    turn: Turn | None,
+) -> None:
+    """Refuse what moves in two ways at once."""
+    if isinstance(origin, Signal) and any(velocity):
+        raise InvalidValueError("velocity: the place is a signal, which says how it moves; omit it")
+    if isinstance(direction, Signal) and turn is not None:
+        raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
+
+
+def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
+    """A pose to follow.
+
+    Args:
+        given: of a task.
+        start: the instant from which the reference sets out.
+        here: the value with which nothing would have to move, shape (7,).
+    """
+    if isinstance(given, Signal):
+        return given.bind(POSE, start, here)
+    return Trajectory(POSE, POSE.read(pose_matrix(given)))
+
+
+class PointInReference:
+    """A point of the object, seen from the reference.
+
+    Args:
+        p_O: the point in the object frame, shape (3,) [m].
+        reference: updated by the task before this.
+        n: number of joints.
+
+    Attributes:
+        x: where it is, in the reference's axes, shape (3,) [m].
+        J: Jacobian of x, shape (3, n) [m/rad].
+        rate: J v that keeps x constant, shape (3,) [m/s].
+    """
+
+    def __init__(self, p_O: ArrayLike, reference: Reference, n: int) -> None:
+        self._tracked, self._reference = PointOfObject(p_O, n), reference
+        self.x, self.J, self.rate = np.zeros(3), np.zeros((3, n)), np.zeros(3)
+
+    def update(self, state: State) -> None:
+        """Follow the object."""
+        tracked, reference = self._tracked, self._reference
+        tracked.update(state)
+        gap = tracked.p - reference.c
+        reference.RT.dot(gap, self.x)
+        reference.RT.dot(tracked.J, self.J)
+        if reference.moves:
+            drag = reference.c_dot + pin.skew(reference.omega).dot(gap)
+            reference.RT.dot(drag, self.rate)
+
+
+@dataclass(frozen=True, slots=True)
+class Polar:
+    """A unit vector by its angle from the third axis and its way from it.
+
+    Attributes:
+        angle: from the third axis, 0 to pi [rad].
+        sine: of the angle.
+        way: unit vector in the plane of the first two axes; the first axis where none is known.
+    """
+
+    angle: float
+    sine: float
+    way: tuple[float, float]
+
+
+def polar(y: Array) -> Polar:
+    """The unit vector y, shape (3,), by angle and way; finite for all of them."""
+    y_0, y_1, y_2 = y.tolist()
+    sine = math.hypot(y_0, y_1)
+    way = (y_0 / sine, y_1 / sine) if sine > TINY else (1.0, 0.0)
+    return Polar(math.atan2(sine, y_2), sine, way)
+
+
+class Alignment:
+    """Two rows that bring an axis of the object into the direction of the reference.
+
+    The wished direction goes from the axis at the start to the reference's third axis on the
+    shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
+    third axis and its way u from it,
+
+        e = theta u,   E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
+                           [ -h - (1-h) u_1^2   (1-h) u_0 u_1      theta u_0 ]
+
+        J = E D' R' J_omega,   rate = E (D' R' omega - s_dot phi)
+
+    All is smooth but at theta = pi, where no way is shortest: one is taken at the start, and if the
+    axis gets there later, as with a step, u is the reference's first axis, so the error is pi, not
+    zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
+    ``CONE`` of pi it keeps its value at the cone's edge.
+
+    Args:
+        axis: of the object, in the object frame; any length.
+        reference: updated by the task before this.
+        profile: how the wished direction goes there.
+        start: the state from which it sets out; the reference must be up to date.
+    """
+
+    def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
+        self._a_O, self._reference, self._profile = unit(axis), reference, profile
+        seen = polar(reference.RT @ start.R_WO @ self._a_O)
+        self._phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
+        self._lowest = (math.pi - CONE) / math.tan(math.pi - CONE)
+
+    def fill(self, state: State, e: Array, J: Array, rate: Array) -> None:
+        """Write the rows, shapes (2,) [rad], (2, n) [rad/rad] and (2,) [rad/s]."""
+        reference, (share, speed) = self._reference, self._profile.at(state.t)
+        C = pin.exp3(self._phi * (share - 1.0)).dot(reference.RT)
+        seen = polar(C.dot(state.R_WO.dot(self._a_O)))
+        E = self._rows(seen)
+        e[0], e[1] = seen.angle * seen.way[0], seen.angle * seen.way[1]
+        J[:] = E.dot(C).dot(state.J_task[3:])
+        rate[:] = E.dot(C.dot(reference.omega) - speed * self._phi)
+
+    def _rows(self, seen: Polar) -> Array:
+        """E, shape (2, 3)."""
+        theta, (u, w) = seen.angle, seen.way
+        if seen.sine > TINY:
+            h = max(theta * math.cos(theta) / seen.sine, self._lowest)
+        else:
+            h = 1.0 if theta < 1.0 else self._lowest
+        k = 1.0 - h
+        return np.array(
+            [[-k * u * w, h + k * u * u, -theta * w], [-h - k * w * w, k * u * w, theta * u]]
+        )
+
+
+class RotationError:
+    """Three rows that turn Q, an orientation that the joints change, onto its goal.
+
+    The reference turns about one axis of the goal, which may turn itself at omega_g,
+    Q_r = exp((s - 1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r',
+    Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
+
+        e = log Q_e,   J = Jl^-1(e) R' J_omega
+        rate = Jl^-1(e) Q_e (s_dot phi + exp((s - 1) phi) omega_g)
+
+    Args:
+        goal: where Q_goal is, a rotation or a pose; updated by the task before this.
+        profile: how the reference turns there.
+        start: Q_start, shape (3, 3).
+
+    Attributes:
+        rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
+    """
+
+    def __init__(self, goal: Trajectory, profile: Profile, start: Array) -> None:
+        self._profile, self._goal, self._omega = profile, goal, goal.rate[goal.kind.numbers :]
+        self._start = start.copy()
+        self._phi = np.array(pin.log3(goal.R @ start.T))
+        self.rows = np.zeros((3, 3))
+
+    def fill(
+        self, t: float, Q: Array, RT: Array, J_omega: Array, out: tuple[Array, Array, Array]
+    ) -> None:
+        """Write e, J and rate, shapes (3,) [rad], (3, n) [rad/rad] and (3,) [rad/s].
+
+        Args:
+            t: time [s].
+            Q: the orientation, shape (3, 3).
+            RT: turns J_omega's axes into Q's, shape (3, 3).
+            J_omega: angular velocity of Q by joint, shape (3, n).
+            out: e, J and rate, written.
+        """
+        e, J, rate = out
+        share, speed = self._profile.at(t)
+        turning = self._phi * speed
+        if self._goal.moves:
+            left = pin.exp3(self._phi * (share - 1.0))
+            Q_r = left.dot(self._goal.R)
+            turning += left.dot(self._omega)
+        else:  # the same, and exactly the start at the start
+            Q_r = pin.exp3(self._phi * share).dot(self._start)
+        Q_e = Q.dot(Q_r.T)
+        e[:] = pin.log3(Q_e)
+        J_log = _inverse_left_jacobian(e)
+        J_log.dot(RT, self.rows)
+        self.rows.dot(J_omega, J)
+        J_log.dot(Q_e.dot(turning), rate)
+
+
+_ONE = np.eye(3)
+
+
+def _inverse_left_jacobian(w: Array) -> Array:
+    """Jl^-1(w), with which log(exp(a) exp(w)) = w + Jl^-1(w) a for a small a; shape (3, 3).
+
+    Of pinocchio's Jlog3 cancellation leaves nine digits about an angle of 1e-4 rad.
+    """
+    x, y, z = w.tolist()
+    t2 = x * x + y * y + z * z
+    if t2 < 1e-3:
+        c = (1.0 + t2 / 60.0 * (1.0 + t2 / 42.0 * (1.0 + t2 / 40.0))) / 12.0
+    else:
+        half = 0.5 * math.sqrt(t2)
+        c = (1.0 - half / math.tan(half)) / t2
+    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    J: Array = _ONE - 0.5 * S + c * S.dot(S)
+    return J
+
+
+class Approach:
+    """Lets an error shrink from what it is at the start to zero: e_r = (1 - s) e_start.
+
+    Args:
+        profile: how it shrinks.
+        e_start: the error at the start, shape (k,); copied.
+    """
+
+    def __init__(self, profile: Profile, e_start: ArrayLike) -> None:
+        self._profile, self._e_start = profile, np.array(e_start, float)
+
+    def shift(self, t: float, e: Array, rate: Array) -> None:
+        """Subtract the reference from e and add its rate, in place, shapes (k,)."""
+        share, speed = self._profile.at(t)
+        if share < 1.0:
+            e -= self._e_start * (1.0 - share)
+            rate -= self._e_start * speed

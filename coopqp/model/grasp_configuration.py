@@ -1,0 +1,385 @@
+"""Who holds what: the arms, their grasps, and where the object is in each hand.
+
+Letters: n joints (passive ones included), W the world, O the object, E the frame of an arm that
+carries the object: its tip, or what comes after its grasp's passive joints.
+
+A hold never changes. When arms let go or take hold there is another one, and another
+:class:`coopqp.model.closed_chain.ClosedChain` built from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.spec import FARTHEST, Array, finite, vector
+from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
+from coopqp.model.held_object import HeldObject
+from coopqp.robot import Arm, RobotModel, copy_per_velocity
+
+#: Largest gap of given grasps at the start that still counts as closed.
+CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
+
+#: The weights alpha must sum to 1 within this.
+WEIGHT_SUM = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspConfiguration:
+    """Which arms hold the object, how, and since when.
+
+    Attributes:
+        robot: whose arms.
+        grasps: of each arm, by name.
+        passive: the joints that each grasp adds, by arm, hand first.
+        weights: of the arms in the absolute variables, in the robot's order.
+        released: names of the arms that do not hold the object.
+        held: the object.
+        q: configuration when this began, passive joints included, shape (n,) [rad, m].
+        p_WO: where the object was then, shape (3,) [m].
+        X_EO: pose of the object in the frame that carries it, by arm; fixed to the tip of an arm
+            that has let go.
+    """
+
+    robot: RobotModel
+    grasps: Mapping[str, Grasp]
+    passive: Mapping[str, tuple[PassiveJoint, ...]]
+    weights: Array
+    released: tuple[str, ...]
+    held: HeldObject
+    q: Array
+    p_WO: Array
+    X_EO: Mapping[str, pin.SE3]
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """Those that hold the object, then the released ones; each in the robot's order."""
+        return tuple(sorted(self.robot.arms, key=lambda arm: arm.name in self.released))
+
+    @property
+    def holders(self) -> tuple[str, ...]:
+        """Names of the arms that hold the object."""
+        return tuple(arm.name for arm in self.arms if arm.name not in self.released)
+
+    @property
+    def alpha(self) -> Array:
+        """Weights of :attr:`arms`: zero for those that have let go, with sum 1, shape (N,)."""
+        names = [arm.name for arm in self.robot.arms]
+        weight = dict(zip(names, self.weights, strict=True))
+        alpha = np.array([weight[a.name] if a.name in self.holders else 0.0 for a in self.arms])
+        if not alpha.any():  # the leader has let go
+            alpha[: len(self.holders)] = 1.0
+        return np.asarray(alpha / alpha.sum(), float)
+
+    def model(self) -> tuple[pin.Model, tuple[int, ...]]:
+        """The robot with its grasps' joints, and the object's frame as carried by each arm.
+
+        Returns:
+            The model, and the frames' ids in the order of :attr:`arms`. The object has no mass:
+            its inertia matters to the dynamics alone, which add it.
+        """
+        model, ends = with_passive_joints(self.robot, self.passive)
+        return model, tuple(
+            add_object_frame(model, arm.name, self._end(arm, ends), self.X_EO[arm.name])
+            for arm in self.arms
+        )
+
+    def _end(self, arm: Arm, ends: Mapping[str, str]) -> str:
+        """The frame that carries the object; of a released arm the one before its joints."""
+        return arm.tip if arm.name in self.released else ends[arm.name]
+
+    def handed_over(
+        self,
+        q: Array,
+        released: Collection[str],
+        p_WO: Array,
+        X_WO: Mapping[str, pin.SE3],
+    ) -> GraspConfiguration:
+        """The same robot with other arms holding the object, where everything is now.
+
+        Args:
+            q: configuration, shape (n,).
+            released: names of the arms that do not hold the object from now on.
+            p_WO: where the object is, shape (3,) [m].
+            X_WO: where each arm carries it from now on, by arm.
+
+        Raises:
+            UnknownNameError: an arm that the robot does not have.
+            GraspError: no arm is left that holds the object.
+        """
+        check_released(self.robot, released)
+        other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
+        return replace(other, X_EO=other.in_hands(X_WO))
+
+    def in_hands(self, X_WO: Mapping[str, pin.SE3]) -> dict[str, pin.SE3]:
+        """X_EO of each arm from where each carries the object at q."""
+        model, ends = with_passive_joints(self.robot, self.passive)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, self.q)
+        X_WE = {a.name: data.oMf[model.getFrameId(self._end(a, ends))] for a in self.arms}
+        return {arm: X.actInv(X_WO[arm]) for arm, X in X_WE.items()}
+
+
+def attach(
+    robot: RobotModel,
+    q_start: Array,
+    grasps: Grasp | Mapping[str, Grasp],
+    held: HeldObject,
+    *,
+    alpha: Mapping[str, float] | None = None,
+    passive_start: Mapping[str, float] | None = None,
+    released: Collection[str] = (),
+) -> GraspConfiguration:
+    """The first hold of a robot's arms on an object.
+
+    Args:
+        robot: the robot.
+        q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
+        grasps: one for all arms, or one for each by the arm's name.
+        held: the object.
+        alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum 1;
+            an arm not named has 0; all the same when omitted.
+        passive_start: where the grasps' passive joints start, by name such as "right.hinge"
+            [rad, m]; zero when omitted.
+        released: names of the arms that do not hold the object.
+
+    Raises:
+        GraspError: fewer than two arms, none that holds, or grasps that do not close at the start.
+        UnknownNameError: a grasp, weight or passive joint that the robot does not have.
+        InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum to 1.
+    """
+    by_arm = grasp_of_each(robot, grasps)
+    if len(robot.arms) < 2:
+        words = f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two"
+        raise GraspError(words).at("robot")
+    start = finite("q_start", vector("q_start", q_start, robot.model.nq))
+    check_released(robot, released)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, start)
+    passive = {
+        arm.name: by_arm[arm.name].passive_joints(
+            data.oMf[robot.model.getFrameId(arm.tip)].rotation.copy()
+        )
+        for arm in robot.arms
+    }
+    hold = GraspConfiguration(
+        robot=robot,
+        grasps=by_arm,
+        passive=passive,
+        weights=arm_weights(robot, alpha),
+        released=tuple(released),
+        held=held,
+        q=_with_passive_start(robot, passive, start, passive_start or {}),
+        p_WO=np.zeros(3),
+        X_EO={},
+    )
+    p_WO, X_WO = _object_at_start(hold)
+    return replace(hold, p_WO=p_WO, X_EO=hold.in_hands(X_WO))
+
+
+def check_released(robot: RobotModel, released: Collection[str]) -> None:
+    """Refuse arms that do not exist, and that all of them let go.
+
+    Raises:
+        UnknownNameError: an arm that the robot does not have.
+        GraspError: no arm is left that holds the object.
+    """
+    names = [arm.name for arm in robot.arms]
+    for name in released:
+        if name not in names:
+            raise UnknownNameError("arm", name, names)
+    if not set(names) - set(released):
+        raise GraspError("no arm is left that holds the object; keep at least one")
+
+
+def _with_passive_start(
+    robot: RobotModel,
+    passive: Mapping[str, Sequence[PassiveJoint]],
+    q: Array,
+    passive_start: Mapping[str, float],
+) -> Array:
+    """Configuration of the model with its passive joints."""
+    model, _ = with_passive_joints(robot, passive)
+    strangers = [name for name in model.names[1:] if name not in robot.joint_names]
+    for name in passive_start:
+        if name not in strangers:
+            unknown = UnknownNameError("passive joint", name, strangers)
+            raise unknown.at("passive_start", name)
+    extended = np.zeros(model.nq)
+    values = {**dict(zip(robot.joint_names, q, strict=True)), **passive_start}
+    for name, value in values.items():
+        extended[model.idx_qs[model.getJointId(name)]] = value
+    return extended
+
+
+def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3]]:
+    """The object's place, and where each arm carries it, as grasp or start says, eq. (1).
+
+    A released arm's grasp tells where the object would be in its hand.
+    """
+    model, ends = with_passive_joints(hold.robot, hold.passive)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, hold.q)
+    tips = {arm.name: model.getFrameId(arm.tip) for arm in hold.robot.arms}
+    given = {}
+    for arm, grasp in hold.grasps.items():
+        if grasp.object_in_hand:
+            end = model.getFrameId(ends[arm])
+            given[arm] = data.oMf[end] * object_at_end(model, end, tips[arm], grasp)
+    _check_reach(hold, model, data)
+    held_at = _agreed_pose(hold, {arm: X for arm, X in given.items() if arm in hold.holders})
+    if held_at is None:
+        middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
+        held_at = pin.SE3(np.eye(3), middle)
+    return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
+
+
+def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> None:
+    """Refuse joints that are where no robot is; rounding would be all that is left of a motion."""
+    for name, X_WJ in list(zip(model.names, data.oMi, strict=True))[1:]:
+        away = float(np.linalg.norm(X_WJ.translation))
+        if not away <= FARTHEST:
+            words = f"joint {name} is {away:g} m from the origin; needs at most {FARTHEST:g} m"
+            own = name in hold.robot.joint_names
+            raise GraspError(words).at(*(["robot"] if own else ["grasps", name.rpartition(".")[0]]))
+
+
+def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
+    """Pose of the object at the start, after checking that all that is given agrees.
+
+    Args:
+        hold: with the object's own pose, if it has one.
+        by_arm: where the holding arms whose grasp says so carry the object.
+
+    Raises:
+        GraspError: the object's pose and the grasps put it in different places.
+    """
+    seen = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
+    if hold.held.pose:
+        seen.append(("object.pose", [], pose_matrix(hold.held.pose)))
+    if not seen:
+        return None
+    (first, _, X_WO), *others = seen
+    for name, place, X in others:
+        gap = np.linalg.norm(X.translation - X_WO.translation)
+        angle = np.linalg.norm(pin.log3(X_WO.rotation.T @ X.rotation))
+        if gap > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
+            raise GraspError(
+                f"the grasp does not close at the start: {name} puts the object "
+                f"{1e3 * gap:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
+                "puts it; change the start or leave object_in_hand out"
+            ).at(*place)
+    return X_WO
+
+
+def with_passive_joints(
+    robot: RobotModel, joints: Mapping[str, Sequence[PassiveJoint]]
+) -> tuple[pin.Model, dict[str, str]]:
+    """The robot's model with its grasps' joints after the tips.
+
+    Args:
+        robot: the robot.
+        joints: by arm, hand first.
+
+    Returns:
+        The model, and by arm the frame that carries the object: "ARM.grasp", or the tip.
+    """
+    model, ends, one = robot.model.copy(), {}, np.ones(1)
+    for arm in robot.arms:
+        ends[arm.name] = arm.tip
+        if not joints[arm.name]:
+            continue
+        tail, parent = pin.Model(), 0
+        for passive in joints[arm.name]:
+            parent = tail.addJoint(
+                parent, passive.joint, passive.placement, f"{arm.name}.{passive.name}",
+                0.0 * one, np.inf * one, passive.lower * one, passive.upper * one,
+            )  # fmt: skip
+        ends[arm.name] = f"{arm.name}.grasp"
+        tail.addFrame(pin.Frame(ends[arm.name], parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        # appendModel keeps the joints depth first, as pinocchio's algorithms need.
+        model = pin.appendModel(model, tail, model.getFrameId(arm.tip), pin.SE3.Identity())
+    copy_per_velocity(robot.model, model)  # appendModel forgets the armatures
+    return model, ends
+
+
+def object_at_end(model: pin.Model, end: int, tip: int, grasp: Grasp) -> pin.SE3:
+    """Pose of the object in the frame after the passive joints, from object_in_hand.
+
+    What object_in_hand says holds where the passive joints are at zero.
+
+    Args:
+        model: with the passive joints.
+        end: frame after them.
+        tip: frame before them.
+        grasp: one with object_in_hand.
+    """
+    assert grasp.object_in_hand is not None
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(pin.neutral(model)))
+    return data.oMf[end].actInv(data.oMf[tip]) * pose_matrix(grasp.object_in_hand)
+
+
+def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int:
+    """Fix the frame of the object as carried by an arm; returns its id."""
+    frame = model.frames[model.getFrameId(end)]
+    return int(
+        model.addFrame(
+            pin.Frame(
+                f"object[{arm}]", frame.parentJoint, frame.placement * X_EO, pin.FrameType.OP_FRAME
+            )
+        )
+    )
+
+
+def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
+    """Weights of the arms in the absolute variables, in the order of the arms, shape (N,).
+
+    Args:
+        robot: the robot.
+        alpha: by arm; an arm not named has 0; all the same when omitted.
+
+    Raises:
+        UnknownNameError: no such arm.
+        InvalidValueError: a weight is negative or not finite, or they do not sum to 1.
+    """
+    names = [arm.name for arm in robot.arms]
+    if alpha is None:
+        return np.full(len(names), 1.0 / len(names))
+    for name, weight in alpha.items():
+        if name not in names:
+            raise UnknownNameError("arm", name, names).at(name)
+        if not 0.0 <= weight < np.inf:
+            words = f"weight of arm {name}: found {weight:g}, needs at least 0"
+            raise InvalidValueError(words).at(name)
+    total = sum(alpha.values())
+    if abs(total - 1.0) > WEIGHT_SUM:
+        raise InvalidValueError(f"the weights of the arms sum to {total:g}, need 1")
+    return np.array([alpha.get(name, 0.0) / total for name in names])
+
+
+def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
+    """The grasp of each arm, in the order of the arms.
+
+    Args:
+        robot: the robot.
+        grasps: one for all arms, or one for each by the arm's name.
+
+    Raises:
+        UnknownNameError: a grasp for an arm that the robot does not have.
+        GraspError: an arm without a grasp.
+    """
+    names = [arm.name for arm in robot.arms]
+    if isinstance(grasps, Grasp):
+        return dict.fromkeys(names, grasps)
+    for name in grasps:
+        if name not in names:
+            raise UnknownNameError("arm", name, names, "grasp: ").at(name)
+    missing = [name for name in names if name not in grasps]
+    if missing:
+        raise GraspError(f"grasp: no grasp for arm {', '.join(missing)}")
+    return {name: grasps[name] for name in names}

@@ -1,0 +1,96 @@
+"""The model's own loop error, observed slowly and never corrected.
+
+The arms of a real robot are a little longer than the model says, its encoders a little off, the
+object a little elsewhere in the hands. So where the real loops are closed the model's are open by
+some b, a gap that changes slowly. With e_c = e(q) at the commanded configuration, e_m at the
+measured one, and compliance between them, the squeeze on the object is proportional to e_c - e_m:
+it vanishes where the *command* carries the model's error. Hence
+
+    J_c v = -kappa (e_c - gap),     gap' = (e_m - e_c) / time
+
+A correction that pulled e_m, or all of e_c, to zero would integrate b without end, until the motors
+saturate. The observer is stable for every delay while the compliance of the grasp is part of the
+whole (small gain); ``time`` is long enough for the resonances of servos and grasps, which need
+0.1 s, and not longer, since the squeeze of a motion grows with it.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+
+#: Time constant, at least so long and at least so many ticks [s].
+TIME, TICKS = 0.15, 10
+#: A gap beyond this is no model's error any more [m], [rad]. Encoders that are 5 mrad off put the
+#: hands of three UR arms 11 mm and 22 mrad apart; what is cut off here is pulled at.
+MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
+
+
+class LoopObserver:
+    """Keeps ``State.gap``.
+
+    Args:
+        chain: the modelled chain.
+        dt: control period [s].
+    """
+
+    def __init__(self, chain: ClosedChain, dt: float) -> None:
+        self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
+
+    @cached_property
+    def _measured(self) -> State:
+        """Where the sensors say that the joints are; most laws never ask."""
+        return State(self._chain)
+
+    def begin(self, state: State) -> None:
+        """Take all that the loops are open by at q for the model's error.
+
+        Without this, arms that begin with an error would squeeze until it is observed.
+        """
+        self._measured.q[:] = state.q  # made now, not in a tick
+        state.update()
+        state.gap[:] = state.loop_error
+        _bound(state.gap)
+        state.update()
+
+    def update(self, state: State, along: Array | None = None) -> bool:
+        """Follow the measured configuration, where there is one; False where it is none.
+
+        Args:
+            state: ``gap`` and what follows from it are written.
+            along: unit vector, shape (6 L,), along which others decide about the gap.
+        """
+        if state.q_measured is None:
+            return True
+        measured, found = self._measured, np.asarray(state.q_measured)
+        if found.shape != measured.q.shape or not np.isfinite(found).all():
+            return False  # a sensor that says nothing teaches nothing
+        if state.corrected < 1.0:
+            return True
+        measured.q[:] = found
+        measured.update_poses()
+        learnt = self._share * (measured.loop_error - state.loop_error)
+        if along is None:
+            state.gap += learnt
+            _bound(state.gap)
+        else:
+            pressed = along.dot(state.gap) * along
+            state.gap += learnt - along.dot(learnt) * along - pressed
+            _bound(state.gap)
+            state.gap += pressed
+        state.update_drift()
+        return True
+
+
+def _bound(gap: Array) -> None:
+    """Cut each loop's position and rotation to the largest error that a model can have."""
+    for loop in gap.reshape(-1, 6):
+        for part, most in ((loop[:3], MOST_POSITION), (loop[3:], MOST_ORIENTATION)):
+            size = float(np.linalg.norm(part))
+            if size > most:
+                part *= most / size

@@ -1,0 +1,60 @@
+"""How a reference moves from its start to its goal: a share s(t) from 0 to 1 and its rate."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from coopqp.base.spec import NonNegative, Positive, spec
+
+#: Share of a trapezoid's duration spent speeding up, and again slowing down.
+RAMP = 0.25
+
+
+#: The kinds, in the order in which the kernel numbers them.
+KINDS = ("step", "constant_velocity", "trapezoid", "quintic")
+
+
+@spec
+class Profile:
+    """A motion law for references.
+
+    ``step`` jumps at once; ``constant_velocity`` starts and stops with a jerk; ``trapezoid`` has
+    a quarter of its time to speed up and to slow down; ``quintic`` has no jump in acceleration.
+    """
+
+    kind: Literal["step", "constant_velocity", "trapezoid", "quintic"] = "quintic"
+    """step, constant_velocity, trapezoid or quintic."""
+    duration: Positive = 1.0
+    """Time from start to goal [s]; a step ignores it."""
+    delay: NonNegative = 0.0
+    """Time before the motion begins [s]."""
+
+    @property
+    def end(self) -> float:
+        """When the goal is reached [s]."""
+        return self.delay if self.kind == "step" else self.delay + self.duration
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Share of the way and its rate [1, 1/s] at time t [s]."""
+        if t >= self.end:
+            return 1.0, 0.0
+        x = (t - self.delay) / self.duration
+        if x < 0.0:
+            return 0.0, 0.0
+        if self.kind == "quintic":
+            return (
+                x * x * x * (10.0 + x * (6.0 * x - 15.0)),
+                30.0 * x * x * (1.0 - x) * (1.0 - x) / self.duration,
+            )
+        if self.kind == "constant_velocity":
+            return x, 1.0 / self.duration
+        return self._trapezoid(x)
+
+    def _trapezoid(self, x: float) -> tuple[float, float]:
+        top = 1.0 / (1.0 - RAMP)
+        if x < RAMP:
+            return 0.5 * top * x * x / RAMP, top * x / RAMP / self.duration
+        if x <= 1.0 - RAMP:
+            return top * (x - 0.5 * RAMP), top / self.duration
+        left = 1.0 - x
+        return 1.0 - 0.5 * top * left * left / RAMP, top * left / RAMP / self.duration

@@ -1,0 +1,398 @@
+"""What is true at one instant, with the kinematics computed once.
+
+W is the world, O the object, i an arm. Poses of the object as carried by each arm are averaged
+with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log(R_i R_0')) R_0.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.linalg import lapack
+
+from coopqp.base.rank import independent_rows, least_squares
+from coopqp.base.spec import Array, vector
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.signal import InputValues
+
+
+class Memory:
+    """What a law remembers from tick to tick, by name, in one array that can be recorded.
+
+    Args:
+        sizes: how many numbers go by each name.
+
+    Attributes:
+        numbers: all of them, zero at first.
+    """
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self.sizes = dict(sizes)
+        ends = list(itertools.accumulate(self.sizes.values(), initial=0))
+        self.numbers = np.zeros(ends[-1])
+        self._of = {
+            name: self.numbers[a:b]
+            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies of views are no views: a copy is made anew.
+        return _memory, (self.sizes, self.numbers)
+
+    def __getitem__(self, name: str) -> Array:
+        """The numbers of one name; a view, to be written to."""
+        return self._of[name]
+
+
+def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
+    """A memory from what a copy is made of."""
+    memory = Memory(sizes)
+    memory.numbers[:] = numbers
+    return memory
+
+
+class State:
+    """The state of a closed chain at one instant; its arrays are reused from tick to tick.
+
+    Args:
+        chain: the closed chain.
+        q: configuration, shape (n,) [rad, m]; the chain's start when omitted.
+        t: time [s].
+        memory: what the law must remember between ticks; the law makes its own where this is
+            not it. Together with t, q and v it is all that is needed to replay a tick.
+
+    Raises:
+        InvalidValueError: q is no n numbers.
+
+    Attributes:
+        t: [s].
+        q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s]. Where velocities are
+            commanded, q is the *commanded* configuration, the integral of the commands, and the
+            measured one is ``q_measured``; where torques are, q is measured.
+        p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
+        loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
+            position [m], then rotation vector [rad], per loop; open loops come last.
+        gap: what the loops are to be open by: the model's error, constant or slow, which the law
+            observes where ``q_measured`` is given, and how much closer hands are told to be that
+            squeeze by admittance. It is not corrected. Shape (6 L,).
+        drift: loop_error - gap, what the drift correction has to undo, shape (6 L,).
+        closed_error: the part of drift that belongs to closed loops.
+        q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
+            what there is, as for joints that do exactly as told.
+        hand_wrench: what force sensors say that the hands do to the object, by the robot's arms,
+            each at its hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
+        corrected: share of the drift correction that the last tick did.
+        jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
+            are then computed when somebody asks for them.
+        inputs: what is made of what arrived from outside, by name; empty where nothing can.
+    """
+
+    def __init__(
+        self,
+        chain: ClosedChain,
+        q: ArrayLike | None = None,
+        t: float = 0.0,
+        memory: Memory | None = None,
+    ) -> None:
+        arms, n = len(chain.arms), chain.n
+        self.chain = chain
+        self.t = t
+        self.q = vector("q", chain.q_start if q is None else q, n)
+        self.v = np.zeros(n)
+        self.memory = Memory({}) if memory is None else memory
+        self.inputs = InputValues()
+        self._J_ext = np.zeros((6 * arms, n))
+        self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
+        self._q_seen, self.jacobians_due = self.q.copy(), False
+        self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
+        self.q_measured: Array | None = None
+        self.hand_wrench: Array | None = None
+        self._commanded = np.zeros(n)  # no configuration yet
+        self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
+        self.corrected = 1.0
+        self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
+        self._model, self._data = chain.model, chain.model.createData()
+        self._J_joints: Array = self._data.J
+        frames = (self._data.oMf[frame] for frame in chain.frames)
+        self._hands = [(X.translation, X.rotation) for X in frames]  # views, which stay valid
+        self._prepare_loop_rows()
+        self.update()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
+        sensed = self.q_measured, self.hand_wrench
+        own = (self.v, self.gap, sensed, self.corrected, self._commanded)
+        return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
+
+    def __repr__(self) -> str:
+        return f"State(t={self.t:g}, q={self.q}, v={self.v})"
+
+    def lock(self) -> None:
+        """Let nobody write to q and v, while code of tasks and limits looks at them."""
+        q, v = self._unlocked
+        if self.q is not q or self.v is not v:
+            self._unlocked = self.q, self.v
+            self._locked = self.q.view(), self.v.view()
+            for shown in self._locked:
+                shown.flags.writeable = False
+        self.q, self.v = self._locked
+
+    def unlock(self) -> None:
+        """Let them be written to again."""
+        self.q, self.v = self._unlocked
+
+    def update(self) -> None:
+        """Compute everything that follows from q; a law does it at the start of each tick."""
+        self._q_seen[:] = self.q
+        self._differentiate()
+        self._update_errors()
+        self.update_drift()
+
+    def _differentiate(self) -> None:
+        self.jacobians_due = False
+        model, data, axes = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
+        pin.computeJointJacobians(model, data, self._q_seen)
+        for frame in self.chain.frames:
+            pin.updateFramePlacement(model, data, frame)
+        J_arms = [pin.getFrameJacobian(model, data, frame, axes) for frame in self.chain.frames]
+        self.chain.mixing.dot(np.concatenate(J_arms), self._J_ext)
+
+    def written(self) -> dict[str, Array]:
+        """Arrays for the kernel to write instead of :meth:`update`; then Jacobians are due.
+
+        By name; ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance`
+        keeps.
+        """
+        return {
+            "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
+            "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
+            "commanded": self._commanded,
+        }  # fmt: skip
+
+    def _refresh(self) -> None:
+        """Compute the Jacobians of the q that the poses belong to, if that is still to be done."""
+        if self.jacobians_due:
+            self._differentiate()
+            if self._rows_chosen:
+                self._update_loop_rows()
+
+    @property
+    def J_ext(self) -> Array:
+        """[J_tsk; J_rel] of eq. (31), shape (6 N, n)."""
+        self._refresh()
+        return self._J_ext
+
+    @property
+    def J_task(self) -> Array:
+        """Its first six rows, (v; omega) of the object in world axes."""
+        self._refresh()
+        return self._J_task
+
+    @property
+    def J_rel(self) -> Array:
+        """The other 6 L rows."""
+        self._refresh()
+        return self._J_rel
+
+    @property
+    def J_joints(self) -> Array:
+        """What each joint does to a body that it moves, shape (6, n), world axes.
+
+        Velocity of the body's point that is at the world's origin, then angular velocity. A point p
+        of the body goes along a direction d at [d; p x d]' J_joints v.
+        """
+        self._refresh()
+        return self._J_joints
+
+    @property
+    def J_loop(self) -> Array:
+        """The independent rows of J_rel, for the solvers."""
+        self._refresh()
+        return self._J_loop
+
+    @property
+    def e_loop(self) -> Array:
+        """The drift in these rows."""
+        self._refresh()
+        return self._e_loop
+
+    def advance(self, v: Array, dt: float) -> None:
+        """Go on to the next tick, with the velocity that was commanded: q + v dt, t + dt.
+
+        The measured configuration is not touched: sensors say where the joints are.
+
+        Args:
+            v: as commanded, shape (n,) [rad/s, m/s].
+            dt: control period [s].
+        """
+        self.q += dt * v
+        self.v[:] = v
+        self.t += dt
+        self._commanded[:] = self.q
+
+    @property
+    def overwritten(self) -> bool:
+        """Whether q, with sensors that measure another, is not what :meth:`advance` has left."""
+        if self.q_measured is None or not self._commanded.any():
+            return False
+        return not np.array_equal(self.q, self._commanded)
+
+    def update_poses(self) -> None:
+        """Compute the object's pose and the loop errors alone, without the Jacobians."""
+        self._q_seen[:] = self.q
+        pin.forwardKinematics(self._model, self._data, self.q)
+        for frame in self.chain.frames:
+            pin.updateFramePlacement(self._model, self._data, frame)
+        self._update_errors()
+
+    def update_drift(self) -> None:
+        """Compute what follows from the gap; call it after the gap has changed."""
+        np.subtract(self.loop_error, self.gap, self.drift)
+        if self._rows_chosen:
+            self._update_loop_rows()
+
+    def close_loops(self, iterations: int = 1) -> None:
+        """Move q to the nearest configuration with the loops closed, and v along the loops.
+
+        Newton steps of least norm: q -= J' (J J')^-1 e; then v loses what would open the loops.
+
+        Args:
+            iterations: Newton steps; one does for the drift of an integration step.
+        """
+        if not len(self.e_loop):
+            return
+        for _ in range(iterations):
+            self.q -= self._through_loops(self.e_loop)
+            self.update()
+        self.v -= self._through_loops(self.J_loop.dot(self.v))
+
+    def _through_loops(self, rows: Array) -> Array:
+        """Joint motion of least norm that moves the loop rows by this much."""
+        J = self.J_loop
+        _, x, info = lapack.dposv(J.dot(J.T), rows)
+        if info:  # not positive definite: the loops are singular here
+            return least_squares(J, rows)
+        return np.asarray(J.T.dot(x), float)
+
+    def point(self, p_O: Array) -> Array:
+        """Where a point of the object is in the world, shape (3,) [m].
+
+        Args:
+            p_O: the point in the object frame, shape (3,) [m].
+        """
+        return self.p_WO + self.R_WO @ p_O
+
+    def joint_pose(self, joint: int) -> pin.SE3:
+        """Pose of the frame of a joint in the world, up to date.
+
+        Args:
+            joint: id into chain.model.joints; 0 is the world.
+        """
+        self._refresh()
+        return self._data.oMi[joint]
+
+    def place(self, geometry: pin.GeometryModel, placed: pin.GeometryData) -> None:
+        """Put bodies that are fixed to the chain's joints where they are now.
+
+        Args:
+            geometry: the bodies.
+            placed: written.
+        """
+        self._refresh()
+        pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
+
+    def point_jacobian(self, lever: Array, out: Array) -> None:
+        """Jacobian of the velocity of a point of the object: J_v - [lever]x J_omega.
+
+        Args:
+            lever: from the object's origin to the point, in world axes, shape (3,) [m].
+            out: written, shape (3, n).
+        """
+        J = self.J_task
+        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), out)
+
+    @property
+    def loop_position_error(self) -> float:
+        """Largest drift between where two arms carry the object [m]."""
+        return max((math.hypot(*self.drift[i : i + 3]) for i in self._closed), default=0.0)
+
+    @property
+    def loop_orientation_error(self) -> float:
+        """Largest drift between how two arms carry the object [rad]."""
+        return max((math.hypot(*self.drift[i + 3 : i + 6]) for i in self._closed), default=0.0)
+
+    def _update_errors(self) -> None:
+        (p_0, R_0), *others = self._hands
+        errors = self.loop_error.reshape(-1, 6)
+        for error, (p_i, R_i) in zip(errors, others, strict=True):
+            error[:3] = p_i - p_0
+            # log(R_i R_0') is the rotation from how arm 0 to how arm i carries it, world axes.
+            error[3:] = pin.log3(R_i.dot(R_0.T))
+        mean = self.chain.alpha[1:].dot(errors)
+        np.add(p_0, mean[:3], self.p_WO)
+        pin.exp3(mean[3:]).dot(R_0, self.R_WO)
+
+    def _prepare_loop_rows(self) -> None:
+        loops = self.chain.loops
+        rank = min(loops.rank, len(loops.kept))
+        self._kept, self._closed = np.array(loops.kept, int), range(0, loops.closed, 6)
+        self.closed_error = self.drift[: loops.closed]
+        self._J_loop, self._e_loop = self._J_rel[: loops.closed], self.closed_error
+        self._rows_chosen = loops.varying or len(loops.kept) < loops.closed
+        if self._rows_chosen:
+            self._J_loop, self._e_loop = np.zeros((rank, self.chain.n)), np.zeros(rank)
+
+    def _update_loop_rows(self) -> None:
+        rows = self._kept
+        if self.chain.loops.varying:
+            rows = rows[independent_rows(self._J_rel[rows], most=len(self._e_loop))]
+            # At a singular pose fewer rows are independent; the missing ones ask for nothing.
+            self._J_loop[:], self._e_loop[:] = 0.0, 0.0
+        self._J_loop[: len(rows)] = self._J_rel[rows]
+        self._e_loop[: len(rows)] = self.drift[rows]
+
+
+def _state(
+    chain: ClosedChain,
+    q: Array,
+    t: float,
+    memory: Memory,
+    own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
+    inputs: InputValues,
+) -> State:
+    """A state from what a copy is made of."""
+    state = State(chain, q, t, memory)
+    state.inputs = inputs
+    state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:] = own
+    state.q_measured, state.hand_wrench = sensed
+    state.update()
+    return state
+
+
+class PointOfObject:
+    """A point of the object: its lever arm, position and Jacobian, for tasks that steer it.
+
+    Args:
+        p_O: the point in the object frame, shape (3,) [m].
+        n: number of joints.
+
+    Attributes:
+        p: where it is in the world, shape (3,) [m].
+        J: its velocity Jacobian, shape (3, n) [m/rad].
+    """
+
+    def __init__(self, p_O: ArrayLike, n: int) -> None:
+        self._p_O = np.array(p_O, float)
+        self.p, self.J = np.zeros(3), np.zeros((3, n))
+
+    def update(self, state: State) -> None:
+        """Follow the object."""
+        lever = state.R_WO.dot(self._p_O)
+        np.add(state.p_WO, lever, self.p)
+        state.point_jacobian(lever, self.J)

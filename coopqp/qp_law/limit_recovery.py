@@ -1,0 +1,173 @@
+"""Limits, and the QPs without tasks: the way back into them, and the drift correction in part.
+
+Joints that start outside come back before all tasks, by a QP with nothing else to want:
+
+    minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
+    subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
+
+with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2/2
+(at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0 to 1 and the
+largest that is worth it.
+
+What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
+back at least almost as fast.
+
+Where limits leave no motion that does all of the drift correction the largest share is found by
+
+    minimise    W (1 - s)^2 + d |v|^2
+    subject to  J_c v = -s kappa e,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
+
+first with all limits; where that leaves nothing, without acceleration limits, and with limits in
+space that ask for no motion. The share takes the place of 1 in all levels of the tick.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
+from coopqp.limit import ROUNDING
+from coopqp.model.state import State
+from coopqp.qp_law.bounds import Bounds
+from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
+from coopqp.qp_law.level import Given, Level
+from coopqp.qp_law.safety import StepVerification, drift_gain
+from coopqp.solver import Status
+from coopqp.task import TaskStack
+
+#: Slowest wish to come back [rad/s, m/s]: one that goes to zero at the limit never gets there.
+LEAST_RECOVERY = 0.02
+#: Cost of |v|^2, which only chooses among ways back that are as fast.
+LEAST_MOTION = 1e-4
+#: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
+KEPT = 0.995
+#: What of the largest share is done, so that the tick's levels have an answer to the last digit.
+INSIDE = 1.0 - 1e-4
+
+
+class LimitRecovery:
+    """What a tick may do at all: limits, and how joints outside of them come back.
+
+    Attributes:
+        bounds: the limits of the last tick, with the way back in them. probe: looks ahead at the
+            loops. active: whether a joint was outside.
+        share: of the drift correction that the way back leaves room for.
+        v: the way back, when there was one.
+    """
+
+    def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
+        self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
+        self.probe, self.problem, self._nothing = (
+            StepVerification(problem),
+            problem,
+            TaskStack((), start),
+        )
+        self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
+        self._low, self._high = np.zeros((2, problem.chain.n), bool)
+        self.active, self.share = False, 1.0
+        self.v: Array | None = None
+
+    @cached_property
+    def levels(self) -> tuple[Level, Level]:
+        """With all of the drift correction, and with a share of it; built when asked for."""
+        return self.level(self._damping), self.level(self._damping, slows=True)
+
+    def level(self, damping: Damping, *, slows: bool = False) -> Level:
+        """One without tasks."""
+        rows = self.problem.chain.loops.solver_rows
+        return Level(Given(self.problem, self.bounds, damping), self._nothing, rows, slows=slows)
+
+    def limit(self, state: State) -> float:
+        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
+        chain = self.problem.chain
+        below, above = chain.lower - state.q, state.q - chain.upper
+        self._low, self._high = below > ROUNDING, above > ROUNDING
+        self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
+        self.bounds.update(state)
+        if self.active:
+            self._find(state, np.maximum(below, 0.0) - np.maximum(above, 0.0))
+            self._tighten()
+        return drift_gain(self.problem, state, self.share)
+
+    def _find(self, state: State, back: Array) -> None:
+        """The fastest way back for what is outside, by how far."""
+        wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
+        wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
+        kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
+        # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
+        # the shorter its steps.
+        extra = self._damping.of(state.chain.reach * pull[0], state)
+        extra += self._damping.of_drift(state, kappa)
+        pull[0] = 0.0
+        whole, slowed = self.levels
+        # What was done in part stays so, or it would go to and fro between all and a part.
+        for level in (whole, slowed) if state.corrected >= ALL_OF_IT else (slowed,):
+            level.assemble(state, kappa, extra)
+            level.qp.P[:n, :n] += np.diag(outside)
+            level.qp.q[:n] = -wish * outside
+            if not level.solve().usable:
+                continue  # multipliers are then no numbers
+            y = level.solution.y
+            saving = kappa * y.dot(state.e_loop)
+            if level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT:
+                self.v, self.share = level.v.copy(), level.scale
+                pull[0] = np.abs(y).sum()
+                return
+
+    def release(self, state: State) -> bool:
+        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the way back."""
+        released = self.bounds.release(state)
+        self._tighten()
+        return released
+
+    def _tighten(self) -> None:
+        """Let nobody take the way back away."""
+        if self.v is None:
+            return
+        keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
+        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
+        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
+
+    def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
+        """The tick's answer, or the way back itself where nothing else has one."""
+        if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
+            return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
+        if not causes[0].usable and self.v is not None:
+            return self.v, (Status.RECOVERING, *causes)
+        return v, (*causes, Status.RECOVERING)
+
+
+class DriftShare:
+    """The largest share of the drift correction, and a motion v that does it."""
+
+    def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
+        self._way_back, self._damping = limit_recovery, damping
+        self._level = limit_recovery.level(damping, slows=True)
+        self.share, self.v = 1.0, self._level.v
+
+    def find(self, state: State) -> tuple[Status, ...]:
+        """What is relaxed so that there is a share, or why there is none, which is not usable.
+
+        The limits are then as they were when it was found.
+        """
+        causes = []
+        status = self._solve(state)
+        if not status.usable:
+            if self._way_back.release(state):
+                causes.append(Status.ACCELERATION_GIVEN_UP)
+            status = self._solve(state)
+        if not status.usable:
+            return (status,)
+        self.share = self._level.scale
+        if self.share < ALL_OF_IT:
+            self.share *= INSIDE
+            causes.append(Status.DRIFT_SLOWED)
+        return tuple(causes) or (Status.SOLVER_FAILED,)
+
+    def _solve(self, state: State) -> Status:
+        kappa = drift_gain(self._way_back.problem, state)
+        self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+        return self._level.solve()

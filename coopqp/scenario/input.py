@@ -1,0 +1,283 @@
+"""Inputs: values that arrive from outside while the arms move, and what is made of them.
+
+What arrives goes through ``TrajectoryFilter``, so that a jump becomes a bounded motion,
+and is stale when nothing new has come for a while. What is followed stands in ``state.inputs``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, Protocol
+
+import numpy as np
+
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.reading import FilePath
+from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.table import read_table
+from coopqp.model.state import State
+from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
+from coopqp.signal import InputValues, Kind, Moment, Reads, Signal, Trajectory
+from coopqp.task import Task
+
+Arrival = tuple[str, Any, float]
+"""Name of an input, a value, and when it was sent by the clock of the state [s]."""
+
+#: Numbers beyond this are no place, turn or speed of a robot.
+FARTHEST = 1e6
+#: How far ahead of the loop's clock a value may be stamped [s].
+AHEAD = 1e-3
+#: What the loop's clock may be off by, which is summed up tick by tick [s].
+SUMMED = 1e-6
+
+
+@spec
+class InputSettings(MotionLimits):
+    """How an input is followed, when it is stale, and what feeds it in comparisons."""
+
+    stale_after: Positive = 0.25
+    """Time without a new value after which it is stale [s]."""
+    when_stale: Literal["brake", "hold"] = "brake"
+    """brake: come to rest; hold: go on to the last value and stay there."""
+    lower: list[float] | None = None
+    """Least of each number; a value beyond is taken as this."""
+    upper: list[float] | None = None
+    """Most of each number."""
+    feed: Annotated[Signal | None, Reads(None)] = None
+    """A signal that plays the part of who sends, in every tick of a comparison."""
+    feed_file: FilePath | None = None
+    """Instead: a CSV or Parquet file with what was sent, columns t and those of the value."""
+
+    def __post_init__(self) -> None:
+        MotionLimits.__post_init__(self)
+        if self.feed is not None and self.feed_file is not None:
+            raise ValueError("give feed or feed_file, not both")
+        for low, high in zip(self.lower or (), self.upper or (), strict=False):
+            if low > high:
+                raise ValueError(f"lower {low:g} is more than upper {high:g}")
+
+
+class Channel(TrajectoryFilter):
+    """One input while the arms move.
+
+    Args:
+        kind: of its values.
+        settings: from the scenario.
+        dt: control period [s].
+        value: where it begins, shape (values,).
+
+    Attributes:
+        target: what arrived last, or where it began, shape (values,).
+        sent: when that was sent [s]; minus infinity where nothing has arrived.
+    """
+
+    def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
+        super().__init__(kind, settings, dt, value)
+        self._settings = settings
+        self.target, self.sent = self.value.copy(), -math.inf
+        lower, upper = settings.lower or -math.inf, settings.upper or math.inf
+        self._lower, self._upper = np.array(lower, float), np.array(upper, float)
+
+    def take(self, value: Any, sent: float, now: float) -> str:
+        """A value that has arrived.
+
+        Args:
+            value: as :meth:`coopqp.signal.Kind.read` takes it.
+            sent: when it was sent [s].
+            now: [s].
+
+        Returns:
+            Why it cannot be used; empty if it can.
+        """
+        try:
+            found = self.kind.read(value)
+        except InvalidValueError as error:
+            return str(error)
+        except Exception as error:  # noqa: BLE001 - anything can arrive
+            return f"cannot be read: {type(error).__name__}"
+        if np.abs(found).max() > FARTHEST:
+            return f"found {np.abs(found).max():.3g}, which is nowhere"
+        if not sent <= now + AHEAD:
+            return f"is from the future, sent at {sent:.3f} s and it is {now:.3f} s"
+        if sent < self.sent:
+            return f"is older than the last, sent at {sent:.3f} s after {self.sent:.3f} s"
+        k = self.kind.numbers
+        np.clip(found[:k], self._lower, self._upper, out=found[:k])
+        self.target[:], self.sent = found, sent
+        return ""
+
+    def stale(self, now: float) -> bool:
+        """Whether nothing new has come in time."""
+        return not now - self.sent <= self._settings.stale_after
+
+    def advance(self, now: float) -> bool:
+        """Go on for one dt; whether there was a way."""
+        brakes = self.stale(now) and self._settings.when_stale == "brake"
+        return self.step(None if brakes else self.target)
+
+
+def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array | None]]:
+    """Inputs that tasks follow, by name: their kind, and where they begin.
+
+    Args:
+        tasks: any.
+        start: the state from which their references set out; the list of its inputs is written.
+
+    Raises:
+        CoopqpError: an input is wanted as two kinds.
+    """
+    start.inputs = InputValues()
+    for task in tasks:
+        task.bind(start)
+    return start.inputs.wanted
+
+
+class Inputs:
+    """All inputs of a run.
+
+    Args:
+        settings: by name, from the scenario.
+        tasks: what follows them.
+        start: the state in which the run begins; what is followed is put into it.
+        dt: control period [s].
+
+    Raises:
+        CoopqpError: a task wants an input that is not there, or as what it cannot be.
+
+    Attributes:
+        channels: by name, those that are followed.
+    """
+
+    def __init__(
+        self,
+        settings: Mapping[str, InputSettings],
+        tasks: Sequence[Task],
+        start: State,
+        dt: float,
+    ) -> None:
+        self._now = -math.inf
+        self.channels: dict[str, Channel] = {}
+        for name, (kind, here) in wanted(tasks, start).items():
+            if name not in settings:
+                raise UnknownNameError("input", name, settings)
+            self.channels[name] = open_channel(kind, here, settings[name], dt)
+        start.inputs.update(self.channels)
+
+    def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
+        """Take what has arrived and go on to the time of a state, whose tick is next.
+
+        Args:
+            state: written: what is followed then.
+            arrivals: name, value and when it was sent by the state's clock [s], oldest first.
+        """
+        followed, now = state.inputs, state.t
+        refused = []
+        arrived: dict[str, tuple[float, Array]] = {}
+        for name, value, sent in arrivals:
+            channel = self.channels.get(name)
+            why = channel.take(value, sent, now) if channel else "no such input"
+            if why:
+                refused.append(f"{name}: {why}")
+            elif channel:
+                arrived[name] = channel.sent, channel.target
+        if now > self._now > -math.inf:
+            for name, channel in self.channels.items():
+                if not channel.advance(now):
+                    refused.append(f"{name}: no way there within its bounds")
+        self._now = now
+        followed.arrived, followed.refused = arrived, tuple(refused)
+        followed.stale = tuple(n for n, channel in self.channels.items() if channel.stale(now))
+
+
+def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
+    """An input, at rest where it begins.
+
+    Args:
+        kind: of its values.
+        here: where it begins, shape (values,).
+        settings: from the scenario.
+        dt: control period [s].
+
+    Raises:
+        InvalidValueError: nobody says where it begins; a setting does not fit its kind.
+    """
+    if kind.velocity and settings.when_stale == "hold":
+        words = "when_stale: hold would go on for ever with a velocity; use brake"
+        raise InvalidValueError(words)
+    for key in ("lower", "upper"):
+        found = getattr(settings, key)
+        if found is not None and len(found) != kind.numbers:
+            needs = f"needs {kind.numbers} for a {kind.name}"
+            raise InvalidValueError(f"{key}: found {len(found)} numbers, {needs}")
+    if here is None:
+        words = f"where is the {kind.name} before anything arrives? Say it where it is used"
+        raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
+    return Channel(kind, settings, dt, here)
+
+
+class Sender(Protocol):
+    """Who sends while the arms move."""
+
+    def step(self, state: State) -> None:
+        """Let what has been sent arrive, for the tick of a state."""
+
+
+_Row = tuple[float, float, Array]
+"""When it arrives and when it was sent [s], and the value."""
+
+
+class Feed:
+    """Who sends, in a comparison.
+
+    Args:
+        settings: of the inputs, by name.
+        inputs: of the run.
+        since: when the phase begins [s].
+
+    Raises:
+        CoopqpError: a signal or a file is not of the input's kind.
+    """
+
+    def __init__(
+        self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float = 0.0
+    ) -> None:
+        self._inputs, self._since = inputs, since
+        self._signals: dict[str, Trajectory] = {}
+        self._rows: dict[str, Iterator[_Row]] = {}
+        self._next: dict[str, _Row | None] = {}
+        for name, channel in inputs.channels.items():
+            given, kind = settings[name], channel.kind
+            if given.feed is not None:
+                sends = given.feed.bind(kind, Moment(since), channel.value)
+                if sends.arrives:
+                    words = "an input cannot feed another, as nothing arrives at it but by its own"
+                    raise InvalidValueError(f"feed: input: {words}; needs another signal")
+                self._signals[name] = sends
+            elif given.feed_file is not None:
+                table = read_table(given.feed_file)
+                t = table.times()
+                sent = table.take(["sent"])[:, 0] if "sent" in table.columns else t
+                values = table.take(kind.columns)
+                self._rows[name] = zip(t.tolist(), sent.tolist(), values, strict=True)
+                self._next[name] = next(self._rows[name])
+
+    def step(self, state: State) -> None:
+        """Let what has been sent arrive, for the tick of a state."""
+        self._inputs.step(state, self.arrivals(state.t))
+
+    def arrivals(self, t: float) -> Iterator[Arrival]:
+        """What has been sent since the last call.
+
+        Args:
+            t: since the phase began [s].
+        """
+        now = self._since + t
+        for name, signal in self._signals.items():
+            signal.update(Moment(now))
+            yield name, signal.value, t
+        for name, row in self._next.items():
+            while row is not None and row[0] <= now + SUMMED:
+                yield name, row[2], row[1] - self._since
+                row = next(self._rows[name], None)
+            self._next[name] = row

@@ -1,0 +1,1 @@
+"""Torque control: the QP over accelerations and hand wrenches, in reading order from program."""

@@ -1,0 +1,202 @@
+"""The hands' wrenches as variables of a QP: their effect, their cones and what they cost.
+
+h (6 N,) are the wrenches of the hands that hold the object, each at its point, in world axes. With
+J_i the object's Jacobian by arm i, G_i from hand i to the object's origin, and the object's mass on
+arm 0 of the tree,
+
+    A a + H = S' tau - sum_i (J_i - J_0)' G_i h_i        dynamics of the tree
+    G h = M (J_0 a + drift_0) + b                         dynamics of the object
+    C_i R_i h_i <= sigma,  f_z >= least - sigma           hands that press; sigma = 0
+
+What is internal costs |(1 - X G) h - t|^2, torques over a hand's size, with X of a split by its
+name and t the least internal wrench that tasks ask for. What moves the object costs nothing more,
+so that a mass is not carried lower to save force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.grasp_matrix import Split, grasp_matrix, virtual_inertia, walker
+from coopqp.closed_loop.hands import hands, into_contacts, points
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.state import State
+
+SplitName = Literal["virtual_inertia", "walker"]
+Shares = Mapping[str, float] | Literal["weights", "motors"]
+
+#: Radius of gyration of a virtual hand. With a small one hands of hinges trade torques that weigh
+#: much for forces that grow, and torques held for a tick err more; cones need no small one here.
+HAND_RADIUS = LENGTH  # [m]
+#: An arm whose motors have nothing left still gets this share of what the strongest gets.
+LEAST_RESERVE = 1e-3
+#: Sums of shares are one within this.
+SHARE_SUM = 1e-6
+
+
+class HandWrenches:
+    """Of one problem.
+
+    Args:
+        chain: the closed chain.
+        safety: friction is counted on over this.
+        split: which one says what is internal.
+        shares: of the object's weight by arm; "weights" as in the object's pose, "motors" in
+            proportion to what each arm's motors have left.
+
+    Attributes:
+        variables: rows of h.
+        cone_rows: rows of the cones.
+        pressing: whether any hand holds by contact.
+        points: of the hands as of the last update, shape (N, 3) [m].
+        turned: R_CW of each hand where any presses, likewise, shape (N, 3, 3).
+        G: grasp matrix, shape (6, 6 N).
+        feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
+        cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
+        most: what is kept of that now, shape (c,); see ``_held_torques``.
+        in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
+        split: of this instant.
+
+    Raises:
+        UnknownNameError: a share of an arm that does not exist.
+        InvalidValueError: shares that are negative or do not sum to 1 over the arms that hold.
+    """
+
+    def __init__(
+        self, chain: ClosedChain, *, safety: float, split: SplitName, shares: Shares
+    ) -> None:
+        self._chain, self._split = chain, split
+        self.hands = hands(chain)
+        N = len(self.hands)
+        self.size = 6 * N
+        units = ("N", "N", "N", "N m", "N m", "N m")
+        self.variables = tuple(
+            Row(name=f"hand[{hand.arm}].{axis}", kind="hand", owner=hand.arm, unit=unit)
+            for hand in self.hands
+            for axis, unit in zip(AXES, units, strict=True)
+        )
+        self._by_motors = shares == "motors"
+        self.shares = _shares(chain, shares)
+        self._prepare_cones(safety)
+        self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
+        self.turned = np.zeros((N, 3, 3))
+        self.feels = np.zeros((chain.n, 6 * N))
+        metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
+        self._metric = metric
+        #: Loops between hands that press are closed by the contact, not by the model.
+        loops = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
+        idle = [False] * (len(chain.arms) - N)
+        self.loop_pulls = np.repeat(~np.array([*loops, *idle], bool), 6).astype(float)
+
+    def _prepare_cones(self, safety: float) -> None:
+        self._local, names, most = [], [], []
+        for i, hand in enumerate(self.hands):
+            if not hand.contact:
+                continue
+            rows = hand.contact.force_rows(safety)
+            self._local.append((i, rows.rows))
+            names += [(hand.arm, label) for label in rows.labels]
+            most.append(rows.most)
+        self.pressing = bool(self._local)
+        self.cone_rows = tuple(
+            Row(name=f"contact[{arm}].{label}", kind="hand", owner=arm, unit="N")
+            for arm, label in names
+        )
+        self.stated = np.concatenate([*most, np.zeros(0)])
+        self.most = self.stated.copy()
+        of_force = [label in ("least", "most") for _, label in names]
+        self.in_cone = 1.0 - np.array(of_force, float)
+        self.cones = np.zeros((len(self.most), self.size))
+
+    def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
+        """Follow the arms.
+
+        Args:
+            state: with its kinematics up to date.
+            dynamics: up to date, with all of the object's mass on arm 0.
+        """
+        self.points[:] = points(self.hands, state.p_WO, state.R_WO)
+        self.G[:] = grasp_matrix(self.points, state.p_WO)
+        J = dynamics.J_arms
+        for i in range(1, len(self.hands)):
+            part = slice(6 * i, 6 * i + 6)
+            self.feels[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
+        if self.pressing:
+            self.turned[:], at = into_contacts(self.hands, state.R_WO), 0
+            for i, rows in self._local:
+                to = slice(at, at + len(rows))
+                self.cones[to, 6 * i : 6 * i + 3] = rows[:, :3] @ self.turned[i]
+                self.cones[to, 6 * i + 3 : 6 * i + 6] = rows[:, 3:] @ self.turned[i]
+                at += len(rows)
+        if self._by_motors:
+            self.shares[:] = self._reserves(state, dynamics)
+        self.split = self._make_split(state)
+
+    def _make_split(self, state: State) -> Split:
+        if self._split == "walker":
+            return walker(self.points, state.p_WO, self.shares / self.shares.sum())
+        masses = np.maximum(self.shares, LEAST_RESERVE)
+        return virtual_inertia(self.points, state.p_WO, masses, HAND_RADIUS**2 * masses)
+
+    def cost(self, wrenches: WrenchStack) -> tuple[Array, Array]:
+        """What is internal and not asked for, as P and q of 1/2 h'P h + q'h.
+
+        Args:
+            wrenches: what tasks ask for, up to date.
+        """
+        B = self._metric[:, None] * self.split.projector
+        P = B.T @ B
+        if not len(wrenches.wanted):
+            return P, np.zeros(self.size)
+        # The least internal wrench that does what is asked.
+        internal = self.split.projector / self._metric
+        least = internal @ least_squares(wrenches.C @ internal, wrenches.wanted)
+        return P, -B.T @ (self._metric * least)
+
+    def _reserves(self, state: State, dynamics: ClosedLoopDynamics) -> Array:
+        """Shares in proportion to how much of the object's weight each arm alone could carry."""
+        chain, model = self._chain, self._chain.model
+        own = np.asarray(pin.computeGeneralizedGravity(model, model.createData(), state.q), float)
+        _, weight, _ = dynamics.object_inertia()
+        left = model.effortLimit - np.abs(own)
+        left[chain.passive] = np.inf
+        found = np.zeros(len(self.hands))
+        for i in range(len(self.hands)):
+            part = slice(6 * i, 6 * i + 6)
+            h = np.concatenate([weight[:3], np.zeros(3)])
+            felt = np.abs(dynamics.J_arms[part].T @ (self.G[:, part] @ h))
+            felt[chain.passive] = 0.0
+            found[i] = np.min(np.maximum(left, 0.0) / np.maximum(felt, 1e-9))
+        found = np.maximum(found, LEAST_RESERVE * max(float(found.max()), 1e-9))
+        return np.asarray(found / found.sum(), float)
+
+
+def _shares(chain: ClosedChain, shares: Shares) -> Array:
+    """By hand that holds, with sum 1, shape (N,)."""
+    held = [arm.name for arm in chain.arms[: chain.holding]]
+    if isinstance(shares, str):
+        found = chain.alpha[: chain.holding].copy()
+        return np.asarray(found / found.sum(), float)
+    every = [arm.name for arm in chain.arms]
+    for name, share in shares.items():
+        if name not in every:
+            raise UnknownNameError("arm", name, every, "shares: ")
+        if not 0.0 <= share < np.inf:
+            raise InvalidValueError(f"shares: arm {name} has {share:g}; needs at least 0")
+    values = np.array([shares.get(name, 0.0) for name in held])
+    if len(held) == len(every) and abs(values.sum() - 1.0) > SHARE_SUM:
+        raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
+    if not values.sum() > 0.0:
+        raise InvalidValueError(f"shares: none of the arms that hold has one ({', '.join(held)})")
+    return np.asarray(values / values.sum(), float)

@@ -1,0 +1,205 @@
+"""What rows with an impedance accelerate by: e_ddot = B (w - K e) - R e_dot.
+
+Rows of which a mass M is stated have B = M^-1; w has to be known there. All others have that of
+what is really there, object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', which a
+wrench that nobody knows of meets as well: with w = 0 in the law they move as above.
+
+R = B D where the damping is stated, and else what gives every mode its damping ratio z. With
+S = K^1/2 the modes are those of C = S W S, and
+
+    R = 2 S^-1 C^1/4 z C^1/4 S         (M stated: 2 z (K/M)^1/2)
+
+which is the double diagonalisation of Albu-Schaeffer, Ott, Frese and Hirzinger 2003.
+
+A law that corrects open loops asks for accelerations J_c a = -drift_c - c that closed ones do not
+have. Torques for a then make a + d instead, with J_c d = c and N' A d = 0, and J d would show as a
+push: it is taken off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.rank import least_squares
+from coopqp.base.spec import Array
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import AXES
+from coopqp.model.state import State
+from coopqp.torque_law.margins import DELAY, LEAST_DAMPING, spring_damping
+from coopqp.torque_law.task_dynamics import TaskDynamics
+
+
+class Impedances:
+    """Of all rows of one problem that have one, r of them.
+
+    Args:
+        problem: what to control.
+        level: its tasks and dynamics.
+
+    Attributes:
+        rows: which of all task rows, shape (r,); the rest are ``others``.
+        B: acceleration by a wrench on the rows, shape (r, r) [1/kg, ...].
+        R: acceleration by their rate, shape (r, r) [1/s].
+        K: stiffness, shape (r,) [N/m, N m/rad].
+        stated: which have a mass of their own, shape (r,).
+    """
+
+    def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
+        stack = level.tasks
+        found = [
+            (np.arange(part.start, part.stop), task.impedance)
+            for task, part in zip(stack.tasks, stack.slices, strict=True)
+            if task.impedance is not None
+        ]
+        given = [(rows, impedance) for rows, impedance in found if impedance is not None]
+        nothing = np.zeros(0)
+        self.rows = np.concatenate([nothing.astype(int), *(rows for rows, _ in given)])
+        self.others = np.setdiff1d(np.arange(len(stack.e)), self.rows)
+        r = len(self.rows)
+        self._axes = np.array([axis for _, i in given for axis in i.axes], int)
+        self.K = np.concatenate([nothing, *(i.stiffness for _, i in given)])
+        self.stated = np.concatenate(
+            [nothing.astype(bool), *(np.full(len(i.axes), i.mass is not None) for _, i in given)]
+        )
+        self._M = np.concatenate(
+            [nothing, *(np.ones(len(i.axes)) if i.mass is None else i.mass for _, i in given)]
+        )
+        self._D, self._z = np.zeros(r), np.zeros(r)
+        at = 0
+        for _, i in given:
+            part = slice(at, at := at + len(i.axes))
+            if i.damping is None:
+                self._z[part] = i.damping_ratio
+            else:
+                self._D[part] = i.damping
+        self._level = level
+        self.B, self.R = np.zeros((r, r)), np.zeros((r, r))
+        self._X = np.zeros((len(stack.J.T), len(stack.J.T)))
+        self._fill_stated()
+
+    def _fill_stated(self) -> None:
+        """What does not change: rows with a mass of their own."""
+        own = np.flatnonzero(self.stated)
+        self.B[own, own] = 1.0 / self._M[own]
+        omega = np.sqrt(self.K[own] / self._M[own])
+        self.R[own, own] = self._D[own] / self._M[own] + 2.0 * self._z[own] * omega
+
+    def update(self) -> None:
+        """Follow the arms; the level must be up to date."""
+        if not len(self.rows):
+            return
+        self._X = self._level.inverse_inertia()
+        real = np.flatnonzero(~self.stated)
+        if not len(real):
+            return
+        J = self._level.tasks.J[self.rows[real]]
+        W, S = J @ self._X @ J.T, np.sqrt(self.K[real])
+        squares, U = np.linalg.eigh(S[:, None] * W * S)
+        root = (U * np.maximum(squares, 0.0) ** 0.25) @ U.T
+        R = 2.0 * (root * self._z[real]) @ root * S / S[:, None] + W * self._D[real]
+        self.B[np.ix_(real, real)], self.R[np.ix_(real, real)] = W, R
+
+    def guess(self) -> Array | None:
+        """Who pushes where nobody knows, shape (6,): as much as the springs push back.
+
+        None without rows. At rest that is so, and the hands bear it; until then nothing changes
+        by what torques are for, since the springs pull against it by as much.
+        """
+        if not len(self.rows):
+            return None
+        wrench = np.zeros(6)
+        np.add.at(wrench, self._axes, self.K * self._level.tasks.e[self.rows])
+        return wrench
+
+    def accelerations(self, wrench: Array, correction: Array) -> Array:
+        """e_ddot of the rows that torques must be for, shape (r,).
+
+        Args:
+            wrench: of the surroundings on the object, or the :meth:`guess`, shape (6,).
+            correction: c of the loop rows, shape (m,).
+        """
+        level, rows = self._level, self.rows
+        found = self.B.dot(wrench[self._axes] - self.K * level.tasks.e[rows])
+        found -= self.R.dot(level.e_dot[rows])
+        if correction.any():
+            d = least_squares(level.dynamics.J, correction)
+            found -= level.tasks.J[rows].dot(d - self._X.dot(level.dynamics.A.dot(d)))
+        return np.asarray(found, float)
+
+
+def require_impedances(
+    problem: ControlProblem, level: TaskDynamics, name: str, *, knows_wrench: bool
+) -> None:
+    """Refuse masses that nobody can feign without knowing who pushes, and springs that ring.
+
+    Args:
+        problem: what to control.
+        level: its tasks and dynamics.
+        name: of the controller.
+        knows_wrench: whether it knows the wrench of the surroundings.
+
+    Raises:
+        InvalidValueError: says which task, and what would do.
+    """
+    impedances = Impedances(problem, level)
+    if not len(impedances.rows):
+        return
+    tasks = [task.name for task in problem.tasks if task.impedance is not None]
+    which = f"{name}: task {' and '.join(tasks)}"
+    if impedances.stated.any() and not knows_wrench:
+        raise InvalidValueError(
+            f"{which} states a mass, which only who knows the push can feign; say "
+            "external_wrench: observed, or leave mass out: object and arms as they are"
+        )
+    level.update(State(problem.chain))
+    impedances.update()
+    C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
+    asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
+    if found < (needed := min(LEAST_DAMPING, 0.5 * asked)):
+        raise InvalidValueError(
+            f"{which} rings at dt {1e3 * dt:g} ms when commands are a tick late (damping ratio "
+            f"{found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, or "
+            "state more mass"
+        )
+
+
+def _at_least(ratio: float) -> str:
+    """A damping ratio that is needed, which is next to none where next to none was asked for."""
+    return f"{ratio:.2f}" if ratio >= 5e-3 else "more than 0"
+
+
+def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
+    """What is felt most along a sprung axis of a push along one that has no spring.
+
+    At rest, where nobody knows the push, object and arms must not accelerate along the springs:
+    with W the inverse inertia of the object's six axes, s those with a spring and o the others,
+
+        W_ss (w_s - K e) + W_so w_o = 0,       so that K e = w_s + W_ss^-1 W_so w_o
+
+    Args:
+        problem: what to control.
+
+    Returns:
+        The axis along which it is felt, that along which it pushes, and the force felt of a push by
+        1 N or 1 N m [N, N m]; None where all axes have a spring, none has, or one cannot move.
+    """
+    given = [task.impedance for task in problem.tasks if task.impedance is not None]
+    sprung = sorted({axis for impedance in given for axis in impedance.axes})
+    others = [axis for axis in range(6) if axis not in sprung]
+    massless = not any(body.mass for body in problem.chain.robot.model.inertias)
+    if not sprung or not others or massless:
+        return None
+    level, state = TaskDynamics(problem), State(problem.chain)
+    state.update()
+    level.update(state)
+    W = state.J_task @ level.inverse_inertia() @ state.J_task.T
+    own = W[np.ix_(sprung, sprung)]
+    if np.linalg.matrix_rank(own) < len(sprung):
+        return None  # an axis that cannot move; laws refuse that
+    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
+    lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
+    share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
+    i, j = np.unravel_index(int(share.argmax()), share.shape)
+    return AXES[sprung[i]], AXES[others[j]], float(felt[i, j])

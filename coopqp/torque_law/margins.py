@@ -1,0 +1,201 @@
+"""Whether a loop is damped: the very steps of the law against a plant that is linear and late.
+
+The plant of a torque law is e_ddot = a for each row of the tasks, a held for dt; that of a velocity
+law e_dot = u. A command arrives some ticks late. Both together are one linear map from tick to
+tick, and a pole z of it turns and decays as exp(s dt) = z, with the damping ratio -Re s / |s|.
+
+Settings are refused where, with one tick of delay, some pole is damped less than 0.215: there each
+swing is half as high as the one before (quarter-amplitude damping, Ziegler and Nichols 1942).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
+from coopqp.model.state import Memory
+from coopqp.torque_law.reference_model import ReferenceModel, memory_of
+
+#: Least damping ratio of a pole: a swing is half as high as the one before, ln 2 / hypot(ln 2, pi).
+LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
+#: Ticks that a command is late where settings are judged; a robot's bus has no less.
+DELAY = 1
+#: Poles slower than this in a tick are what nothing moves: rows without an integral [-].
+STILL = 1e-4
+
+
+def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
+    """Least damping ratio of the poles of a linear step; negative where it is unstable.
+
+    Args:
+        step: from the loop's state at one tick to that at the next, shape (size,).
+        size: of the state.
+    """
+    matrix = np.column_stack([step(unit) for unit in np.eye(size)])
+    z = np.linalg.eigvals(matrix).astype(complex)
+    s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick has no swing
+    s = s[np.abs(s) > STILL]
+    return float((-s.real / np.abs(s)).min(initial=1.0))
+
+
+@dataclass(frozen=True)
+class TorqueLoop:
+    """All rows of a torque law: e_ddot = forward e_m_ddot - W (kp w + ki int w + kd w_dot).
+
+    Attributes:
+        gains: of the reference model, shape (k,) [1/s].
+        kp, ki, kd: shape (k,).
+        W: what acceleration a wrench gives, shape (k, k) [1/kg, ...].
+        forward: 1 where the model's acceleration is fed forward, 0 where not.
+        dt: control period [s].
+    """
+
+    gains: Array
+    kp: Array
+    ki: Array
+    kd: Array
+    W: Array
+    dt: float
+    forward: float = 1.0
+
+    def times(self, kp: float, ki: float, kd: float) -> TorqueLoop:
+        """The same with other gains, each times a number."""
+        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
+
+    def damping(self, delay: int = DELAY) -> float:
+        """Least damping ratio with commands late by some ticks."""
+        k, dt = len(self.gains), self.dt
+        model = ReferenceModel(self.gains, dt)
+        memory = Memory(model.memory_sizes)
+        own = 2 * k + len(memory.numbers)
+
+        def step(x: Array) -> Array:
+            e, e_dot, late = x[:k], x[k : 2 * k], x[own:]
+            memory.numbers[:] = x[2 * k : own]
+            model.update(memory, e)
+            u = self.kp * memory["deviation"] + self.ki * memory["integral"]
+            u += self.kd * (e_dot - memory["model_rate"])
+            late = np.concatenate([late, self.forward * model.e_ddot - self.W @ u])
+            model.advance(memory, e_dot, integrate=True)
+            a = late[:k]
+            moved = e + dt * e_dot + 0.5 * dt**2 * a
+            return np.concatenate([moved, e_dot + dt * a, memory.numbers, late[k:]])
+
+        return damping_ratio(step, own + delay * k)
+
+
+@dataclass(frozen=True)
+class VelocityLoop:
+    """All rows of a velocity law with a reference model of first order, e_m_dot = -kp e_m.
+
+    Attributes:
+        kp, ki, kd: shape (k,) [1/s, 1/s2, 1].
+        dt: control period [s].
+    """
+
+    kp: Array
+    ki: Array
+    kd: Array
+    dt: float
+
+    def decide(self, memory: Memory, e: Array, e_dot: Array) -> Array:
+        """J v - rate that the law wants, e_dot being that of the last period; shape (k,)."""
+        deviation, integral = memory["deviation"], memory["integral"]
+        model_rate = memory["model_rate"]
+        w_dot = e_dot - model_rate
+        deviation += self.dt * w_dot
+        integral += self.dt * deviation
+        model_rate[:] = -self.kp * (e - deviation)
+        return model_rate - self.kp * deviation - self.ki * integral - self.kd * w_dot
+
+    def times(self, kp: float, ki: float, kd: float) -> VelocityLoop:
+        """The same with other gains, each times a number."""
+        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
+
+    def damping(self, delay: int = DELAY) -> float:
+        """Least damping ratio with commands late by some ticks."""
+        k = len(self.kp)
+        memory = Memory(memory_of(k))
+        own = 2 * k + len(memory.numbers)
+
+        def step(x: Array) -> Array:
+            e, e_dot = x[:k], x[k : 2 * k]
+            memory.numbers[:] = x[2 * k : own]
+            late = np.concatenate([x[own:], self.decide(memory, e, e_dot)])
+            u = late[:k]
+            return np.concatenate([e + self.dt * u, u, memory.numbers, late[k:]])
+
+        return damping_ratio(step, own + delay * k)
+
+
+def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
+    """Least damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
+
+    Args:
+        C: shape (k, k) [1/s2].
+        R: shape (k, k) [1/s].
+        dt: control period [s].
+        delay: ticks that a command is late; None for how it is meant, without ticks.
+    """
+    k, nothing = len(C), np.zeros_like(C)
+    if delay is None:
+        s = np.linalg.eigvals(np.block([[nothing, np.eye(k)], [-C, -R]])).astype(complex)
+        return float((-s.real / np.maximum(np.abs(s), STILL)).min(initial=1.0))
+
+    def step(x: Array) -> Array:
+        e, e_dot = x[:k], x[k : 2 * k]
+        late = np.concatenate([x[2 * k :], -C @ e - R @ e_dot])
+        a = late[:k]
+        moved = e + dt * e_dot + 0.5 * dt**2 * a
+        return np.concatenate([moved, e_dot + dt * a, late[k:]])
+
+    return damping_ratio(step, (2 + delay) * k)
+
+
+def row_loop(gain: float, integral: float, dt: float) -> TorqueLoop:
+    """One row under the torque QP, which decides accelerations, so that W = 1."""
+    g = np.array([gain])
+    return TorqueLoop(g, g**2, integral * g**3, 2.0 * g, np.eye(1), dt)
+
+
+def damped(loop: TorqueLoop | VelocityLoop) -> bool:
+    """Whether it is damped enough with one tick of delay."""
+    return loop.damping() >= LEAST_DAMPING
+
+
+def largest(good: Callable[[float], bool], most: float) -> float:
+    """Largest number below ``most``, which is too large, that is good; 0 below a hundredth.
+
+    Rounded down to two digits, so that it can be said and used.
+    """
+    low, high = 0.0, most
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if good(middle) else (low, middle)
+    if low <= 1e-2 * most:
+        return 0.0
+    digit = 10.0 ** (math.floor(math.log10(low)) - 1)
+    return math.floor(low / digit) * digit
+
+
+def require_damped_models(problem: ControlProblem, controller: str) -> None:
+    """Refuse tasks that decay faster than a control by torques can follow at this rate.
+
+    Raises:
+        InvalidValueError: with the task, and the largest gain.
+    """
+    dt = problem.dt
+    for task in problem.tasks:
+        if task.impedance is None and not damped(row_loop(task.gain, 0.0, dt)):
+            most = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
+            raise InvalidValueError(
+                f"task {task.name}: found gain {task.gain:g} 1/s, {controller} needs at most "
+                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more rings when commands are a tick late, "
+                "so lower it, or dt"
+            )

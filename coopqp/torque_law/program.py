@@ -1,0 +1,303 @@
+"""The QPs of the torque law: one a level of priority, all with the same constraints.
+
+    x = [a; tau of the motors; h of the hands that hold; sigma where some press]
+
+Later levels minimise their own tasks among what leaves J a (and C h) of the soft tasks before them
+as it was decided there. sigma is how far the cones of hands that press are left [N]: zero, unless
+nothing keeps them, and then as small as it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.base.qp import QP, Row, Rows
+from coopqp.base.rank import independent_rows
+from coopqp.base.spec import Array
+from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.controller import ControlProblem
+from coopqp.model.state import State
+from coopqp.qp_law.bounds import Bounds
+from coopqp.solver import Solution, Status, Verifier
+from coopqp.torque_law.hand_wrenches import HandWrenches
+from coopqp.torque_law.task_dynamics import TaskDynamics
+
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+#: Cost of squared wrenches, so that those that nothing else decides are the least [1/N2].
+LEAST_WRENCH = 1e-5
+#: Cost of leaving a cone, per newton and squared: far above what any task gains by it.
+LEAVING = (1e4, 1.0)
+#: Weight of a hard task, over its own, where it has to become soft.
+SOFTENED = 100.0
+#: Rows of a task that are independent of all before them by less than this are decided already.
+DECIDED = 1e-9
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Weights of what no task asks for, :class:`coopqp.controllers.torque_qp.TorqueQp`."""
+
+    damping: float
+    damping_time: float
+    effort: float
+    grip: float
+
+
+class Layout:
+    """Where the variables and rows of a torque QP are.
+
+    Args:
+        level: tasks and dynamics.
+        hands: their wrenches.
+        bounds: the scenario's limits.
+    """
+
+    def __init__(self, level: TaskDynamics, hands: HandWrenches, bounds: Bounds) -> None:
+        chain, dynamics = level.dynamics.chain, level.dynamics
+        self.n, self.k, self.m = chain.n, len(dynamics.actuated), len(dynamics.drift)
+        ends = np.cumsum([0, self.n, self.k, hands.size, int(hands.pressing)]).tolist()
+        self.a, self.tau = slice(ends[0], ends[1]), slice(ends[1], ends[2])
+        self.h, self.sigma = slice(ends[2], ends[3]), slice(ends[3], ends[4])
+        names, units = chain.joint_names, chain.joint_units
+        efforts = {"rad": "N m", "m": "N"}
+        self.variables = (
+            *(
+                Row(name=f"a[{name}]", kind="joint", unit=f"{unit}/s2", joint=name)
+                for name, unit in zip(names, units, strict=True)
+            ),
+            *(
+                Row(name=f"tau[{names[i]}]", kind="motor", unit=efforts[units[i]], joint=names[i])
+                for i in dynamics.actuated.tolist()
+            ),
+            *hands.variables,
+            *([Row(name="sigma", kind="hand", unit="N")] if hands.pressing else []),
+        )
+        self.inequalities = (*bounds.rows, *hands.cone_rows)
+        self.cones = slice(len(bounds.rows), len(self.inequalities))
+        object_rows = (
+            Row(name=f"object.{axis}", kind="dynamics", unit=unit)
+            for axis, unit in zip(
+                ("x", "y", "z", "rot_x", "rot_y", "rot_z"), ["N"] * 3 + ["N m"] * 3, strict=True
+            )
+        )
+        self.equalities = (
+            *(
+                Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
+                for name, unit in zip(names, units, strict=True)
+            ),
+            *object_rows,
+            *chain.loops.kept_rows[: self.m],
+        )
+        self.common = len(self.equalities)
+
+
+class Program:
+    """One level.
+
+    Args:
+        problem: what to control.
+        layout: of the variables.
+        level: tasks and dynamics.
+        hands: their wrenches.
+        wrenches: what tasks ask of them.
+        costs: of what no task asks for.
+        own: which motion rows and which wrench rows are its own.
+        must: which must hold: hard ones, and the soft ones of the levels before.
+
+    Attributes:
+        qp: the last tick's program.
+        solution: its answer.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        layout: Layout,
+        level: TaskDynamics,
+        hands: HandWrenches,
+        wrenches: WrenchStack,
+        costs: Costs,
+        own: tuple[Indices, Indices],
+        must: tuple[Indices, Indices],
+    ) -> None:
+        self._layout, self._level, self._hands = layout, level, hands
+        self._wrenches, self._costs, self._own, self._must = wrenches, costs, own, must
+        exact = [level.tasks.rows[i] for i in must[0]] + [wrenches.rows[i] for i in must[1]]
+        self.qp = QP(Rows(layout.variables, layout.inequalities, (*layout.equalities, *exact)))
+        self.solution = Solution(self.qp)
+        n, k = layout.n, layout.k
+        dynamics = level.dynamics
+        self._diagonal = np.repeat([costs.damping, costs.effort, LEAST_WRENCH], [n, k, hands.size])
+        effort = level.dynamics.chain.model.effortLimit[dynamics.actuated]
+        self.qp.lb[layout.tau], self.qp.ub[layout.tau] = -effort, effort
+        self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
+        if hands.pressing:
+            self.qp.G[layout.cones, layout.sigma] = -1.0
+        self.keep_cones(keep=True)
+        curvature = float(self._diagonal.min())
+        self._verifier = Verifier(self.qp, self.solution, problem.budget, curvature)
+        self._solve = problem.solver.open(self.qp, self.solution)
+
+    def solve(self) -> Status:
+        """Solve and verify."""
+        self._solve()
+        self.solution.status = self._verifier.check()
+        return self.solution.status
+
+    def keep_cones(self, *, keep: bool) -> None:
+        """Whether hands that press must stay in their cones, or only as well as they can."""
+        sigma = self._layout.sigma
+        self.qp.lb[sigma] = 0.0
+        self.qp.ub[sigma] = 0.0 if keep else np.inf
+
+    @property
+    def left_cones(self) -> float:
+        """How far the last answer leaves the cones [N]."""
+        return float(self.solution.v[self._layout.sigma].sum())
+
+    def assemble(
+        self,
+        state: State,
+        wanted: Array,
+        bounds: tuple[Array, Array, Array, Array],
+        loops: Array,
+        before: Array | None = None,
+        *,
+        soften: bool = False,
+        wrench: Array | None = None,
+    ) -> None:
+        """Fill the QP.
+
+        Args:
+            state: of this tick.
+            wanted: J a that each motion row asks for, shape (k,).
+            bounds: lb, ub, G, h of the limits on a.
+            loops: right side of the loop rows, shape (m,).
+            before: the answer of the levels before; None for the first.
+            soften: whether hard rows only count with a weight.
+            wrench: of the surroundings on the object, shape (6,); None where nobody knows.
+        """
+        self._fill_cost(state, wanted, soften)
+        self._fill_dynamics(loops, wrench)
+        self._fill_bounds(bounds)
+        self._fill_exact(wanted, before, soften)
+        self.qp.seal()
+
+    def _fill_cost(self, state: State, wanted: Array, soften: bool) -> None:
+        qp, layout, costs, tasks = self.qp, self._layout, self._costs, self._level.tasks
+        motion, forces = self._own
+        weights = tasks.weights
+        if soften and self._must[0].size + self._must[1].size:
+            motion = np.concatenate([motion, self._must[0]])
+            forces = np.concatenate([forces, self._must[1]])
+        J, w = tasks.J[motion], weights[motion].copy()
+        w[len(self._own[0]) :] *= SOFTENED
+        qp.P[:], qp.q[:] = 0.0, 0.0
+        weighted = J * w[:, None]
+        qp.P[layout.a, layout.a] = weighted.T @ J
+        qp.q[layout.a] = -wanted[motion] @ weighted
+        P, q = self._hands.cost(self._wrenches)
+        C, v = self._wrenches.C[forces], self._wrenches.weights[forces].copy()
+        v[len(self._own[1]) :] *= SOFTENED
+        weighted = C * v[:, None]
+        qp.P[layout.h, layout.h] = costs.grip * P + weighted.T @ C
+        qp.q[layout.h] = costs.grip * q - self._wrenches.wanted[forces] @ weighted
+        qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
+        qp.q[layout.a] += costs.damping / costs.damping_time * state.v
+        if self._hands.pressing:
+            qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
+
+    def _fill_dynamics(self, loops: Array, wrench: Array | None) -> None:
+        qp, layout, dynamics, hands = self.qp, self._layout, self._level.dynamics, self._hands
+        n, m, J_0 = layout.n, layout.m, dynamics.J_object
+        qp.A[:n, :n] = dynamics.A
+        qp.A[:n, layout.h] = hands.feels
+        qp.b[:n] = -dynamics.H
+        M, b, _ = dynamics.object_inertia()
+        qp.A[n : n + 6, layout.a] = M @ J_0
+        qp.A[n : n + 6, layout.h] = -hands.G
+        qp.b[n : n + 6] = -(M @ dynamics.drift_arms[:6] + b)
+        if wrench is not None:
+            qp.b[:n] += J_0.T @ wrench
+            qp.b[n : n + 6] += wrench
+        qp.A[n + 6 : n + 6 + m, layout.a] = dynamics.J
+        qp.b[n + 6 : n + 6 + m] = loops
+
+    def _fill_bounds(self, bounds: tuple[Array, Array, Array, Array]) -> None:
+        qp, layout = self.qp, self._layout
+        lb, ub, G, h = bounds
+        qp.lb[layout.a], qp.ub[layout.a] = lb, ub
+        qp.G[: len(h), layout.a], qp.h[: len(h)] = G, h
+        if self._hands.pressing:
+            qp.G[layout.cones, layout.h], qp.h[layout.cones] = self._hands.cones, self._hands.most
+
+    def _fill_exact(self, wanted: Array, before: Array | None, soften: bool) -> None:
+        """Hard rows, and what was decided before, as far as they are independent."""
+        qp, layout, (motion, forces) = self.qp, self._layout, self._must
+        first = layout.common
+        rows, right = qp.A[first:], qp.b[first:]
+        rows[:], right[:] = 0.0, 0.0
+        if not len(right):
+            return
+        hard = self._hard(motion, forces)
+        if soften and not (~hard).any():
+            return
+        rows[: len(motion), layout.a] = self._level.tasks.J[motion]
+        rows[len(motion) :, layout.h] = self._wrenches.C[forces]
+        right[: len(motion)] = wanted[motion]
+        right[len(motion) :] = self._wrenches.wanted[forces]
+        if before is not None:
+            right[~hard] = rows[~hard] @ before
+        if soften:
+            rows[hard], right[hard] = 0.0, 0.0
+        if before is not None:
+            # What follows from rows above is decided; solvers mind a row that says it again.
+            Q = np.linalg.qr(qp.A[:first].T)[0]
+            left = rows - (rows @ Q) @ Q.T
+            left[np.linalg.norm(left, axis=1) < DECIDED * np.abs(rows).max()] = 0.0
+            again = np.setdiff1d(np.arange(len(rows)), independent_rows(left))
+            rows[again], right[again] = 0.0, 0.0
+
+    def _hard(self, motion: Indices, forces: Indices) -> Mask:
+        """Which of the rows that must hold are those of hard tasks."""
+        hard = hard_rows(self._level)
+        return np.concatenate([hard[motion], self._wrenches.hard[forces]])
+
+
+def hard_rows(level: TaskDynamics) -> Mask:
+    """Which motion rows are those of hard tasks, shape (k,)."""
+    modes = [task.mode == "hard" for task in level.tasks.tasks]
+    return np.repeat(modes, level.tasks.sizes).astype(bool)
+
+
+def programs(
+    problem: ControlProblem,
+    layout: Layout,
+    level: TaskDynamics,
+    hands: HandWrenches,
+    wrenches: WrenchStack,
+    costs: Costs,
+) -> Sequence[Program]:
+    """The program of each level of priority, first to last; at least one."""
+    hard = hard_rows(level)
+    of_motion = np.repeat([task.priority for task in level.tasks.tasks], level.tasks.sizes)
+    levels = sorted({*of_motion[~hard].tolist(), *wrenches.priorities[~wrenches.hard].tolist()})
+    found = []
+    for number in levels or [0]:
+        own, must = [], []
+        for mine, ranks in ((hard, of_motion), (wrenches.hard, wrenches.priorities)):
+            own.append(np.flatnonzero(~mine & (ranks == number)))
+            must.append(np.flatnonzero(mine | (ranks < number)))
+        found.append(
+            Program(
+                problem, layout, level, hands, wrenches, costs,
+                (own[0], own[1]), (must[0], must[1]),
+            )
+        )  # fmt: skip
+    return found

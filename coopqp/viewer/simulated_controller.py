@@ -1,0 +1,157 @@
+"""One law with its plant, tick by tick, phase by phase; what is sent to it comes from people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from coopqp.assessment.thresholds import torn
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.controller import Command
+from coopqp.execution.controller_run import controller_of
+from coopqp.execution.guarded_plant import GuardedPlant
+from coopqp.execution.phase_run import PhaseRun, begin_phase
+from coopqp.execution.rollout import drive
+from coopqp.model.state import State
+from coopqp.online.arrivals import in_columns
+from coopqp.scenario.input import Arrival, Feed, Inputs, InputSettings
+from coopqp.scenario.scenario import Scenario
+from coopqp.task import TaskStack
+
+Hands = Mapping[str, list[float]]
+"""What people send, by the input's name; who feeds an input otherwise is not heard then."""
+
+
+class HandFeed:
+    """Who sends during a phase: people, or who feeds the scenario's inputs until they do."""
+
+    def __init__(
+        self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float, hands: Hands
+    ) -> None:
+        self.inputs, self._hands = inputs, hands
+        self._feed = Feed(settings, inputs, since)
+        self.arrived: list[Arrival] = []
+
+    def step(self, state: State) -> None:
+        """Let what has been sent arrive, for the tick of a state."""
+        known = self.inputs.channels
+        fed = [
+            (name, np.array(in_columns(known[name].kind, value)).tolist(), when)
+            for name, value, when in self._feed.arrivals(state.t)
+            if name not in self._hands
+        ]
+        sent = [(name, list(x), state.t) for name, x in self._hands.items() if name in known]
+        self.arrived = [*fed, *sent]
+        self.inputs.step(state, self.arrived)
+
+
+class SimulatedController:
+    """A law that is played.
+
+    Raises:
+        CoopqpError: the controller or the plant cannot be built.
+
+    Attributes:
+        run: the phase that is on. starts: where each phase but the first has begun.
+        command: of the last tick. us: time that it took [us].
+        torn: whether the hands were once too far apart for one object, or have lost it.
+        goals: error of each task to its goal, by the tasks' rows.
+    """
+
+    command: Command
+    run: PhaseRun
+    feed: HandFeed
+
+    def __init__(self, scenario: Scenario, name: str, hands: Hands) -> None:
+        self.name, self._hands, self.us = name, hands, 0.0
+        self.starts: list[Array] = []
+        self._ending = self.torn = False
+        self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
+
+    @property
+    def keeps_limits(self) -> bool:
+        """Whether the law promises to."""
+        return "limits" in self.run.controller.supports
+
+    @property
+    def state(self) -> State:
+        """That of the last tick."""
+        return self.run.state
+
+    @property
+    def followed(self) -> bool:
+        """Whether something has arrived at all inputs, and nothing is refused."""
+        channels = self.feed.inputs.channels.values()
+        return all(c.sent > -math.inf for c in channels) and not self.state.inputs.refused
+
+    @property
+    def t(self) -> float:
+        """Since the scenario began [s]."""
+        return self.run.since + self.state.t
+
+    def tick(self) -> None:
+        """Carry out what was decided, and decide anew."""
+        if self.run.over and not self.run.is_last:
+            self._end()
+            self.starts.append(self.run.q.copy())
+            self._enter(begin_phase(self.run.scenario, self.run.controller, self.run))
+        self.command, self.us = next(self._ticks)
+        self.run.ticks += 1
+        self.torn = self.torn or self._is_torn()
+
+    def _is_torn(self) -> bool:
+        """Whether the hands are too far apart for one object, or have lost it."""
+        held = self.plant.signals.get("held")
+        if held is not None:  # hands that press may move along the object
+            return self.run.ticks > 1 and not held[0] > 0.0
+        true = self.plant.truth(self.state)
+        return torn(true.loop_position_error, true.loop_orientation_error)
+
+    def turn(self, scenario: Scenario) -> None:
+        """Build the law anew for other gains and the like, and go on from where it is.
+
+        Raises:
+            CoopqpError: the law cannot be built for it.
+        """
+        run, other = self.run, scenario.held_by(self.name)
+        problem = other.problem(other.schedule[run.index], run.problem.chain)
+        law = run.controller.build(problem)
+        self._end()
+        self.run = replace(run, scenario=other, problem=problem, law=law)
+        self._start_driving()
+
+    def _enter(self, run: PhaseRun) -> None:
+        assert run.plant is not None  # no robot takes its place
+        self.run, self.plant = run, GuardedPlant(run.plant)
+        self.feed = HandFeed(run.scenario.inputs, run.inputs, run.since, self._hands)
+        self._start_driving()
+
+    def _start_driving(self) -> None:
+        run, chain = self.run, self.run.problem.chain
+        at_start = State(chain, run.state.q, run.state.t)
+        at_start.inputs = run.state.inputs
+        self.goals = TaskStack([task.at_goal() for task in run.problem.tasks], at_start)
+        self._ending = False
+        self._ticks: Iterator[tuple[Command, float]] = drive(
+            run.law, self.plant, run.state, iter(lambda: self._ending, True), self.feed
+        )
+
+    def _end(self) -> None:
+        """Let the plant carry out what was decided last."""
+        self._ending = True
+        next(self._ticks, None)
+
+    def targets(self) -> dict[str, Array]:
+        """What its inputs go to, by name, with what people have sent since the last tick."""
+        found = {}
+        for name, channel in self.feed.inputs.channels.items():
+            found[name] = channel.target.copy()
+            if name in self._hands:
+                with suppress(CoopqpError):  # what cannot be used is refused by the next tick
+                    found[name] = channel.kind.read(self._hands[name])
+        return found
