@@ -1,4 +1,4 @@
-"""What ``coopqp statistics`` prints; fits 80 columns."""
+"""What ``python -m tests.random_goals`` prints; fits 80 columns."""
 
 from __future__ import annotations
 
