@@ -67,6 +67,11 @@ class Variation(ABC):
         return tuple(value) if self.numbers else (value,)
 
 
+def as_written(number: float) -> float:
+    """Without the rounding of arithmetic: 0.35, where 0.3 + 0.05 is 0.35 and 4e-17 more."""
+    return float(f"{number:.15g}")
+
+
 @dataclass(frozen=True)
 class Interval:
     """Numbers between two.
@@ -84,6 +89,8 @@ class Interval:
 
     def at(self, u: float, levels: int) -> float:
         """The number at u; the nearest level where there are levels."""
+        if levels == 1:
+            return self.low
         if levels == 1:
             return self.low
         share = min(int(u * levels), levels - 1) / (levels - 1) if levels else u
@@ -107,6 +114,8 @@ class Box(Variation):
         found = [side.at(float(x), side.count) for side, x in zip(self.sides, u, strict=True)]
         if self.grows:
             found = [10.0**x for x in found]
+        sides = zip(found, self.sides, strict=True)
+        found = [as_written(x) if side.count and not side.whole else x for x, side in sides]
         return found if self.numbers else found[0]
 
     def levels(self, count: int) -> tuple[int, ...]:
