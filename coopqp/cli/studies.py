@@ -17,7 +17,9 @@ FORMATS = ("mcap", "rosbag2", "parquet")
 @click.command()
 @click.argument("trace", type=click.Path(path_type=Path))
 @click.option("--tick", type=int, help="Explain one tick, not the run.")
-@click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
+@click.option(
+    "--controller", help="Whose; the first that falls short if omitted, QP controllers first."
+)
 @click.option(
     "--save",
     type=WRITTEN,
@@ -42,7 +44,7 @@ def explain(
     from coopqp.report import files, table
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
-    from coopqp.study.trace_file import trace_from_file
+    from coopqp.study.trace_file import trace_from_file, worth_explaining
 
     if tick is not None or save:
         record = read_tick(trace, catalog, controller, tick)
@@ -52,9 +54,10 @@ def explain(
             say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
         return
     run, scenario = read_trace(trace, catalog)
-    known, own = run.controllers, scenario.controllers
-    solving = [name for name in known if name in own and own[name].uses_solver]
-    recorded = trace_from_file(run, scenario, controller or (solving or known)[0])
+    if controller:
+        recorded = trace_from_file(run, scenario, controller)
+    else:
+        recorded = worth_explaining(run, scenario)
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         found = explain_run(scenario, recorded, report)

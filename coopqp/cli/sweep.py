@@ -113,7 +113,7 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
     from coopqp.study.sweep.summary import summarize
 
     columns = Columns.of(folder)
-    summary = summarize(columns)
+    summary = summarize(columns, exact=study.exact)
     if as_json:
         click.echo(strict_json.text(table.as_json(study.name, summary)))
     else:
@@ -173,6 +173,7 @@ class _Drawn:
             return
         compact(self._study, self._folder)
         columns = Columns.of(self._folder)
-        write(self._study, columns, summarize(columns), self._folder)
+        summary = summarize(columns, exact=self._study.exact)
+        write(self._study, columns, summary, self._folder)
         took = time.monotonic() - begun
         self._next = time.monotonic() + max(self.EVERY, took / self.SHARE)

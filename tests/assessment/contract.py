@@ -14,7 +14,7 @@ from stress.trial import one_rollout
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
 from coopqp.assessment.thresholds import matters
-from coopqp.assessment.verdict import verdict
+from coopqp.assessment.verdict import MOST_NAMES, verdict
 from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import summarize
 from coopqp.execution.rollout import rollout
@@ -30,6 +30,8 @@ from coopqp.viewer.simulated_controller import SimulatedController
 
 ARRIVES = re.compile(r"(?i)\breaches the goal|gives way .* as .* was asked to")
 BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|loses the object)\b")
+#: Kinds of explanations that geometry has no part in.
+WITHOUT_LIMITS = ("lost", "input", "failed")
 #: Metrics that verdict and table read, where there is no scenario to measure all of them for.
 NO_METRICS = {"gap": {"position": 0.0, "orientation": 0.0}, "fallback_ticks": {}}
 
@@ -127,7 +129,10 @@ def _explained(
 ) -> dict[str, tuple[object, object]]:
     answer = explain_run(scenario, trace)
     there = answer.kind in ("reached", "broken", "open") and "no goal" not in answer.sentence
+    k = found.tasks.index(found.missed[0]) if found.missed else None
+    at = found.at_limits(k) if k is not None and answer.kind not in WITHOUT_LIMITS else ()
     return {
+        "explain, limits": (all(name in answer.sentence for name in at[:MOST_NAMES]), True),
         "explain, succeeds": (answer.kind == "reached", found.succeeds),
         "explain, words": ("every goal is reached" in answer.sentence, found.succeeds),
         "explain, reached": (there, found.reached),

@@ -253,6 +253,7 @@ class Check {
             rows_.pull_row(level, s, level.weight[i] * missed, tau, y_.g);
         }
         if (level.rows > level.exact) rows_.pull_object(tau, y_.g);
+        y_.push_held(moved_);
         y_.push_limits(nearest, G);
     }
 

@@ -19,7 +19,7 @@ from rich.text import Text
 from coopqp.base.errors import one_line
 from coopqp.study.sweep.paired import Difference
 from coopqp.study.sweep.study import Study
-from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.summary import ERROR, Line, Summary
 from coopqp.study.sweep.sweep import Progress as State
 
 MOST_NAMES, MOST_REASONS = 3, 5
@@ -29,16 +29,16 @@ EVERY = 30.0  # s between two lines
 def table(name: str, summary: Summary) -> Table:
     """One row a controller."""
     lines = [line.controller for line in summary.lines]
+    success = "success\n%" if summary.exact else "success\n%, 95 % interval"
     found = _framed(
         f"{name}: {summary.rows:,} rows",
         lines,
-        ("done,\ninvalid,\nfailed", "success\n%, 95 % interval", "reached\n%",
-         "error, median\n95 % (m, rad)"),
+        ("done,\ninvalid,\nfailed", success, "reached\n%", "error, median\n95 % (m, rad)"),
     )  # fmt: skip
     for heading in ("blocked by,\nhow often", "broken,\nhow often"):
         found.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
-        found.add_row(*_cells(line))
+        found.add_row(*_cells(line, exact=summary.exact))
     return found
 
 
@@ -46,15 +46,22 @@ def paired(summary: Summary) -> Table | None:
     """What differs from the reference on the same variants, one row a controller; None if alone."""
     if not summary.pairs:
         return None
+    exact, tested = summary.exact, "" if summary.exact else ", p; 95 % interval"
     found = _framed(
-        f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval",
+        f"less {summary.pairs[0].reference} on the same variants{tested}",
         [pair.controller for pair in summary.pairs],
         ("success, points", "error, median (m, rad)", "margin, median (m, rad)"),
     )
     for pair in summary.pairs:
         *errors, margin = pair.numbers.values()
-        cells = (points(pair.success.difference), "\n".join(map(difference, errors)))
-        found.add_row(Text(one_line(pair.controller), style="bold"), *cells, difference(margin))
+        told = [difference(error, exact=exact) for error in errors]
+        said = map(_of_task, pair.numbers, told)
+        found.add_row(
+            Text(one_line(pair.controller), style="bold"),
+            points(pair.success.difference, exact=exact),
+            Text("\n".join(said)),
+            difference(margin, exact=exact),
+        )
     return found
 
 
@@ -71,29 +78,40 @@ def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> 
     return found
 
 
-def points(found: Difference) -> str:
-    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants."""
-    return _two_lines(found, lambda x: f"{100.0 * x:+.1f}")
+def points(found: Difference, *, exact: bool) -> str:
+    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants.
+
+    Where nothing was drawn the first number alone.
+    """
+    return _two_lines(found, lambda x: f"{100.0 * x:+.1f}", exact=exact)
 
 
-def difference(found: Difference) -> str:
+def difference(found: Difference, *, exact: bool) -> str:
     """The same of a number."""
-    return _two_lines(found, lambda x: f"{x:+.2g}")
+    return _two_lines(found, lambda x: f"{x:+.2g}", exact=exact)
 
 
-def _two_lines(found: Difference, said: Callable[[float], str]) -> str:
+def _of_task(column: str, said: str) -> str:
+    """With the task's name, from that of its column of errors."""
+    return f"{one_line(column.removeprefix(ERROR))} {said}"
+
+
+def _two_lines(found: Difference, said: Callable[[float], str], *, exact: bool) -> str:
     """A dash where there is none."""
     if not found.of:
         return "-"
+    if exact:
+        return said(found.value)
     return f"{said(found.value)}, {found.chance}\n{said(found.low)} to {said(found.high)}"
 
 
-def _cells(line: Line) -> Iterator[Text]:
+def _cells(line: Line, *, exact: bool) -> Iterator[Text]:
     yield Text(one_line(line.controller), style="bold")
     yield Text(", ".join(f"{line.states.get(s, 0):,}" for s in ("done", "invalid", "failed")))
-    yield Text(line.success.percent(1))
+    yield Text(line.success.percent(1, exact=exact))
     yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
-    yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
+    errors = line.errors.items()
+    yield Text("\n".join(_of_task(of, f"{_number(a)} {_number(b)}") for of, (a, b) in errors))
     yield from (Text(named(counts)) for counts in (line.blocked_by, line.broken))
 
 

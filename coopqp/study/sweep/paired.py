@@ -34,12 +34,13 @@ class Share:
     low: float
     high: float
 
-    def percent(self, digits: int) -> str:
-        """Such as "93.1 90.2-95.4"; a dash where there was none."""
+    def percent(self, digits: int, *, exact: bool = False) -> str:
+        """Such as "93.1 90.2-95.4", without the interval if exact; a dash where there was none."""
         if not self.of:
             return "-"
         part, low, high = 100.0 * self.count / self.of, 100 * self.low, 100 * self.high
-        return f"{part:.{digits}f} {low:.{digits}f}-{high:.{digits}f}"
+        told = f"{part:.{digits}f}"
+        return told if exact else f"{told} {low:.{digits}f}-{high:.{digits}f}"
 
 
 def wilson(count: int, of: int) -> Share:

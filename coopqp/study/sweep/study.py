@@ -75,6 +75,12 @@ class Study:
         """One for each variant and controller."""
         return self.points.count * len(self.controllers)
 
+    @property
+    def exact(self) -> bool:
+        """Whether nothing is drawn: a grid without a disturbance is all there is, no sample."""
+        keys = {*self.scenario.data, *(one.location[0] for one in self.varied)}
+        return bool(self.points.levels) and "disturbance" not in keys
+
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of all that is varied."""
