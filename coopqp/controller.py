@@ -265,6 +265,8 @@ class Law(ABC):
         squeezer: who presses by measured forces; None where nobody does.
     """
 
+    rows_in_python: tuple[str, ...] = ()
+    """Tasks and limits of which Python fills rows that the kernel decides on."""
     engine: ClassVar[str | None] = None
     """What solves its QP: "kernel" or "python"; None for laws without one."""
     memory_sizes: Mapping[str, int] = {}

@@ -255,7 +255,7 @@ def evaluated(program: Sequence[Primitive], start: State) -> Fill:
         if p.kind in (Kind.POINT, Kind.RADIAL):
             place = PointInReference(p.point, p.reference, start.chain.n)
             seen.setdefault((id(p.reference), p.point), place)
-    moves = [*moving.values(), *goals.values()]
+    moves = [*goals.values(), *moving.values()]  # a reference may be a goal's place
     for move in moves:
         move.update(start)
     blocks, at = list[tuple[Fill, slice]](), 0

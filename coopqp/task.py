@@ -31,6 +31,14 @@ from coopqp.program import Primitive, evaluated
 from coopqp.signal import Instant
 
 Mode = Literal["soft", "hard", "scaled"]
+Level = tuple[int, int]
+"""Sorts tasks: a law that supports modes and priorities lets those of a later level give way."""
+
+
+def level_of(mode: Mode, priority: int) -> Level:
+    """Hard tasks come first, then scaled ones, then soft ones by their priority."""
+    rank = ("hard", "scaled", "soft").index(mode)
+    return rank, priority if mode == "soft" else 0
 
 
 @dataclass(frozen=True)
@@ -199,6 +207,11 @@ class Task(ABC):
         """How the reference goes from its start to the goal; None where it is there at once."""
         profile = getattr(self, "profile", None)
         return profile if isinstance(profile, Profile) else None
+
+    @property
+    def level(self) -> Level:
+        """Where it comes among all tasks."""
+        return level_of(self.mode, self.priority)
 
     @property
     def end(self) -> float:

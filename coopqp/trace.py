@@ -17,6 +17,7 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.signal import InputValues, Kind, Moment, Trajectory
 from coopqp.solver import Status
+from coopqp.task import Mode
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class TaskInfo:
         rows: of the trace, during which it counts; its error is NaN in the others.
         springs: of an impedance, which of the task's rows each is, its axis of the push, and its
             stiffness [N/m, N m/rad].
+        mode, priority: as the task says.
     """
 
     name: str
@@ -78,6 +80,8 @@ class TaskInfo:
     end: float
     rows: slice = field(default_factory=lambda: slice(None))
     springs: tuple[tuple[int, int, float], ...] = ()
+    mode: Mode = "soft"
+    priority: int = 0
 
 
 @dataclass(frozen=True)
@@ -221,9 +225,9 @@ def _margins(legs: Legs, name: str) -> dict[Row, Array]:
     }
 
 
-def _unaudited(legs: Legs, name: str) -> tuple[str, ...]:
+def _names(legs: Legs, name: str) -> tuple[str, ...]:
     """Of any phase."""
-    return tuple(dict.fromkeys(limit for _, leg in legs for limit in getattr(leg, name)))
+    return tuple(dict.fromkeys(found for _, leg in legs for found in getattr(leg, name)))
 
 
 def _starts(legs: Legs, name: str) -> dict[Row, float]:
@@ -329,6 +333,7 @@ class Trace:
         starts: the same before the first tick, at rest.
         unaudited: names of limits that do not say how far a run stayed away from them.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
+        rows_in_python: names of tasks and limits of which Python filled rows for the kernel.
         tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
@@ -378,7 +383,8 @@ class Trace:
     points: dict[str, Array] = field(metadata={"join": _points})
     supports: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
-    unaudited: tuple[str, ...] = field(metadata={"join": _unaudited}, default=())
+    unaudited: tuple[str, ...] = field(metadata={"join": _names}, default=())
+    rows_in_python: tuple[str, ...] = field(metadata={"join": _names}, default=())
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
     inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
@@ -391,6 +397,11 @@ class Trace:
     def keeps_limits(self) -> bool:
         """Whether its controller promises to keep the scenario's limits."""
         return "limits" in self.supports
+
+    @property
+    def orders_tasks(self) -> bool:
+        """Whether its controller lets tasks of later levels give way to those before."""
+        return {"modes", "priorities"} <= self.supports
 
     @property
     def ticks(self) -> int:

@@ -129,6 +129,8 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
     ("words", "message"),
     [
         (["explain", "/no/such"], "cannot be read"),
+        (["explain", "point_on_point"], "'coopqp compare point_on_point --out DIR' writes one"),
+        (["explain", "scenarios/my.yaml"], "is no recorded run; 'coopqp compare scenarios/my.yaml"),
         (["explain", "OUT", "--tick", "99"], "has no tick 99; it has 0 to 9"),
         (
             ["explain", "OUT", "--tick", "3", "--controller", "pseudoinverse"],
@@ -138,9 +140,10 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
         (["replay", "OUT/metrics.json"], "is not a tick saved by"),
         (["replay", "/no/such"], "cannot be read"),
         (["stress", "--rollouts", "0", "--help"], "are a test now: python -m tests.stress"),
+        (["statistics", "--goals", "9"], "are a test now: python -m tests.random_goals"),
     ],
 )
-def test_explain_replay_and_stress_refuse_in_words(
+def test_explain_replay_and_what_has_moved_refuse_in_words(
     written: Path, words: list[str], message: str
 ) -> None:
     result = typed(*[word.replace("OUT", str(written)) for word in words])

@@ -25,6 +25,7 @@ from coopqp.assessment.thresholds import (
 )
 from coopqp.base.spec import Array
 from coopqp.solver import Status, causes_of
+from coopqp.task import Level, Mode, level_of
 from coopqp.trace import Trace
 
 #: What a run can break that is no limit: the closed loops, the hold of an object, the plant.
@@ -48,6 +49,9 @@ class TaskEnd:
 
     Attributes:
         name, unit, tolerance: of it.
+        mode: of it; soft where the law supports none.
+        level: where it comes among all tasks; the same for all where the law supports none.
+        last: the last instant for which it counts.
         error: at its end [unit]; a force's largest of the last stretch.
         torn: whether no object was held any more before its end.
         oscillates: whether the goal is only passed through, or about.
@@ -56,6 +60,9 @@ class TaskEnd:
     name: str
     unit: str
     tolerance: float
+    mode: Mode
+    level: Level
+    last: int
     error: float
     torn: bool
     oscillates: bool
@@ -135,11 +142,15 @@ class Assessment:
         """How each task ended, in their order."""
         trace = self.trace
         lost = np.array([any(apart[: i + 1]) for apart, i in self._apart])
+        ordered = trace.orders_tasks
         return tuple(
             TaskEnd(
                 task.name,
                 task.unit,
                 task.tolerance,
+                task.mode if ordered else "soft",
+                level_of(task.mode, task.priority) if ordered else (0, 0),
+                trace.last_instants[k],
                 float(end_errors(trace, k).max()),
                 bool(lost[k]),
                 oscillates(trace, k),
@@ -160,8 +171,15 @@ class Assessment:
 
     @property
     def missed(self) -> tuple[TaskEnd, ...]:
-        """Tasks whose error ends outside its tolerance."""
-        return tuple(task for task in self.tasks if not task.arrives)
+        """Tasks whose error ends outside its tolerance: by phase, by level, the worst first."""
+        missed = (task for task in self.tasks if not task.arrives)
+        return tuple(sorted(missed, key=lambda task: (task.last, task.level, -task.share)))
+
+    @property
+    def gave_way(self) -> tuple[TaskEnd, ...]:
+        """Of these the ones that come after the first, in its phase."""
+        first, *others = self.missed or (None,)
+        return tuple(t for t in others if first and t.last == first.last and t.level > first.level)
 
     @property
     def succeeds(self) -> bool:
@@ -261,6 +279,12 @@ class Assessment:
         at = float(trace.t[k])
         return Acceleration(trace.joints[i], unit, value, at, float(allowed[i]))
 
+    @property
+    def acceleration_free(self) -> bool:
+        """Whether its controller would keep a limit of acceleration, and has none."""
+        rows = self.trace.margins
+        return self.trace.keeps_limits and not any(row.unit.endswith("/s2") for row in rows)
+
     @cached_property
     def saturated(self) -> dict[str, float]:
         """Share of the ticks in which motors were at their limits, by joint, the largest first."""
@@ -283,6 +307,15 @@ class Assessment:
         if self.oscillation:
             return "oscillating"
         return "at rest" if rests(self.trace.v[-1:]) else "moving"
+
+    @property
+    def fastest(self) -> tuple[str, float, str] | None:
+        """The joint that is fastest in the last tick, its speed and unit; None without ticks."""
+        trace = self.trace
+        if not trace.v.size:
+            return None
+        i = int(np.abs(trace.v[-1]).argmax())
+        return trace.joints[i], float(np.abs(trace.v[-1, i])), f"{trace.units[i]}/s"
 
     @property
     def failed(self) -> tuple[int, dict[str, int]]:

@@ -83,6 +83,7 @@ MODEL_OFF = Threshold(1e-3, "m", "Hands are so far from the model that the verdi
 MODEL_OFF_ANGLE = Threshold(5e-3, "rad", "The same.")
 CALIBRATE = Threshold(5e-3, "m", "Hands so far from the model ask for `coopqp calibrate`.")
 CALIBRATE_ANGLE = Threshold(20e-3, "rad", "The same.")
+RESOLUTION = Threshold(0.01, "share", "Figures of less than this of their threshold are left out.")
 
 #: All of them, by name.
 TABLE: Mapping[str, Threshold] = {
@@ -97,6 +98,11 @@ _BEYOND = {
 def within(error: float, tolerance: float) -> bool:
     """Whether an error counts as reached; one that is no number does not."""
     return bool(error <= tolerance)
+
+
+def resolved(value: float, threshold: float) -> bool:
+    """Whether a figure is worth telling beside its threshold; what is no number is."""
+    return not value <= RESOLUTION * threshold
 
 
 def matters(by: float, unit: str) -> bool:

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.assessment import Assessment
+from coopqp.assessment.assessment import Assessment, TaskEnd
 from coopqp.assessment.ends import pushed
 from coopqp.assessment.limits import Overrun, beyond
 from coopqp.assessment.thresholds import (
     CALIBRATE,
     CALIBRATE_ANGLE,
     FRICTION_LEFT,
+    LOOP_CLOSED,
+    LOOP_CLOSED_ANGLE,
     MODEL_OFF,
     MODEL_OFF_ANGLE,
     ON_EDGE,
@@ -21,6 +23,7 @@ from coopqp.assessment.thresholds import (
     SINGULAR,
     SLIPPED,
     matters,
+    resolved,
 )
 from coopqp.solver import Status
 from coopqp.trace import Trace
@@ -46,8 +49,8 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
         unseen: what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
-        *_broken(found.trace), _hold(found, metrics), _arrival(found), _limits(found, unseen),
-        _speed(found), _acceleration(found), _loop(found),
+        *_broken(found.trace), _hold(found, metrics), _arrival(found), _motion(found),
+        _limits(found, unseen), _speed(found), _acceleration(found), _loop(found),
         _gap(metrics), _motors(found), _oscillation(found), _ticks(found, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
@@ -64,13 +67,40 @@ def _arrival(found: Assessment) -> str:
     if not found.missed:
         torn = any(task.torn for task in found.tasks)
         return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
-    task = max(found.missed, key=lambda task: task.share)
+    task = found.missed[0]
     if np.isnan(task.error):
-        return f"loses '{task.name}': its error is no number"
+        return f"loses {_called(task)}: its error is no number"
     far = _far(task.error, task.unit)
     if task.oscillates:
-        return f"swings to the end up to {far} off the goal of '{task.name}'"
-    return f"ends {far} off the goal of '{task.name}'{_where(found, found.tasks.index(task))}"
+        return f"swings to the end up to {far} off the goal of {_called(task)}{_after(found)}"
+    where = _where(found, found.tasks.index(task))
+    return f"ends {far} off the goal of {_called(task)}{_after(found)}{where}"
+
+
+def _called(task: TaskEnd) -> str:
+    """What a sentence calls a task: with its mode where that puts it before others."""
+    name = f"'{task.name}'"
+    return name if task.mode == "soft" else f"{task.mode} task {name}"
+
+
+def _after(found: Assessment) -> str:
+    """How far those are off that come after the first that is missed."""
+    others = found.gave_way
+    if not others:
+        return ""
+    said = [f"{_far(task.error, task.unit)} off that of {_called(task)}" for task in others]
+    more = [f"that of {len(others) - MOST_NAMES} more"] if len(others) > MOST_NAMES else []
+    verb = "comes" if len(others) == 1 else "come"
+    return f" and {_listed([*said[:MOST_NAMES], *more])}, which {verb} after it"
+
+
+def _motion(found: Assessment) -> str:
+    """Of a run that has missed a place, that it is still on its way."""
+    places = [task for task in found.missed if not task.unit.endswith("/s")]
+    if not places or found.motion != "moving" or not found.fastest:
+        return ""
+    joint, speed, unit = found.fastest
+    return f"still moves when the run ends, {joint} at {_amount(speed, unit)}"
 
 
 def _far(error: float, unit: str) -> str:
@@ -103,10 +133,13 @@ def _where(found: Assessment, k: int) -> str:
     if found.trace.leverage[k] < SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)
-    if not names:
-        return ""
+    return f", with {listed_limits(names)} at the limit" if names else ""
+
+
+def listed_limits(names: Sequence[str]) -> str:
+    """The first of the limits at which a run ends, and how many more there are."""
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f", with {_listed(names[:MOST_NAMES])}{more} at the limit"
+    return f"{_listed(names[:MOST_NAMES])}{more}"
 
 
 def _limits(found: Assessment, unseen: Sequence[str]) -> str:
@@ -196,9 +229,10 @@ def _acceleration(found: Assessment) -> str:
     if worst is None or not worst.exceeds:
         return ""
     share = _round(worst.value / worst.allowed)
+    cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (
         f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {share} times what the "
-        "loop for robots allows"
+        f"loop for robots allows{cure}"
     )
 
 
@@ -211,18 +245,24 @@ def _loop(found: Assessment) -> str:
 def loop_words(found: Assessment) -> str:
     """How far the loops were open at most."""
     position, orientation = found.loop
-    return f"{_round(1e3 * position)} mm and {_round(np.degrees(orientation))} degrees"
+    sizes = []
+    if resolved(position, LOOP_CLOSED):
+        sizes.append(f"{_round(1e3 * position)} mm")
+    if resolved(orientation, LOOP_CLOSED_ANGLE):
+        sizes.append(f"{_round(np.degrees(orientation))} degrees")
+    return _listed(sizes)
 
 
 def _gap(metrics: Mapping[str, Any]) -> str:
     position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
     if position <= MODEL_OFF and orientation <= MODEL_OFF_ANGLE:
         return ""
+    apart = [f"{_round(1e3 * position)} mm"] if resolved(position, MODEL_OFF) else []
+    if resolved(orientation, MODEL_OFF_ANGLE):
+        apart.append(f"{_round(1e3 * orientation)} mrad")
     off = position > CALIBRATE or orientation > CALIBRATE_ANGLE
-    return (
-        f"the hands are {_round(1e3 * position)} mm and {_round(1e3 * orientation)} mrad apart "
-        f"from what the model says{': calibrate' if off else ''}"
-    )
+    cure = ": calibrate" if off else ""
+    return f"the hands are {_listed(apart)} apart from what the model says{cure}"
 
 
 def _motors(found: Assessment) -> str:

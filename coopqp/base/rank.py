@@ -35,11 +35,10 @@ def null_space(matrix: Array) -> Array:
     return basis
 
 
-def directions(rows: Array, least: float) -> tuple[Array, Array, Array]:
-    """Singular values above ``least``, orthonormal directions that have these, and all others."""
+def directions(rows: Array) -> tuple[Array, Array]:
+    """Singular values, those that are none as zeros, and orthonormal directions that have them."""
     _, values, Vt = np.linalg.svd(rows)
-    rank = int(np.count_nonzero(values > least))
-    return values[:rank], Vt[:rank], Vt[rank:]
+    return np.concatenate([values, np.zeros(len(Vt) - len(values))]), Vt
 
 
 def independent_rows(matrix: Array, most: int | None = None) -> list[int]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from coopqp.base.errors import one_line
+from coopqp.base.errors import CoopqpError, one_line
 
 SCENARIO = click.argument("scenario")
 
@@ -118,6 +118,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
     """A recorded run, from its own or its folder's path, and its scenario."""
     from coopqp.recordings.known import format_of, read, trace_in
 
+    _refuse_other(trace)
     path = trace_in(trace)
     run = read(path)  # before the scenario, so that a missing trace is named first
     if format_of(path).cut_short(path):
@@ -126,6 +127,19 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
     loaded = format_of(path).scenario(path, catalog)
     _warn(loaded)
     return run, loaded
+
+
+def _refuse_other(path: Path) -> None:
+    """Refuse what runs come from, a scenario or a study, with what is to be given instead."""
+    from coopqp.scenario.loader import shipped
+    from coopqp.study.sweep.journal import PATTERN
+
+    if path.is_dir() and any(path.glob(PATTERN)):
+        words = f"holds a study; 'coopqp sweep {path} --show ROW' runs one of its rows"
+        raise CoopqpError(f"'{path}' {words}, in {path / 'rows' / 'ROW'}")
+    if path.suffix in (".yaml", ".yml") or (str(path) in shipped() and not path.exists()):
+        words = f"is no recorded run; 'coopqp compare {path} --out DIR' writes one, in DIR"
+        raise CoopqpError(f"'{path}' {words}")
 
 
 def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:

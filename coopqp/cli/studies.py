@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,9 @@ FORMATS = ("mcap", "rosbag2", "parquet")
 @click.command()
 @click.argument("trace", type=click.Path(path_type=Path))
 @click.option("--tick", type=int, help="Explain one tick, not the run.")
-@click.option("--controller", help="Whose; the first QP controller of the trace if omitted.")
+@click.option(
+    "--controller", help="Whose; the first that falls short if omitted, QP controllers first."
+)
 @click.option(
     "--save",
     type=WRITTEN,
@@ -55,7 +55,7 @@ def explain(
     from coopqp.report import files, table
     from coopqp.report.terminal import progress_bars
     from coopqp.study.explanation import explain_run
-    from coopqp.study.trace_file import trace_from_file
+    from coopqp.study.trace_file import trace_from_file, worth_explaining
 
     if tick is not None or save:
         record = read_tick(trace, catalog, controller, tick)
@@ -65,9 +65,10 @@ def explain(
             say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
         return
     run, scenario = read_trace(trace, catalog)
-    known, own = run.controllers, scenario.controllers
-    solving = [name for name in known if name in own and own[name].uses_solver]
-    recorded = trace_from_file(run, scenario, controller or (solving or known)[0])
+    if controller:
+        recorded = trace_from_file(run, scenario, controller)
+    else:
+        recorded = worth_explaining(run, scenario)
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
         explained = explain_run(scenario, recorded, report)
@@ -176,66 +177,24 @@ def replay(
     console().print(table.replay(record, answers))
 
 
-@click.command(
-    hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
-)
-@click.argument("words", nargs=-1, type=click.UNPROCESSED)
-def stress(words: tuple[str, ...]) -> None:
-    """Say where the random rollouts have gone."""
-    raise CoopqpError(
-        "the random rollouts are a test now: python -m tests.stress, with the same options, "
-        "in a checkout of coopqp (docs/stress.md)"
+def _moved(name: str, what: str, module: str) -> click.Command:
+    """A removed command that says what has replaced it."""
+
+    @click.command(
+        name, hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
     )
+    @click.argument("words", nargs=-1, type=click.UNPROCESSED)
+    def command(words: tuple[str, ...]) -> None:
+        raise CoopqpError(
+            f"the random {what} are a test now: python -m tests.{module}, with the same options, "
+            f"in a checkout of coopqp (docs/{name}.md)"
+        )
+
+    return command
 
 
-@click.command()
-@click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
-@click.option("--out", type=WRITTEN, help="File that keeps each goal; goes on from what it has.")
-@engined
-@JSON
-def statistics(goals: int, seed: int, out: Path | None, engine: Any, as_json: bool) -> None:
-    """Count how often each law reaches random goals inside all limits."""
-    from dataclasses import asdict
-
-    from coopqp.report import strict_json
-    from coopqp.report.terminal import console, progress_bars
-    from coopqp.study import statistics as study
-
-    bars = progress_bars(["goals"], goals * len(study.arenas()))
-    with _kept_goals(out) as (known, keep), bars as progress:
-        report = (lambda done: progress("goals", done)) if progress else None
-        where: Any = {"seed": seed, "engine": engine, "progress": report}
-        done = study.statistics(goals, **where, known=known, keep=keep)
-    lines = study.summarize(done)
-    if as_json:
-        data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
-        click.echo(strict_json.text(data))
-        return
-    for table in study.tables(lines):
-        console().print(table, "")
-
-
-@contextmanager
-def _kept_goals(path: Path | None) -> Iterator[tuple[list[Any], Callable[[Any], None] | None]]:
-    """Goals that a file has, and a function that appends others as they are done."""
-    from dataclasses import asdict
-
-    from coopqp import __version__
-    from coopqp.study.statistics import kept
-    from coopqp.study.sweep.journal import Journal, head_of, records
-
-    if path is None:
-        yield [], None
-        return
-    head = {"statistics": __version__}
-    before = head_of(path) if path.exists() else None
-    if before is not None and before.get("statistics") != __version__:
-        words = "has no goals of this version of coopqp; give another --out"
-        raise CoopqpError(f"'{path}' {words}")
-    with Journal.opened(path, head) as journal:
-        known = [kept(record["goal"]) for _, record in records(path) if record]
-        yield known, lambda goal: journal.append([(None, {"goal": asdict(goal)})])
+stress = _moved("stress", "rollouts", "stress")
+statistics = _moved("statistics", "goals", "random_goals")
 
 
 @click.command()
@@ -330,7 +289,7 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
     from coopqp.study.sweep.summary import summarize
 
     columns = Columns.of(folder)
-    summary = summarize(columns)
+    summary = summarize(columns, exact=study.exact)
     if as_json:
         click.echo(strict_json.text(table.as_json(study.name, summary)))
     else:
@@ -384,6 +343,7 @@ class _LivePage:
             return
         compact(self._study, self._folder)
         columns = Columns.of(self._folder)
-        write(self._study, columns, summarize(columns), self._folder)
+        summary = summarize(columns, exact=self._study.exact)
+        write(self._study, columns, summary, self._folder)
         took = time.monotonic() - begun
         self._next = time.monotonic() + max(self.EVERY, took / self.SHARE)

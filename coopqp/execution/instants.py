@@ -205,7 +205,10 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
         for part in task.parts(chain):
             name = f"{task.name}.{part.name}" if part.name else task.name
             springs = _springs(task)[at - first : at - first + part.rows]
-            info = TaskInfo(name, part.unit, part.tolerance, task.end, springs=springs)
+            info = TaskInfo(
+                name, part.unit, part.tolerance, task.end,
+                springs=springs, mode=task.mode, priority=task.priority,
+            )  # fmt: skip
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found

@@ -297,6 +297,7 @@ class _Recorder:
             starts=self._starts(),
             unaudited=self._unaudited(),
             compiled=self.compiled,
+            rows_in_python=self._law.rows_in_python,
             tick_us=self.tick_us,
             points=seen.points,
             supports=supports,

@@ -60,6 +60,7 @@ class Compiled:
     Attributes:
         engine: of the compiled module.
         alone: whether nothing is Python's but the signals that tasks follow.
+        rows_in_python: names of tasks and limits that Python fills.
         follows: whether there are such signals, beside the places that inputs give.
         outcome: of the last tick, one of :class:`Outcome`.
     """
@@ -77,6 +78,7 @@ class Compiled:
         chain, filled = problem.chain, limits.filled
         self._levels = levels = Levels(groups, programs)
         self.alone = levels.compiled and limits.compiled
+        self.rows_in_python = (*levels.in_python, *limits.in_python)
         self.outcome = int(Outcome.BUSY)
         found = native.module()
         assert found is not None  # whoever builds this has asked coopqp.kernel.law.why_not

@@ -82,6 +82,7 @@ class KernelLaw(Law):
         self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
+        self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
         self._alone_at_all = self.whole.alone and squeezer is None
         self._runs = self._alone_at_all and not self.whole.follows

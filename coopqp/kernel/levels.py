@@ -104,6 +104,11 @@ class Levels:
         """Whether no rows are Python's."""
         return not self.filled
 
+    @property
+    def in_python(self) -> tuple[str, ...]:
+        """Names of the tasks whose rows are."""
+        return tuple(task.name for filled in self.filled for task in filled.stack.tasks)
+
     def follow(self, state: State) -> None:
         """Move the references that follow signals; kinematics need not be up to date."""
         state.lock()

@@ -55,6 +55,12 @@ class Limits:
             self.rows += len(self.filled.rows)
 
     @property
+    def in_python(self) -> tuple[str, ...]:
+        """What limits are called whose rows are Python's."""
+        rows = self.filled.rows if self.filled else ()
+        return tuple(dict.fromkeys(row.owner for row in rows))
+
+    @property
     def compiled(self) -> bool:
         """Whether nothing is Python's."""
         return self.filled is None and self.q_measured is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from coopqp.base.spec import spec
@@ -11,11 +13,15 @@ from coopqp.trace import Trace
 
 @spec
 class Engine(Metric):
-    """What solved the QPs, and how many ticks the kernel left to Python; null without a QP."""
+    """What solved the QPs, and what the kernel left to Python: ticks, and rows of tasks and limits.
 
-    def measure(self, trace: Trace) -> dict[str, str | int] | None:
+    Null without a QP.
+    """
+
+    def measure(self, trace: Trace) -> dict[str, Any] | None:
         """Over the whole run."""
         if trace.engine is None:
             return None
         left = trace.ticks - int(np.count_nonzero(trace.compiled))
-        return {"name": trace.engine, "ticks_in_python": left}
+        rows = list(trace.rows_in_python)
+        return {"name": trace.engine, "ticks_in_python": left, "rows_in_python": rows}

@@ -172,16 +172,12 @@ class PlaceOf(Trajectory):
     """The place of a pose, as the origin of a reference.
 
     Args:
-        pose: of which it is a part.
+        pose: of which it is a part; whoever follows it has moved it before.
     """
 
     def __init__(self, pose: Trajectory) -> None:
-        self.kind, self._pose, self.moves = POINT, pose, pose.moves
+        self.kind, self.moves = POINT, pose.moves
         self.value, self.rate = pose.value[:3], pose.rate[:3]
-
-    def update(self, at: Instant) -> None:
-        """Let the pose go to where it is then."""
-        self._pose.update(at)
 
 
 def _one_motion(

@@ -111,7 +111,7 @@ class Level(Program):
 class Step:
     """The best step from a motion v that is inside the limits, in given directions Z.
 
-        minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2
+        minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2 + sum_k held_k z_k^2
         subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
 
     z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
@@ -127,7 +127,7 @@ class Step:
         self.tasks, self.curvature = tasks, given.damping.least
         self.v, self.slope = np.zeros((2, given.problem.chain.n))
 
-    def step(self, v: Array, Z: Array, d: float) -> Status:
+    def step(self, v: Array, Z: Array, d: float, held: Array | float = 0.0) -> Status:
         """Find it; keep v where that fails. The rows of Z are orthonormal."""
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
@@ -136,7 +136,7 @@ class Step:
         qp, solution, program.curvature = program.qp, program.solution, d
         JW, seen = tasks.J.T * tasks.weights, Z.T
         np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
-        qp.P.flat[:: len(Z) + 1] += d
+        qp.P.flat[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
         rows, whole, slack = seen, np.ones(n), bounds.ub - v
         if len(bounds.G):

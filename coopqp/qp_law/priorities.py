@@ -7,7 +7,11 @@ Level 0 decides v_0. What its tasks and the loops see of it is fixed for the lev
 so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z comes from singular
 value decompositions, which mind no redundant rows: of the loops, which no later level may ever
 open, then of what the tasks add to them. Where that is next to nothing, as at a singular pose, its
-direction is noise, which would freeze another motion in each tick.
+direction is noise, which would freeze another motion in each tick. Such a direction is given up
+gradually: what a level moves of it costs MOST_DAMPING (sigma / NOISE)^6. With a threshold alone
+arms that lie stretched would turn back in each tick, pushed out by this level and pulled in by
+those before it. The power is high because rows may lack MET, which along the direction is
+MET / sigma: the smaller sigma is, the less the levels before have to say.
 
 The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
 values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
@@ -37,7 +41,9 @@ from coopqp.solver import Status
 from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
-NOISE = 1e-6  # singular values of task rows up to this ask for nothing [m/rad, 1]
+#: Singular values of task rows up to the first ask for nothing, from there to the second in part
+#: [m/rad, 1].
+IDLE, NOISE = 1e-8, 1e-6
 
 
 class Order:
@@ -140,8 +146,10 @@ class LaterLevel(Step):
         decided = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(decided).all():
             return v, Status.INACCURATE
-        sizes, seen, rest = directions(decided.dot(loops.T), NOISE)
-        found = self.step(v, rest.dot(loops), d)
-        y = np.abs(seen.dot(loops.dot(self.slope)))
-        pull[0] = held_pull(float(y.dot(self._lever / sizes)), pull[0])
+        sizes, ways = directions(decided.dot(loops.T))
+        rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
+        held = MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
+        found = self.step(v, ways[rank:], d, held)
+        y = np.append(ways[:rank].dot(self.slope), held * ways[rank:].dot(self.v - v))
+        pull[0] = held_pull(float(np.abs(y).dot(self._lever / np.maximum(sizes, IDLE))), pull[0])
         return v + self.share * (self.v - v), found

@@ -17,8 +17,9 @@ from coopqp.execution.comparison import Comparison
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
+NBSP = "\N{NO-BREAK SPACE}"
 MOST_LINES = 4  # task errors in one cell
-LANGUAGES = ("C++", "Python")  # that ticks run in
+LANGUAGES = ("C++", f"C++ +{NBSP}Python rows", "Python")  # that ticks run in
 
 
 @dataclass(frozen=True)
@@ -35,13 +36,16 @@ COLUMNS = {
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
     "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit."),
     "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
-    "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows."),
+    "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows: "
+                           "from rest to full speed in 0.2 s, else 10 rad/s2. A joint_acceleration "
+                           "in limits keeps it down."),
     "margin": Column("Least margin", "", "Least distance of a joint to its limit; < 0 beyond."),
     "loop": Column("Loop error", "mm, mrad", "How far apart two arms carry the object, at worst."),
     "motors": Column("Motors", "saturated", "Share of the ticks in which one is at its limit."),
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "From reading the joints to the verified command, and in "
-                   "which language: C++ and Python are no measure of each other."),
+                   "which language: C++ and Python are no measure of each other. Python rows: the "
+                   "kernel decides, Python fills rows of limits or tasks, as of self_collision."),
 }  # fmt: skip
 
 
@@ -72,7 +76,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         "acceleration": _acceleration(found),
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
         "loop": Cell(
-            (f"{apart[0]} mm", f"{apart[1]} mrad"),
+            (f"{apart[0]}{NBSP}mm", f"{apart[1]}{NBSP}mrad"),
             None if found.held is False else not found.loop_closed,
         ),
         "motors": _motors(found),
@@ -84,7 +88,8 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
 def tick_times_in(trace: Trace) -> dict[str, Array]:
     """Times of the ticks [us] by the language that they ran in; empty where some were not timed."""
     us, compiled = trace.tick_us, trace.compiled
-    times = dict(zip(LANGUAGES, (us[compiled], us[~compiled]), strict=True))
+    alone, with_rows, python = LANGUAGES
+    times = {with_rows if trace.rows_in_python else alone: us[compiled], python: us[~compiled]}
     return {k: of for k, of in times.items() if len(of)} if np.isfinite(us).all() else {}
 
 
@@ -94,9 +99,8 @@ def _tick(trace: Trace) -> Cell:
     if not times:
         return Cell(("-",))
     (language, us), *others = times
-    return Cell(
-        (f"{np.median(us):.0f}", language, *(f"{len(of)} in {other}" for other, of in others))
-    )
+    more = (f"{len(of)} in {other}" for other, of in others)
+    return Cell((f"{np.median(us):.0f}", *language.split(" ", 1), *more))
 
 
 def _solvers(comparison: Comparison) -> str:
@@ -124,7 +128,7 @@ def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
     lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)
-        lines.append(f"{found.row.owner}: {number(value)}\N{NO-BREAK SPACE}{of}")
+        lines.append(f"{found.row.owner}: {number(value)}{NBSP}{of}")
     bad = any(found.farther for found in (*assessed.joints, *others))
     outside = bool((beyond(assessed.trace)[0] > OUTSIDE).any())
     return Cell(tuple(lines), None if (outside or others) and not bad else bad)
@@ -136,7 +140,7 @@ def _acceleration(found: Assessment) -> Cell:
     if worst is None:
         return Cell(("-",))
     times = f"{number(worst.value / worst.allowed)} x allowed"
-    return Cell((_quantity(worst.value, worst.unit), times), worst.exceeds)
+    return Cell((f"{number(worst.value)}{NBSP}{worst.unit}", times), worst.exceeds)
 
 
 def _motors(found: Assessment) -> Cell:
@@ -214,7 +218,7 @@ def _task_error(found: Assessment) -> Cell:
     for task in ends:
         value, unit = length(task.error, task.unit)
         name = f"{task.name}: " if len(found.tasks) > 1 else ""
-        lines.append(f"{name}{number(value)}\N{NO-BREAK SPACE}{unit}")
+        lines.append(f"{name}{number(value)}{NBSP}{unit}")
     return Cell(tuple(lines), bool(found.missed))
 
 

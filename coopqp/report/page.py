@@ -13,7 +13,9 @@ from plotly.offline import get_plotlyjs
 
 from coopqp import __version__
 from coopqp.assessment.ends import FORCES
+from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED, SPEED_UP
 from coopqp.execution.comparison import Comparison
+from coopqp.limits import JointAcceleration
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts, plugin_name
 from coopqp.report.curves import Figure
@@ -23,7 +25,8 @@ from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
-WRAPPING = ("task_error", "limit", "speed", "margin", "motors")  # columns that may get narrow
+#: Columns that may get narrow, so that the verdict does not.
+WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
 
 def render(comparison: Comparison) -> str:
@@ -161,11 +164,28 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
         "to stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
+    yield _of_motors(comparison)
     of_forces = list(_forces(comparison))
     yield from of_forces
     laws = [plugin_name(law) for law in comparison.scenario.controllers.values()]
     if not of_forces or any("pseudoinverse" in law for law in laws):
         yield from _laws(comparison)
+
+
+def _of_motors(comparison: Comparison) -> str:
+    """What the acceleration and the time of a tick are beside."""
+    cure = (
+        "the scenario's joint_acceleration bounds it"
+        if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
+        else "joint_acceleration in the scenario's limits bounds it here as well"
+    )
+    return (
+        "The acceleration is how fast the speed of a joint changes from one tick to the next. "
+        "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "
+        f"speed in {SPEED_UP:g} s, or {ACCELERATION_UNLIMITED:g} rad/s2 without a speed limit; "
+        f"{cure}. The time of a tick has to stay below the control period, "
+        f"{1e3 * comparison.scenario.dt:g} ms."
+    )
 
 
 def _forces(comparison: Comparison) -> Iterator[str]:

@@ -57,11 +57,12 @@ def notes(
     *,
     steered: bool = False,
 ) -> list[str]:
-    """One sentence for each part of the scenario that not every controller reads.
+    """One sentence for parts of the scenario that the same controllers do not read.
 
-    After it come that the kernel is not built, what limits cannot bound, pads that reach beyond
-    the object, hands that are far from it, a freedom that rounded values hide, what a tick is too
-    long for, and goals that are far.
+    Before it come goals that are far, which make all else worthless; after it priorities without
+    effect, that the kernel is not built, what limits cannot bound, pads that reach beyond the
+    object, hands that are far from it, a freedom that rounded values hide, and what a tick is too
+    long for.
 
     Args:
         scenario: what is to be run.
@@ -69,28 +70,46 @@ def notes(
         steered: whether people send to inputs that nothing feeds.
     """
     chosen = scenario.controllers if controllers is None else controllers
-    deaf_to = [
-        f"{what} no effect on {' and '.join(deaf)}"
-        for part, what in _stated(scenario)
-        if (deaf := [name for name, c in chosen.items() if part not in c.supports])
-    ]
     hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
-        *deaf_to,
+        *_far_goals(scenario),
+        *_far_inputs(scenario),
+        *_unheeded(scenario, chosen),
+        *_idle_priorities(scenario),
         *_without_kernel(chosen),
         *of_limits,
         *contact_notes(scenario.chain),
         *_far_hands(scenario.chain),
         *([hidden.words()] if hidden else []),
         *_coarse_steps(scenario),
-        *_far_goals(scenario),
-        *_far_inputs(scenario),
         *_of_inputs(scenario, steered=steered),
         *_of_forces(scenario, chosen),
         *_of_springs(scenario, chosen),
         *_of_friction(scenario),
     ]
+
+
+def _unheeded(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
+    """A sentence for all parts that the same controllers do not read."""
+    parts: dict[tuple[str, ...], list[str]] = {}
+    for part, what in _stated(scenario):
+        deaf = tuple(name for name, c in chosen.items() if part not in c.supports)
+        parts.setdefault(deaf, []).append(what)
+    for deaf, unread in parts.items():
+        if deaf:
+            yield f"no effect on {' and '.join(deaf)}: {', '.join(unread)}"
+
+
+def _idle_priorities(scenario: Scenario) -> Iterator[str]:
+    """Priorities of tasks that come before all that have one."""
+    for phase in scenario.schedule:
+        for task in phase.tasks:
+            if task.mode != "soft" and task.priority:
+                yield (
+                    f"priority: {task.priority} of '{task.name}' has no effect: {task.mode} tasks "
+                    "come before all soft ones, which alone have priorities"
+                )
 
 
 def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
@@ -188,17 +207,17 @@ def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """The parts that this scenario has beyond what every scenario has."""
     tasks = [task for phase in scenario.schedule for task in phase.tasks]
     if scenario.limits != USUAL_LIMITS:
-        yield "limits", "the limits have"
+        yield "limits", "the limits"
     if any(task.mode != "soft" for task in tasks):
-        yield "modes", "that tasks are hard or scaled has"
+        yield "modes", "that tasks are hard or scaled"
     if any(task.priority for task in tasks):
-        yield "priorities", "the priorities of tasks have"
+        yield "priorities", "the priorities of tasks"
     if any(task.of_forces for task in tasks):
-        yield "forces", "the forces that are asked for have"
+        yield "forces", "the forces that are asked for"
     if scenario.secondary:
-        yield "secondary", "the secondary objectives have"
+        yield "secondary", "the secondary objectives"
     if scenario.on_infeasible != "scale":
-        yield "on_infeasible", "on_infeasible has"
+        yield "on_infeasible", "on_infeasible"
 
 
 def _far_hands(chain: ClosedChain) -> Iterator[str]:
@@ -226,10 +245,7 @@ def _far_goals(scenario: Scenario) -> Iterator[str]:
             marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
             if far > FAR * chain.reach:
-                yield (
-                    f"the goal of '{task.name}' is {far:.3g} m from where the object starts, but "
-                    f"the arms reach {chain.reach:.2g} m; lengths are metres"
-                )
+                yield _far(f"the goal of '{task.name}' is", far, chain.reach)
 
 
 def _far_inputs(scenario: Scenario) -> Iterator[str]:
@@ -241,10 +257,14 @@ def _far_inputs(scenario: Scenario) -> Iterator[str]:
         places = _sent(scenario.inputs[name], kind, scenario.duration)
         far = max((float(np.linalg.norm(p - chain.start_position)) for p in places), default=0.0)
         if far > FAR * chain.reach:
-            yield (
-                f"the input '{name}' is sent a place {far:.3g} m from where the object starts, but "
-                f"the arms reach {chain.reach:.2g} m; lengths are metres"
-            )
+            yield _far(f"the input '{name}' is sent a place", far, chain.reach)
+
+
+def _far(what: str, far: float, reach: float) -> str:
+    """How far off a place is, and what it might be meant as [m]."""
+    said = f"{what} {far:.3g} m from where the object starts, but the arms reach {reach:.2g} m"
+    meant = ": are these millimetres?" if 1e-3 * far <= FAR * reach else ""
+    return f"{said}; lengths are metres{meant}"
 
 
 def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Array]:

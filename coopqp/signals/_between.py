@@ -30,18 +30,15 @@ class Pieces:
 
     def __init__(self, t: Array, coefficients: Array) -> None:
         self._t, self._c = t.tolist(), np.ascontiguousarray(coefficients.swapaxes(0, 1))
+        self._exponents = np.arange(len(coefficients) - 1.0, -1.0, -1.0)
+        self._c_dot = self._c[:, :-1] * self._exponents[:-1, None]
 
     def at(self, t: float, value: Array, rate: Array) -> None:
         """Write value and rate at a time within the segments, shapes (k,)."""
         i = min(max(bisect_right(self._t, t) - 1, 0), len(self._c) - 1)
-        x = t - self._t[i]
-        value[:] = 0.0
-        rate[:] = 0.0
-        for c in self._c[i]:
-            np.multiply(rate, x, rate)
-            np.add(rate, value, rate)
-            np.multiply(value, x, value)
-            np.add(value, c, value)
+        powers = (t - self._t[i]) ** self._exponents
+        powers.dot(self._c[i], value)
+        powers[1:].dot(self._c_dot[i], rate)
 
 
 def pieces(t: Array, values: Array, between: Between, *, round_trip: bool) -> Pieces:

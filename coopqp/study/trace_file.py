@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
 from coopqp.base.reading import absolute
@@ -85,6 +86,23 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     return replace(trace, inputs=inputs, signals=signals)
 
 
+def worth_explaining(run: Run, scenario: Scenario) -> Trace:
+    """The run of the first controller that falls short, those that solve QPs before others.
+
+    Where all succeed, the first of them.
+
+    Raises:
+        CoopqpError: as :func:`trace_from_file`.
+    """
+    own = scenario.controllers
+    names = sorted(run.controllers, key=lambda name: not (name in own and own[name].uses_solver))
+    for name in names:
+        trace = trace_from_file(run, scenario, name)
+        if not assess(trace).succeeds:
+            return trace
+    return trace_from_file(run, scenario, names[0])
+
+
 def _phase(
     run: Run, scenario: Scenario, phase: Phase, problem: ControlProblem, supports: Features
 ) -> Trace:
@@ -94,7 +112,14 @@ def _phase(
     q, v = run.joints("q", joints), told.joints("v", joints)
     loop = run.numbers(["loop_position", "loop_orientation"], empty=True)
     tasks = tuple(
-        TaskInfo(part.name, part.part.unit, part.part.tolerance, part.task.end)
+        TaskInfo(
+            part.name,
+            part.part.unit,
+            part.part.tolerance,
+            part.task.end,
+            mode=part.task.mode,
+            priority=part.task.priority,
+        )
         for part in parts_of(phase.tasks, chain)
     )
     causes = [causes_of(word)[0] for word in told.columns["status"]]

@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+from random_goals.trial import _judge
 from stress.draw import DAQP, LAW, draw
 from stress.trial import one_rollout
 
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.ends import FORCES
 from coopqp.assessment.thresholds import matters
-from coopqp.assessment.verdict import verdict
+from coopqp.assessment.verdict import MOST_NAMES, verdict
 from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import summarize
 from coopqp.execution.rollout import rollout
@@ -22,7 +23,6 @@ from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
-from coopqp.study.statistics.trial import _judge
 from coopqp.study.sweep import variant
 from coopqp.trace import Trace
 from coopqp.viewer.picture import drawn
@@ -30,6 +30,8 @@ from coopqp.viewer.simulated_controller import SimulatedController
 
 ARRIVES = re.compile(r"(?i)\breaches the goal|gives way .* as .* was asked to")
 BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|loses the object)\b")
+#: Kinds of explanations that geometry has no part in.
+WITHOUT_LIMITS = ("lost", "input", "failed")
 #: Metrics that verdict and table read, where there is no scenario to measure all of them for.
 NO_METRICS = {"gap": {"position": 0.0, "orientation": 0.0}, "fallback_ticks": {}}
 
@@ -113,12 +115,12 @@ def _judged(
     problem: ControlProblem, trace: Trace, found: Assessment
 ) -> dict[str, tuple[object, object]]:
     if len(trace.tasks) != sum(len(task.parts(problem.chain)) for task in problem.tasks):
-        return {}  # phases and forces, of which there are no statistics
+        return {}  # phases and forces, which no random goal has
     judged = _judge(trace.controller, trace, problem)
     return {
-        "statistics, reached": (judged.reached, found.reached),
-        "statistics, inside": (judged.inside, not (found.joints or found.speeds)),
-        "statistics, loop": (judged.loop, found.loop_closed),
+        "random goals, reached": (judged.reached, found.reached),
+        "random goals, inside": (judged.inside, not (found.joints or found.speeds)),
+        "random goals, loop": (judged.loop, found.loop_closed),
     }
 
 
@@ -127,7 +129,10 @@ def _explained(
 ) -> dict[str, tuple[object, object]]:
     answer = explain_run(scenario, trace)
     there = answer.kind in ("reached", "broken", "open") and "no goal" not in answer.sentence
+    k = found.tasks.index(found.missed[0]) if found.missed else None
+    at = found.at_limits(k) if k is not None and answer.kind not in WITHOUT_LIMITS else ()
     return {
+        "explain, limits": (all(name in answer.sentence for name in at[:MOST_NAMES]), True),
         "explain, succeeds": (answer.kind == "reached", found.succeeds),
         "explain, words": ("every goal is reached" in answer.sentence, found.succeeds),
         "explain, reached": (there, found.reached),

@@ -114,8 +114,7 @@ def test_what_has_no_effect_on_a_controller_is_said() -> None:
         )
     )
     assert said == [
-        "the limits have no effect on pseudoinverse and pseudoinverse_null_space",
-        "that tasks are hard or scaled has no effect on pseudoinverse and pseudoinverse_null_space",
-        "the secondary objectives have no effect on pseudoinverse",
-        "on_infeasible has no effect on pseudoinverse and pseudoinverse_null_space",
+        "no effect on pseudoinverse and pseudoinverse_null_space: the limits, that tasks are hard "
+        "or scaled, on_infeasible",
+        "no effect on pseudoinverse: the secondary objectives",
     ]

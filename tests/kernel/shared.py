@@ -29,7 +29,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     },
     nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET")},
     level: {"DECIDED": "DECIDED"},
-    priorities: {"NOISE": "NOISE"},
+    priorities: {"IDLE": "IDLE", "NOISE": "NOISE"},
     safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
     limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},

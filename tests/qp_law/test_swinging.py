@@ -14,10 +14,13 @@ from laws import DT, LIMITS, NEAR, STEP
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
+from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_swing
-from coopqp.tasks import JointCentering, PointOnPlane
+from coopqp.robots import PlanarPair
+from coopqp.tasks import JointCentering, Orientation, PointOnPlane, PointOnPoint
 
 problem = partial(laws.problem, limits=LIMITS)
 both_engines = pytest.mark.parametrize("engine", ["python", "auto"])
@@ -127,3 +130,23 @@ def test_pull_that_passes_through_zero_is_let_go_slowly() -> None:
     assert held_pull(0.0, 1e6) == LETS_GO * 1e6
     assert held_pull(2e6, 1e6) == 2e6
     assert held_pull(0.0, FIRM) == 0.0
+
+
+@both_engines
+@pytest.mark.parametrize("mode", ["hard", "soft"])
+@pytest.mark.parametrize("turns", [True, False])
+def test_arms_that_lie_stretched_come_to_rest(
+    engine: Literal["python", "auto"], mode: Literal["hard", "soft"], turns: bool
+) -> None:
+    """A later level takes a direction over gradually that a stretched pose hides from a task.
+
+    All at once it would leave the pose in one tick and be brought back in the next, for ever, at
+    1e-4 to 1e-3 rad/s.
+    """
+    reach = PointOnPoint(name="reach", goal=(0.646, 0.0, 0.0), profile=STEP, mode=mode)
+    turn = Orientation(name="turn", rpy_deg=(0.0, 0.0, 10.0), profile=STEP, priority=1)
+    q = np.radians([-20, 70, -50, 20, -70, 50])
+    planar = ClosedChain.attach(PlanarPair().build(), q, Rigid(), HeldObject())
+    given = problem(planar, reach, *([turn] if turns else []), secondary=[JointCentering(gain=0.5)])
+    law = QPController(engine=engine).build(given)
+    assert np.abs(law.run(law.start(), 800).v[-200:]).max() < 1e-9

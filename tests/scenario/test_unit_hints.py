@@ -77,6 +77,7 @@ def test_what_is_nowhere_near_is_a_note(tmp_path: Path, old: str, new: str, word
     assert line.startswith("note: ")
     assert "; lengths are metres" in line
     assert re.search(words, line)
+    assert ("are these millimetres?" in line) == ("goal" in words)
     assert not any("metres" in line for line in notes(load(write(tmp_path, TEXT))))
 
 
@@ -103,6 +104,13 @@ def test_millimetres_for_metres_are_one_line(
     (fault,) = caught.value.faults
     assert place in str(fault)
     assert str(fault).endswith("; lengths are metres")
+
+
+def test_a_far_goal_comes_before_all_other_notes(tmp_path: Path) -> None:
+    text = TEXT.replace("goal: [0.17, 0.01, 0.06]", "mode: hard, priority: 3, goal: [170, 10, 60]")
+    first, second = notes(load(write(tmp_path, text)))
+    assert first.endswith("lengths are metres: are these millimetres?")
+    assert second.startswith("priority: 3 of 'reach' has no effect: hard tasks come before")
 
 
 def test_an_orientation_of_many_turns_is_in_degrees() -> None:

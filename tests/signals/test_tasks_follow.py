@@ -19,12 +19,7 @@ from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
-from coopqp.signal import (
-    InputValues,
-    Kind,
-    Signal,
-    Trajectory,
-)
+from coopqp.signal import POSE, InputValues, Kind, Signal, Trajectory
 from coopqp.signals import Circle, Input, Line, Waypoints
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import Twist
@@ -106,6 +101,18 @@ def test_every_task_follows_closed_forms_where_they_are_of_its_kind(
 
         if any(made(place(kind, chain)) for kind in kinds.values()):
             check_rates(following(task, chain, signal_of), chain, closed_loop_walk(chain, 4))
+
+
+def test_a_signal_that_several_rows_follow_moves_once_a_state(
+    chain: ClosedChain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signal, moved = way(chain, "linear", "once")("goal", POSE), list[float]()
+    task = following(one_of_each(chain)["pose"], chain, lambda key, kind: signal)
+    stack = TaskStack([task], State(chain))
+    course = type(signal.bind(POSE, State(chain), None))
+    monkeypatch.setattr(course, "update", lambda self, at: moved.append(at.t))
+    stack.update(State(chain, t=0.5))
+    assert moved == [0.5]
 
 
 def _circle(value: Array) -> Signal | None:

@@ -72,7 +72,17 @@ def test_a_grid_is_every_level_with_every_other(plate: Path) -> None:
     assert study.points.count == 3 * 3 * 1 * 2
     values = [study.variant(k).values for k in range(18)]
     assert len({json.dumps(v) for v in values}) == 18
-    assert {round(goal[0], 9) for goal, _ in values} == {0.3, 0.35, 0.4}
+    assert {goal[0] for goal, _ in values} == {0.3, 0.35, 0.4}  # not 0.35000000000000003
+
+
+def test_a_grid_has_no_intervals_unless_something_is_drawn(plate: Path) -> None:
+    def exact(text: str) -> bool:
+        return read_study(written(plate, text)).exact
+
+    grid = STUDY.replace("sobol: 8", "grid: 2")
+    assert exact(grid)
+    assert not exact(STUDY)
+    assert not exact(grid.replace("object.mass", "disturbance.object_mass"))
 
 
 def test_levels_of_whole_numbers_are_whole(plate: Path) -> None:
@@ -285,6 +295,10 @@ def test_the_command_runs_shows_and_tells(plate: Path) -> None:
     result = typed("sweep", plate / "study.yaml", "--out", out, "--jobs", "1")
     assert result.exit_code == 0
     assert "pseudoinverse" in result.output
+    assert "slide " in result.output
+    instead = typed("explain", out)
+    assert instead.exit_code == 2
+    assert "holds a study; 'coopqp sweep" in instead.stderr
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2  # the legend's, one a law; nothing a row
     told = json.loads(typed("sweep", out, "--table", "--json").stdout)
@@ -317,7 +331,7 @@ def test_a_folder_whose_points_cannot_be_drawn_again_is_refused(
     plate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
-    monkeypatch.setattr("coopqp.study.sweep.points.SAMPLES", 1)
+    monkeypatch.setattr("coopqp.study.sweep.space.MIXED", 1)
     result = typed("sweep", plate / "out", "--table")
     assert result.exit_code == 2
     assert "by another scipy or numpy" in result.stderr

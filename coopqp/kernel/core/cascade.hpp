@@ -51,7 +51,7 @@ class Cascade {
           x_(arena.take(std::size_t(hierarchy_.width()))),
           z_(arena.take(std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows_ + 1)),
-          small_(most_rows_ + 1, std::min(most_rows_, loops.free) + 1, arena),
+          small_(most_rows_ + loops.free + 1, std::min(most_rows_, loops.free) + 1, arena),
           pulls_(levels.size()) {
         for (const Level& level : levels)
             for (char twist : level.twist) sees_twist_ |= twist != 0;
@@ -69,12 +69,18 @@ class Cascade {
     // Decide a level within the limits and what the levels before it leave free; d: its damping.
     Status decide(int l, double d) {
         Level& level = levels_[std::size_t(l)];
-        const int before = hierarchy_.rows;
+        if (hierarchy_.held) {  // which is of one level alone
+            hierarchy_.forget();
+            decide_rows_before(l);
+        }
         if (l > 0 && !hierarchy_.singular_values() && !leave_noise(l)) return Status::Singular;
+        const int before = hierarchy_.rows;
         write_rows(level);
+        for (int i = 0; i < hierarchy_.held; i++)
+            copy(hierarchy_.row(before + level.rows + i), hierarchy_.held_row(i), hierarchy_.blocks());
         if (fault(Fault::WrongRow) && level.rows) hierarchy_.row(hierarchy_.rows)[0] += 1e-3;
         const int decided = hierarchy_.decided;
-        hierarchy_.append(level.rows, level.exact);
+        hierarchy_.append(level.rows + hierarchy_.held, level.exact);
         copy(before_, v_, m_.blocks);
         miss(l, level);
         const int first = decided + (level.exact ? take_exact(level, d) : 0);
@@ -94,7 +100,8 @@ class Cascade {
             if (!(outcome.off < off)) break;
         }
         pulls_[std::size_t(l)] = outcome.pull;
-        return outcome.status;
+        // Where rows give way so far that the answer is another, they clash.
+        return outcome.status == Status::Inaccurate && clash_ ? Status::Clashing : outcome.status;
     }
 
     // Take the first level, of exact rows alone, as decided by a motion v, in lanes.
@@ -193,19 +200,25 @@ class Cascade {
         }
     }
 
-    // Decide the rows of the levels before l anew without those that, at a singular pose, are
+    // Decide the rows of the levels before l without those that, at a singular pose, are
     // noise: these would freeze another motion in each tick. Whether nothing else is left.
     bool leave_noise(int l) {
+        hierarchy_.hold_noise();
         for (int left = 0; left < most_rows_ && hierarchy_.decided > 0; left++) {
             hierarchy_.leave_out_smallest();
-            hierarchy_.begin();
-            for (int k = 0; k < l; k++) {
-                write_rows(levels_[std::size_t(k)]);
-                hierarchy_.append(levels_[std::size_t(k)].rows, levels_[std::size_t(k)].exact);
-            }
+            decide_rows_before(l);
             if (hierarchy_.singular_values()) return true;
         }
         return false;
+    }
+
+    // Decide the rows of the levels before l anew.
+    void decide_rows_before(int l) {
+        hierarchy_.begin();
+        for (int k = 0; k < l; k++) {
+            write_rows(levels_[std::size_t(k)]);
+            hierarchy_.append(levels_[std::size_t(k)].rows, levels_[std::size_t(k)].exact);
+        }
     }
 
     // What v lacks of each row.
@@ -243,13 +256,16 @@ class Cascade {
             reduce(t_, z_);
             c = z_;
         }
-        small_.open(soft, own);
+        small_.open(soft + hierarchy_.held, own);
         for (int s = 0; s < soft; s++) {
             const double root = std::sqrt(level.weight[std::size_t(level.exact + s)]);
             const double* L = hierarchy_.row(before + level.exact + s) + first;
             for (int k = 0; k < own; k++) small_.A(s, k) = root * L[k];
             small_.b(s) = root * residual_[std::size_t(level.exact + s)];
         }
+        for (int i = 0; i < hierarchy_.held; i++)
+            for (int k = 0; k < own; k++)
+                small_.A(soft + i, k) = hierarchy_.row(before + level.rows + i)[first + k];
         small_.solve(curvature, c ? c + first : nullptr);
         clear(x_, hierarchy_.blocks());
         for (int k = 0; k < own; k++) x_[first + k] = small_.x(k);
@@ -274,6 +290,7 @@ class Cascade {
     Status bring_inside(int l, int first, double curvature) {
         LeastDistance& nearest = constraints_.nearest;
         nearest.active = 0;
+        clash_ = false;
         if (constraints_.hold(l, v_) || fault(Fault::LimitsForgotten)) return Status::Optimal;
         const int shares = l == 0 ? shares_.count() : 0, K = loops_.free - first;
         constraints_.begin(v_);
@@ -288,6 +305,7 @@ class Cascade {
         if (l == 0 && levels_[0].exact > first)
             for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
                  wide = by, by *= WIDER) {
+                clash_ = check_.excludes(first, constraints_, wide) != Status::Unproven;
                 constraints_.widen(by - wide);
                 status = nearest.solve(shares + K);
             }
@@ -325,6 +343,7 @@ class Cascade {
     Constraints constraints_;
     Check check_;
     double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
+    bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;
     SmallLeastSquares small_;
     std::vector<double> pulls_;

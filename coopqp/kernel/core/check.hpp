@@ -119,7 +119,8 @@ class Check {
     // whether a sum of rows that is nothing, but for rounding, asks for more than nothing: Infeasible,
     // Clashing where that is by less than solvers let rows give way, or Unproven.
     //   first: how many rows are exact, all of level 0.
-    Status excludes(int first, const Constraints& c) {
+    //   width: by how much rows that depend on others have given way.
+    Status excludes(int first, const Constraints& c, double width = CONSISTENT) {
         const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
         y_.push_limits(c.nearest, c.limits.G);
@@ -143,10 +144,10 @@ class Check {
             all += std::fabs(y_.of_loops[i]);
             asked -= y_.of_loops[i] * b_[i];
         }
-        double given = 0.0;  // by rows that depend on others, which have given way as far as they may
+        double given = 0.0;  // by rows that depend on others
         for (int s = 0; s < level.exact; s++) {
             all += std::fabs(y_.of_exact(s));
-            given += CONSISTENT * std::fabs(y_.spare[std::size_t(s)]);
+            given += width * std::fabs(y_.spare[std::size_t(s)]);
         }
         for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
         double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
@@ -252,6 +253,7 @@ class Check {
             rows_.pull_row(level, s, level.weight[i] * missed, tau, y_.g);
         }
         if (level.rows > level.exact) rows_.pull_object(tau, y_.g);
+        y_.push_held(moved_);
         y_.push_limits(nearest, G);
     }
 

@@ -15,7 +15,6 @@
 namespace coopqp {
 
 constexpr double NOTHING = 1e-13;    // left of a task row that others explain
-constexpr double IDLE = 1e-8;        // left of a row that must hold, of which no speed makes anything
 constexpr double ORTHOGONAL = 1e-13;  // cosine of rows whose lengths are singular values
 constexpr int MOST_SWEEPS = 30;
 
@@ -24,16 +23,19 @@ class Hierarchy {
     Hierarchy(int free, int most_rows, Arena& arena)
         : free_(free), blocks_(blocks_of(std::max(free, 1))), width_(blocks_ * LANES),
           V_(arena.take(std::size_t(width_) * std::size_t(width_))),
-          Y_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
+          Y_(arena.take(std::size_t(most_rows + free + LANES) * std::size_t(width_))),
+          H_(arena.take(std::size_t(free) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
-          sigma_(std::size_t(most_rows + 1)), column_(std::size_t(most_rows + LANES)) {
+          sigma_(std::size_t(most_rows + 1)), held_pull_(std::size_t(free)),
+          column_(std::size_t(most_rows + LANES)) {
         pivots_.reserve(std::size_t(most_rows));  // a tick takes no memory
         left_out_.reserve(std::size_t(most_rows));
     }
 
     int decided = 0;  // coordinates of y
     int rows = 0;     // of all levels so far
+    int held = 0;     // directions that are decided in part
 
     int blocks() const { return blocks_; }
     int width() const { return width_; }
@@ -42,7 +44,29 @@ class Hierarchy {
     int pivot_row(int coordinate) const { return pivots_[std::size_t(coordinate)]; }
 
     // Take up all rows again that were left out.
-    void forget() { left_out_.clear(); }
+    void forget() {
+        left_out_.clear();
+        held = 0;
+    }
+
+    // GraspConfiguration directions of which rows see next to nothing, as coopqp.qp_law.priorities: each is a row
+    // of the next level's cost. After singular_values.
+    void hold_noise() {
+        for (int s = 0; s < decided; s++) {
+            const double size = sigma_[std::size_t(s)];
+            if (!(size > IDLE && size <= NOISE)) continue;
+            const double part = (size - IDLE) / NOISE;
+            const double root = std::sqrt(MOST_DAMPING) * part * part * part;
+            clear(t_, blocks_);
+            add(t_, direction(s), root / size, blocks_of(decided));
+            to_z(t_, H_ + held * width_);
+            held_pull_[std::size_t(held++)] = root / size;
+        }
+    }
+    // Row of a held direction, in coordinates of z, and what it pulls at those decided by what of it
+    // is moved.
+    const double* held_row(int i) const { return H_ + i * width_; }
+    double held_pull(int i) const { return held_pull_[std::size_t(i)]; }
 
     // From the next begin on, decide nothing by the row that adds least to those before it.
     void leave_out_smallest() {
@@ -171,8 +195,8 @@ class Hierarchy {
     }
 
     int free_, blocks_, width_;
-    double *V_, *Y_, *S_, *h_, *t_;
-    std::vector<double> sigma_, column_;
+    double *V_, *Y_, *H_, *S_, *h_, *t_;
+    std::vector<double> sigma_, held_pull_, column_;
     std::vector<int> pivots_, left_out_;
     bool identity_ = true;
 };

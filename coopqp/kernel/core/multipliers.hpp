@@ -67,6 +67,21 @@ class Multipliers {
         add(g, box, 1.0, m_.blocks);
     }
 
+    // Add what directions decided in part hold back of a motion by a level.
+    void push_held(const double* moved) {
+        of_held_ = 0.0;
+        if (!hierarchy_.held) return;
+        const int blocks = hierarchy_.blocks();
+        multiply(z_, loops_.Z, int(rows_.stride()), loops_.free, moved, m_.blocks);
+        clear(y_, blocks);
+        for (int i = 0; i < hierarchy_.held; i++) {
+            const double by = dot(hierarchy_.held_row(i), z_, blocks);
+            add(y_, hierarchy_.held_row(i), by, blocks);
+            of_held_ += std::fabs(by) * hierarchy_.held_pull(i);
+        }
+        add_rows(g, loops_.Z, int(rows_.stride()), loops_.free, y_, m_.blocks);
+    }
+
     // Let the first `first` coordinates' rows and the loops push against g, what is left of it.
     void balance(int first) {
         if (first) balance_decided(first);
@@ -76,10 +91,10 @@ class Multipliers {
     // LaterLevel.pull: how much a level, whose gradient is g, pulls at the task rows decided before
     // it, by how fast these turn. Damping is left out, or it would feed itself.
     double pull(int l, int first, double damping, const double* v) {
-        double lever = 0.0, all = 0.0;
+        double lever = 0.0, all = of_held_;
         for (int k = 0; k < l; k++)
             for (double of_row : levels_[std::size_t(k)].lever) lever = std::max(lever, of_row);
-        if (lever == 0.0 || first == 0) return 0.0;
+        if (lever == 0.0 || first == 0) return lever * all;
         const int blocks = hierarchy_.blocks();
         reduce(v, y_);
         reduce(g, of_g_);
@@ -153,6 +168,7 @@ class Multipliers {
     const std::vector<Level>& levels_;
     double *y_, *z_, *of_g_;
     bool reduced_ = false;  // whether of_g_ is that of g
+    double of_held_ = 0.0;  // what they pull, by how fast their rows turn
     std::vector<double> step_;
 };
 

@@ -26,6 +26,7 @@ constexpr double MET = 1e-06;
 constexpr double DECIDED = 1e-07;
 
 // coopqp.qp_law.priorities
+constexpr double IDLE = 1e-08;
 constexpr double NOISE = 1e-06;
 
 // coopqp.qp_law.safety

@@ -14,6 +14,7 @@ from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.space import Box
 from coopqp.study.sweep.study import Study
+from coopqp.study.sweep.summary import ERROR
 from coopqp.study.sweep.variant import DONE
 
 BINS, MIN_BINS = 16, 4  # of an axis with numbers
@@ -202,7 +203,7 @@ def worst_error(columns: Columns) -> Array:
     """Each row's largest task error, in medians of that task, shape (rows,)."""
     worst = np.full(len(columns), -np.inf)
     for name in columns.kinds:
-        if name.startswith("task_error."):
+        if name.startswith(ERROR):
             error = columns.numbers(name)
             known = error[np.isfinite(error)]
             scale = float(np.median(known)) if len(known) else 1.0

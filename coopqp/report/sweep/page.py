@@ -17,7 +17,7 @@ from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.results import Columns
-from coopqp.study.sweep.summary import MARGIN, Line, Pair, Summary
+from coopqp.study.sweep.summary import ERROR, MARGIN, Line, Pair, Summary
 from coopqp.study.sweep.variant import DONE
 
 NAME = "report.html"
@@ -27,6 +27,10 @@ COLORS = (
     styles.BLACK,
 )  # fmt: skip
 MAX_LIMITS = 12  # that are shown for each controller
+TESTS = (
+    '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
+    "median of the differences, with order statistics as its interval, and the sign test.</p>"
+)
 WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 
 
@@ -47,7 +51,7 @@ def _render(
     study: Study, columns: Columns, summary: Summary, binned: Binned, worst: Sequence[Sequence[int]]
 ) -> str:
     drawn = [_style(k) for k in range(len(binned.controllers))]
-    measures = [name for name in columns.kinds if name.startswith("task_error.")]
+    measures = [name for name in columns.kinds if name.startswith(ERROR)]
     data = {
         "controllers": list(binned.controllers),
         "colors": [style.color for style in drawn],
@@ -65,7 +69,7 @@ def _render(
         facts=_facts(study, summary),
         summary=_summary(summary),
         reasons=_reasons(summary),
-        paired=_paired(summary.pairs),
+        paired=_paired(summary.pairs, exact=summary.exact),
         blocked="".join(_limits(line) for line in summary.lines),
         legend="".join(
             f"<span>{style.swatch()} {breakable(name)}</span>"
@@ -124,20 +128,22 @@ def _cell(head: str, cell: str) -> str:
 def _summary(summary: Summary) -> str:
     names = list(dict.fromkeys(name for line in summary.lines for name in line.errors))
     errors = [f"{text(name)}<small>median, 95 %</small>" for name in names]
+    share = "%" if summary.exact else "%, 95 % interval"
     heads = [
-        "Controller", "done", "invalid", "failed", "success<small>%, 95 % interval</small>",
+        "Controller", "done", "invalid", "failed", f"success<small>{share}</small>",
         "reached<small>%</small>", *errors, "least margin<small>median, 5 % [rad or m]</small>",
     ]  # fmt: skip
-    return _table(heads, [_line(k, line, names) for k, line in enumerate(summary.lines)])
+    lines = enumerate(summary.lines)
+    return _table(heads, [_line(k, line, names, exact=summary.exact) for k, line in lines])
 
 
-def _line(k: int, line: Line, names: Sequence[str]) -> list[str]:
+def _line(k: int, line: Line, names: Sequence[str], *, exact: bool) -> list[str]:
     states = [f"{line.states.get(state, 0):,}" for state in ("done", "invalid", "failed")]
     reached = f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-"
     quantiles = [*(line.errors[name] for name in names), line.margin]
     shown = [f"{a:.3g}, {b:.3g}" if a == a else "-" for a, b in quantiles]
     name = f'<i style="background:{COLORS[k % len(COLORS)]}"></i>{breakable(line.controller)}'
-    return [name, *states, line.success.percent(1), reached, *shown]
+    return [name, *states, line.success.percent(1, exact=exact), reached, *shown]
 
 
 def _reasons(summary: Summary) -> str:
@@ -155,24 +161,23 @@ def _reasons(summary: Summary) -> str:
     )
 
 
-def _paired(pairs: Sequence[Pair]) -> str:
+def _paired(pairs: Sequence[Pair], *, exact: bool) -> str:
     if not pairs:
         return ""
+    tested = "" if exact else ", p, 95 % interval"
     heads = [
         f"Less {breakable(pairs[0].reference)}, on the same variants", "both succeed", "only this",
-        "only the reference", "neither", "success<small>points, p, 95 % interval</small>",
-        *(f"{text(name)}<small>median, p, 95 % interval</small>" for name in pairs[0].numbers),
+        "only the reference", "neither", f"success<small>points{tested}</small>",
+        *(f"{text(name)}<small>median{tested}</small>" for name in pairs[0].numbers),
     ]  # fmt: skip
     rows = []
     for p in pairs:
         counts = (p.success.both, p.success.only_one, p.success.only_reference, p.success.neither)
-        values = [points(p.success.difference), *map(difference, p.numbers.values())]
+        numbers = (difference(number, exact=exact) for number in p.numbers.values())
+        values = [points(p.success.difference, exact=exact), *numbers]
         lines = (f'<span class="lines">{v.replace(chr(10), "<br>")}</span>' for v in values)
         rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *lines])
-    hint = (
-        '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
-        "median of the differences, with order statistics as its interval, and the sign test.</p>"
-    )
+    hint = "" if exact else TESTS
     return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
 
 
@@ -200,7 +205,7 @@ def _worst(name: str, rows: Sequence[int], varied: Sequence[str], columns: Colum
     head = f"<h3>{breakable(name)}</h3>"
     if not rows:
         return f"{head}<p class='hint'>No row is done that does not succeed.</p>"
-    errors = [x for x in columns.kinds if x.startswith("task_error.")]
+    errors = [x for x in columns.kinds if x.startswith(ERROR)]
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     numbers = columns.numbers("row")[list(rows)].astype(int)

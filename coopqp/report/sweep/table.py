@@ -17,9 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp.base.errors import one_line
-from coopqp.study.statistics.paired import Difference
+from coopqp.study.sweep.paired import Difference
 from coopqp.study.sweep.study import Study
-from coopqp.study.sweep.summary import Line, Summary
+from coopqp.study.sweep.summary import ERROR, Line, Summary
 from coopqp.study.sweep.sweep import Progress as State
 
 MAX_NAMES, MAX_REASONS = 3, 5
@@ -28,16 +28,16 @@ EVERY = 30.0  # s between two lines
 
 def table(name: str, summary: Summary) -> Table:
     """One row a controller."""
+    success = "success\n%" if summary.exact else "success\n%, 95 % interval"
     out = _framed(
         f"{name}: {summary.rows:,} rows",
         [line.controller for line in summary.lines],
-        ("done,\ninvalid,\nfailed", "success\n%, 95 % interval", "reached\n%",
-         "error, median\n95 % (m, rad)"),
-    )  # fmt: skip
+        ("done,\ninvalid,\nfailed", success, "reached\n%", "error, median\n95 % (m, rad)"),
+    )
     for heading in ("blocked by,\nhow often", "broken,\nhow often"):
         out.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
-        out.add_row(*_cells(line))
+        out.add_row(*_cells(line, exact=summary.exact))
     return out
 
 
@@ -45,15 +45,20 @@ def paired(summary: Summary) -> Table | None:
     """What differs from the reference on the same variants, one row a controller; None if alone."""
     if not summary.pairs:
         return None
+    exact, tested = summary.exact, "" if summary.exact else ", p; 95 % interval"
     out = _framed(
-        f"less {summary.pairs[0].reference} on the same variants, p; 95 % interval",
+        f"less {summary.pairs[0].reference} on the same variants{tested}",
         [pair.controller for pair in summary.pairs],
         ("success, points", "error, median (m, rad)", "margin, median (m, rad)"),
     )
     for pair in summary.pairs:
-        *errors, margin = pair.numbers.values()
-        cells = (points(pair.success.difference), "\n".join(map(difference, errors)))
-        out.add_row(Text(one_line(pair.controller), style="bold"), *cells, difference(margin))
+        *errors, margin = (difference(each, exact=exact) for each in pair.numbers.values())
+        out.add_row(
+            Text(one_line(pair.controller), style="bold"),
+            points(pair.success.difference, exact=exact),
+            Text("\n".join(map(_of_task, pair.numbers, errors))),
+            margin,
+        )
     return out
 
 
@@ -69,23 +74,34 @@ def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> 
     return out
 
 
-def points(of: Difference) -> str:
-    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants."""
-    return difference(of, factor=100.0, form="+.1f")
+def points(of: Difference, *, exact: bool) -> str:
+    """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants.
+
+    Where nothing was drawn the first number alone.
+    """
+    return difference(of, exact=exact, factor=100.0, form="+.1f")
 
 
-def difference(of: Difference, *, factor: float = 1.0, form: str = "+.2g") -> str:
+def difference(of: Difference, *, exact: bool, factor: float = 1.0, form: str = "+.2g") -> str:
     """The same of a number; a dash where there is none."""
+    if not of.of:
+        return "-"
     value, low, high = (format(factor * x, form) for x in (of.value, of.low, of.high))
-    return f"{value}, {of.chance}\n{low} to {high}" if of.of else "-"
+    return value if exact else f"{value}, {of.chance}\n{low} to {high}"
 
 
-def _cells(line: Line) -> Iterator[Text]:
+def _of_task(column: str, words: str) -> str:
+    """With the task's name, from that of its column of errors."""
+    return f"{one_line(column.removeprefix(ERROR))} {words}"
+
+
+def _cells(line: Line, *, exact: bool) -> Iterator[Text]:
     yield Text(one_line(line.controller), style="bold")
     yield Text(", ".join(f"{line.states.get(s, 0):,}" for s in ("done", "invalid", "failed")))
-    yield Text(line.success.percent(1))
+    yield Text(line.success.percent(1, exact=exact))
     yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
-    yield Text("\n".join(f"{_number(a)} {_number(b)}" for a, b in line.errors.values()))
+    errors = line.errors.items()
+    yield Text("\n".join(_of_task(of, f"{_number(a)} {_number(b)}") for of, (a, b) in errors))
     yield from (Text(named(counts)) for counts in (line.blocked_by, line.broken))
 
 

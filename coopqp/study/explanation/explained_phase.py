@@ -15,7 +15,7 @@ from coopqp.execution.controller_run import controller_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
-from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, missed_of, parts_of, placed
+from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, parts_of, placed
 from coopqp.study.explanation.room import Room
 from coopqp.trace import InputTrace, Trace, followed
 
@@ -33,6 +33,9 @@ class ExplainedPhase:
         causes: of each tick.
         inputs: what was followed in the whole run, by name.
         parts: of all tasks. errors: at the end, by the parts' order [the part's unit].
+        missed: parts that ended outside their tolerance, with their errors, as the assessment
+            orders them. gave_way: those of them that come after the first.
+        ordered: whether its law lets tasks of later levels give way.
     """
 
     scenario: Scenario
@@ -47,6 +50,9 @@ class ExplainedPhase:
     causes: tuple[tuple[Status, ...], ...]
     parts: tuple[PartOfTask, ...]
     errors: tuple[float, ...]
+    missed: tuple[Missed, ...]
+    gave_way: tuple[Missed, ...]
+    ordered: bool
     inputs: Mapping[str, InputTrace]
 
     @property
@@ -58,11 +64,6 @@ class ExplainedPhase:
     def t_end(self) -> float:
         """Since the phase began [s]."""
         return len(self.v) * self.problem.dt
-
-    @cached_property
-    def missed(self) -> tuple[Missed, ...]:
-        """Parts that ended outside their tolerance, the most important first."""
-        return missed_of(self.parts, self.errors)
 
     @cached_property
     def room(self) -> Room:
@@ -97,15 +98,16 @@ def legs(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
         InvalidValueError: the trace is of another scenario.
     """
     controller = controller_of(scenario, trace.controller)
-    errors = {task.name: task.error for task in assess(trace).tasks}
+    found = assess(trace)
+    errors = {task.name: task.error for task in found.tasks}
     tau = trace.signals.get("tau", trace.v[:0])
     ends = pairwise((*scenario.first_ticks, scenario.ticks))
     problems = scenario.problems(lambda first: trace.q[first])
     phases = zip(problems, scenario.schedule, ends, strict=True)
     for i, (problem, phase, (first, end)) in enumerate(phases):
         parts = tuple(parts_of(phase.tasks, problem.chain))
-        names = [f"{phase.name}.{p.name}" if scenario.phases else p.name for p in parts]
-        if strange := [name for name in names if name not in errors]:
+        named = {f"{phase.name}.{p.name}" if scenario.phases else p.name: p for p in parts}
+        if strange := [name for name in named if name not in errors]:
             words = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {words}")
         ticks = slice(first, end)
@@ -114,5 +116,8 @@ def legs(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
-            parts=parts, errors=tuple(errors[name] for name in names), inputs=trace.inputs,
+            parts=parts, errors=tuple(errors[name] for name in named), inputs=trace.inputs,
+            missed=tuple((named[of.name], of.error) for of in found.missed if of.name in named),
+            gave_way=tuple((named[of.name], of.error) for of in found.gave_way if of.name in named),
+            ordered=trace.orders_tasks,
         )  # fmt: skip

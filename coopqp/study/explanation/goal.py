@@ -89,7 +89,9 @@ class Goal:
     def missed(self, q: Array) -> tuple[Missed, ...]:
         """Parts that miss at a configuration, the most important first."""
         self.look(q)
-        return missed_of(self.parts, self.errors().tolist())
+        pairs = zip(self.parts, self.errors().tolist(), strict=True)
+        missed = [(part, e) for part, e in pairs if not within(e, part.part.tolerance)]
+        return tuple(sorted(missed, key=lambda p: (p[0].task.level, -p[1] / p[0].part.tolerance)))
 
     @property
     def miss(self) -> float:
@@ -101,14 +103,6 @@ class Goal:
     def open(self) -> float:
         """How far the loops are open at the last look [m, rad]."""
         return float(np.abs(self.state.e_loop).max(initial=0.0))
-
-
-def missed_of(parts: Sequence[PartOfTask], errors: Sequence[float]) -> tuple[Missed, ...]:
-    """Parts outside their tolerance: those of hard tasks, of scaled, of soft; of each the worst."""
-    pairs = zip(parts, errors, strict=True)
-    missed = [(part, error) for part, error in pairs if not within(error, part.part.tolerance)]
-    rank = ("hard", "scaled", "soft").index
-    return tuple(sorted(missed, key=lambda p: (rank(p[0].task.mode), -p[1] / p[0].part.tolerance)))
 
 
 def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[PartOfTask]:

@@ -16,6 +16,7 @@ from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import held_up, speed_share
+from coopqp.study.explanation.diagnosis import OutOfReach
 from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.rerun import arrival, rerun
@@ -82,6 +83,27 @@ def _too_short(
     )
     kind = "speed" if slow else "short"
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
+
+
+def behind(leg: ExplainedPhase, found: OutOfReach) -> str:
+    """What lack of time adds to a goal out of reach, where a rerun comes to rest nearer to it."""
+    part, unit = found.part, found.part.part.unit
+    error = _error_of(leg, part.name)
+    if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):
+        return ""
+    after = rerun(leg, longer=True)
+    then = _error_of(after, part.name)
+    if error - then <= part.part.tolerance or not rests(after.v[-1]):
+        return ""
+    moves = "" if rests(leg.v[-1]) else ", still moving"
+    lacks = f"{words.ends_off(part, error)}{moves}, {words.size(error - then, unit)} of it"
+    later = f"after {after.t_end:.3g} s {words.size(then, unit)} are left (tried)"
+    return f"; {lacks} for lack of time: {later}"
+
+
+def _error_of(leg: ExplainedPhase, name: str) -> float:
+    """What a part of a task ends off by."""
+    return next(e for p, e in zip(leg.parts, leg.errors, strict=True) if p.name == name)
 
 
 def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
@@ -159,8 +181,7 @@ def _motors(leg: ExplainedPhase) -> str:
 def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     """Whether more time brought it nearer."""
     part, error = before.missed[0]
-    later = next(e for p, e in zip(after.parts, after.errors, strict=True) if p.name == part.name)
-    return bool(later < (1.0 - FALLS) * error)
+    return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
 def _pushed(leg: ExplainedPhase, goal: Goal) -> str:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from coopqp.assessment import Assessment, assess
-from coopqp.assessment.verdict import loop_words, not_followed, saturation_words
+from coopqp.assessment.verdict import (
+    listed_limits,
+    loop_words,
+    not_followed,
+    saturation_words,
+)
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import insufficient_time, velocity, words
@@ -26,6 +31,7 @@ from coopqp.study.explanation.diagnosis import (
 from coopqp.study.explanation.explained_phase import ExplainedPhase, legs
 from coopqp.study.explanation.goal import Goal
 from coopqp.study.explanation.grasp_lost import lost
+from coopqp.study.explanation.search import Search
 from coopqp.study.explanation.suggested_relaxation import by_geometry, with_cure
 from coopqp.study.explanation.unmet import relaxed
 from coopqp.trace import Trace
@@ -74,8 +80,28 @@ def _explained(
     if not leg.missed:
         return _kept(found, phases, replace(base, relaxed=given_up))
     answer = _blocked(leg, replace(stops, relaxed=given_up), report)
-    said = "; ".join([answer.sentence, *(task.words for task in given_up)])
-    return replace(answer, sentence=said)
+    clauses = [answer.sentence, *_gave_way(leg, answer), *(task.words for task in given_up)]
+    clauses.append(_at_limits(found, answer))
+    return replace(answer, sentence="; ".join(filter(None, clauses)))
+
+
+def _at_limits(found: Assessment, answer: RunExplanation) -> str:
+    """The limits of the verdict, where not all of them are named as what holds back."""
+    names = found.at_limits(found.tasks.index(found.missed[0]))
+    if all(name in answer.sentence for name in names):
+        return ""
+    return f"it ends with {listed_limits(names)} at the limit"
+
+
+def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
+    """What tasks have lost that come after the first that is missed, where that is not said yet."""
+    goal = leg.goal()
+    for part, error in leg.gave_way:
+        if part.task.name in answer.tasks:
+            continue
+        alone = [task for task in goal.tasks if task is part.task]
+        free = alone and Search(goal.only(alone), leg.room).best(leg.q[-1]).reached
+        yield words.gave_way(part, error, leg.missed[0][0], because=bool(free))
 
 
 def _base(leg: ExplainedPhase) -> RunExplanation:
@@ -141,7 +167,7 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
 
 def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
     """Of hard and scaled tasks alone where geometry keeps them already from their goals."""
-    modes = {part.task.mode for part, _ in leg.missed} if _ordered(leg) else {"soft"}
+    modes = {part.task.mode for part, _ in leg.missed} if leg.ordered else {"soft"}
     heeded = {"hard"} if "hard" in modes else {"hard", "scaled"}
     first = [task for task in goal.tasks if task.mode in heeded]
     if first and modes != {"soft"}:
@@ -152,14 +178,9 @@ def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
     return goal, diagnose(goal, leg.room, leg.q[-1])
 
 
-def _ordered(leg: ExplainedPhase) -> bool:
-    """Whether the law supports which task comes first."""
-    return {"modes", "priorities"} <= leg.controller.supports
-
-
 def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
     """Of what limits alone do not explain."""
-    said = words.geometry(found, leg.missed, leg.problem.chain, ordered=_ordered(leg))
+    said = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
     base = replace(base, sentence="")
     if isinstance(found, Elsewhere):
         return base.because("elsewhere", said, found.shares)
@@ -167,6 +188,7 @@ def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) 
         names = tuple(task.name for task in found.tasks)
         return base.because("contradiction", said, tasks=names, any_robot=found.any_robot)
     if isinstance(found, OutOfReach):
+        said += insufficient_time.behind(leg, found)
         way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
         tasks = (found.part.task.name,)
         return base.because(

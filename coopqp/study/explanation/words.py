@@ -17,7 +17,6 @@ from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Missed, PartOfTask
 from coopqp.study.explanation.search import Place
 from coopqp.study.explanation.shares import Share
-from coopqp.task import Task
 
 #: A direction this near to an axis is the axis.
 ALONG = 0.97
@@ -48,6 +47,17 @@ def with_note(row: Row, note: str) -> str:
 def stops(leg: ExplainedPhase) -> str:
     """What the worst part of a task ended off by."""
     return stops_short(*leg.missed[0])
+
+
+def ends_off(part: PartOfTask, error: float) -> str:
+    """How far off a part of a task ends."""
+    return f"{part.name} ends {size(error, part.part.unit)} off"
+
+
+def gave_way(part: PartOfTask, error: float, first: PartOfTask, *, because: bool) -> str:
+    """How far a part of a task ends off that comes after another, and whether because of it."""
+    after = f"{part.name}, which comes after {first.name}, ends {size(error, part.part.unit)} off"
+    return f"{after} because of that" if because else after
 
 
 def stops_short(part: PartOfTask, error: float) -> str:
@@ -163,20 +173,16 @@ def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: b
     mine = [(part, e) for part, e in missed if part.task in found.tasks]
     if not mine:
         return text
-    ranks = {_rank(task) for task in found.tasks}
+    first = min(task.level for task in found.tasks)
     offs = [f"{part.name} stays {size(e, part.part.unit)} off" for part, e in mine]
-    if ordered and len(ranks) > 1:
-        first = [task.name for task in found.tasks if _rank(task) == min(ranks)]
-        verb = "comes" if len(first) == 1 else "come"
-        return f"{text}; {listed(first)} {verb} first, {listed(offs)}"
+    before = [task.name for task in found.tasks if task.level == first]
+    if ordered and len(before) < len(found.tasks):
+        verb = "comes" if len(before) == 1 else "come"
+        return f"{text}; {listed(before)} {verb} first, {listed(offs)}"
     sizes = {size(e, part.part.unit) for part, e in mine}
     if len(mine) > 1 and len(sizes) == 1:
         return f"{text}; they end {sizes.pop()} off each"
     return f"{text}; {listed(offs)}"
-
-
-def _rank(task: Task) -> int:
-    return -1 if task.mode != "soft" else task.priority
 
 
 def opened(found: Assessment, kappa: float) -> str:

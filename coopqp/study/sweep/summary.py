@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.study.statistics.paired import Difference, Success, median
-from coopqp.study.statistics.paired import success as paired
-from coopqp.study.statistics.summary import Share, wilson
+from coopqp.study.sweep.paired import Difference, Share, Success, median, wilson
+from coopqp.study.sweep.paired import success as paired
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.variant import DONE
 
 MARGIN = "limit_margin_min"
+#: What the columns of tasks' errors begin with.
+ERROR = "task_error."
 #: In a reason, but not in names and in places of files.
 _NUMBER = re.compile(r"(?<![\w.:])[-+]?\d+(\.\d+)?([eE][-+]?\d+)?\b")
 Rows = NDArray[np.bool_]
@@ -68,23 +69,25 @@ class Summary:
     """A study in few numbers.
 
     Attributes:
+        exact: whether nothing was drawn, so that there is nothing to estimate.
         pairs: one for each controller but the reference.
         reasons: how often each was given by rows that are not done, the most frequent first; those
             that only differ in numbers together.
     """
 
     rows: int
+    exact: bool
     lines: tuple[Line, ...]
     pairs: tuple[Pair, ...]
     reasons: dict[str, int]
 
 
-def summarize(columns: Columns) -> Summary:
-    """Count, a column at a time."""
+def summarize(columns: Columns, *, exact: bool) -> Summary:
+    """Count, a column at a time; it is exact where nothing was drawn."""
     of, controllers = columns.codes("controller")
     state, states = columns.codes("state")
     done = np.array([name == DONE for name in states] + [False])[state]
-    errors = [name for name in columns.kinds if name.startswith("task_error.")]
+    errors = [name for name in columns.kinds if name.startswith(ERROR)]
     success, reached = (columns.numbers(name) for name in ("success", "reached"))
     values = {name: columns.numbers(name) for name in errors}
     margins = columns.numbers(MARGIN)
@@ -109,7 +112,7 @@ def summarize(columns: Columns) -> Summary:
     far = {name: np.where(done & np.isnan(x), np.inf, x) for name, x in values.items()}
     measured = {**far, MARGIN: margins}
     pairs = _pairs(controllers, of, done, success > 0.0, measured)
-    return Summary(len(columns), tuple(lines), tuple(pairs), _reasons(columns, ~done))
+    return Summary(len(columns), exact, tuple(lines), tuple(pairs), _reasons(columns, ~done))
 
 
 def _pairs(

@@ -1,0 +1,153 @@
+"""Who comes first is told first: verdict and explanation name the same tasks in the same order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coopqp
+from coopqp.assessment import assess
+from coopqp.execution.comparison import summarize
+from coopqp.execution.controller_run import run
+from coopqp.limits import JointAcceleration
+from coopqp.model.profile import Profile
+from coopqp.recordings.known import read
+from coopqp.report import files
+from coopqp.report.cells import cells
+from coopqp.report.page import how_to_read
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import explain_run
+from coopqp.study.trace_file import trace_from_file, worth_explaining
+from coopqp.tasks import PointOnPlane
+from coopqp.trace import Trace
+
+from .contract import disagreements
+
+
+def lifted(duration: float, *controllers: str) -> Scenario:
+    """Two SO-101 that shall lift a bar higher than they reach, and then to the front."""
+    base = coopqp.load("two_so101")
+    up = PointOnPlane(
+        name="up", mode="hard", normal=(0, 0, 1), through=(0, 0, 0.375),
+        profile=Profile(kind="quintic", duration=3.0),
+    )  # fmt: skip
+    fore = PointOnPlane(name="fore", normal=(1, 0, 0), through=(0.33, 0, 0))
+    chosen = {name: base.controllers[name] for name in controllers or ("qp",)}
+    return replace(base, tasks=(up, fore), duration=duration, controllers=chosen)
+
+
+@cache
+def hurried(controller: str = "qp") -> tuple[Scenario, Trace]:
+    """The same with too little time."""
+    scenario = lifted(5.0, controller)
+    return scenario, run(scenario, controller=controller)
+
+
+def test_the_verdict_tells_the_hard_task_first_and_then_who_gave_way() -> None:
+    scenario, trace = hurried()
+    found = assess(trace)
+    assert [task.name for task in found.missed] == ["up", "fore"]
+    assert [task.name for task in found.gave_way] == ["fore"]
+    assert found.missed[1].share > found.missed[0].share
+    said = summarize(scenario, {"qp": trace}).verdicts["qp"]
+    assert "Ends 6.8 mm off the goal of hard task 'up' and 22.7 mm off that of 'fore'" in said
+    assert not list(disagreements(scenario, trace))
+
+
+def test_a_law_without_levels_has_none() -> None:
+    scenario, trace = hurried("pseudoinverse")
+    found = assess(trace)
+    assert not found.gave_way
+    assert found.missed[0].share == max(task.share for task in found.missed)
+    said = summarize(scenario, {"pseudoinverse": trace}).verdicts["pseudoinverse"]
+    assert "hard task" not in said
+    assert "comes after" not in explain_run(scenario, trace).sentence
+
+
+def test_a_run_that_ends_in_motion_is_told_so() -> None:
+    scenario, trace = hurried()
+    joint, speed, unit = assess(trace).fastest or ("", 0.0, "")
+    assert speed > 1.0
+    said = summarize(scenario, {"qp": trace}).verdicts["qp"]
+    assert f"still moves when the run ends, {joint} at {speed:.2g} {unit}" in said
+    still = replace(trace, v=0.0 * trace.v)
+    assert "still moves" not in summarize(scenario, {"qp": still}).verdicts["qp"]
+
+
+def test_what_is_out_of_reach_is_told_apart_from_what_time_would_bring() -> None:
+    scenario, trace = hurried()
+    found = explain_run(scenario, trace)
+    assert found.kind == "reach"
+    assert found.distance == pytest.approx(0.00515, abs=1e-4)
+    assert "up ends 6.82 mm off, still moving, 1.19 mm of it for lack of time" in found.sentence
+    assert "fore, which comes after up, ends 22.7 mm off because of that" in found.sentence
+
+
+def test_levels_are_read_back_from_a_recorded_run(tmp_path: Path) -> None:
+    scenario, trace = hurried()
+    comparison = summarize(scenario, {"qp": trace})
+    files.write(comparison, tmp_path)
+    again = trace_from_file(tmp_path / "trace.csv", scenario, "qp")
+    assert [(t.mode, t.priority) for t in again.tasks] == [("hard", 0), ("soft", 0)]
+    assert [task.name for task in assess(again).missed] == ["up", "fore"]
+
+
+def test_who_falls_short_is_explained(tmp_path: Path) -> None:
+    scenario = coopqp.load("joint_limit_stress")
+    goes = coopqp.compare(scenario, controllers=("pseudoinverse", "qp"))
+    files.write(goes, tmp_path)
+    assert worth_explaining(read(tmp_path / "trace.csv"), scenario).controller == "qp"
+
+
+def test_angles_below_their_thresholds_resolution_are_left_out() -> None:
+    scenario, trace = hurried()
+    assert 0.0 < trace.loop_orientation.max() < 1e-6
+    said = summarize(scenario, {"qp": trace}).verdicts["qp"]
+    assert "lets the loop open by 0.11 mm;" in said
+
+
+def test_an_acceleration_is_told_with_its_cure_where_there_is_one() -> None:
+    cure = "times what the loop for robots allows: add joint_acceleration to limits"
+    scenario, trace = hurried()
+    assert cure in summarize(scenario, {"qp": trace}).verdicts["qp"]
+    _, deaf = hurried("pseudoinverse")
+    assert (
+        "add joint_acceleration"
+        not in summarize(scenario, {"pseudoinverse": deaf}).verdicts["pseudoinverse"]
+    )
+    limits = (*scenario.limits, JointAcceleration(max=500.0))
+    bounded = replace(scenario, limits=limits)
+    kept = run(bounded, controller="qp")
+    assert assess(kept).acceleration is not None
+    assert "add joint_acceleration" not in summarize(bounded, {"qp": kept}).verdicts["qp"]
+
+
+def test_the_cell_says_which_language_filled_the_rows() -> None:
+    scenario, trace = hurried()
+    told = replace(trace, tick_us=np.ones(trace.ticks))
+    metrics = summarize(scenario, {"qp": trace}).metrics["qp"]
+    assert metrics["engine"]["rows_in_python"] == ["self_collision"]
+    assert cells(told, metrics)["tick"].lines == ("1", "C++", "+\N{NO-BREAK SPACE}Python rows")
+    alone = replace(told, rows_in_python=())
+    assert cells(alone, metrics)["tick"].lines == ("1", "C++")
+
+
+def test_verdict_and_explanation_name_the_same_limits() -> None:
+    scenario = lifted(6.0)
+    trace = run(scenario, controller="qp")
+    names = assess(trace).at_limits(0)
+    assert names
+    said = summarize(scenario, {"qp": trace}).verdicts["qp"]
+    sentence = explain_run(scenario, trace).sentence
+    assert all(name in said and name in sentence for name in names[:3])
+
+
+def test_how_to_read_says_what_is_allowed_and_what_a_tick_must_be() -> None:
+    scenario, trace = hurried()
+    (said,) = (p for p in how_to_read(summarize(scenario, {"qp": trace})) if "OnlineLoop" in p)
+    assert "joint_acceleration in the scenario's limits bounds it here as well" in said
+    assert "stay below the control period, 10 ms" in said
