@@ -31,17 +31,7 @@ def not_finite(
     state: State,
     dt: float,
 ) -> str:
-    """Which tasks and limits give NaN or infinite values at a state; empty if none does.
-
-    Each is bound once more; one that raises is not told of.
-
-    Args:
-        tasks: any, also those that ask for forces.
-        limits: any.
-        chain: theirs.
-        state: up to date.
-        dt: control period [s].
-    """
+    """Which tasks and limits, bound anew, give NaN or infinite values at a state; empty if none."""
     return "; ".join((*_tasks(tasks, chain, state), *_limits(limits, chain, state, dt)))
 
 
@@ -115,26 +105,20 @@ ALL_FEATURES: Features = frozenset({"limits", "modes", "priorities", "secondary"
 
 @dataclass(frozen=True, kw_only=True)
 class ControlProblem:
-    """What a controller is built for.
+    """What a controller is built for; InvalidValueError with everything that cannot be asked.
 
     Attributes:
-        chain: the robot with the object in its hands.
-        tasks: the main tasks.
-        wrenches: tasks that ask for wrenches of the hands, for the controllers that heed forces.
-        secondary: objectives for what the tasks leave free.
-        limits: hard bounds, for the controllers that heed them.
+        wrenches: tasks that ask for wrenches of the hands, for controllers that support forces.
+        secondary: objectives in the null space of the tasks.
+        limits: hard bounds, for controllers that support them.
         dt: control period [s].
-        kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 1/dt when omitted, which
+        kappa: gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which
             removes the linearisation error of each step in the next; 0 is the paper's law.
-        solver: for the controllers that solve a QP.
-        budget: what a solution may be off by.
-        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets
-            hard and scaled tasks as nearly as possible, and where loops and limits alone clash
-            corrects drift in part, then gives up acceleration limits; "hold" stands still for the
-            tick, but for joints outside their limits, which come back; "stop" from the next on.
-
-    Raises:
-        InvalidValueError: with everything that cannot be asked, see :func:`problem_faults`.
+        budget: tolerances of a usable solution.
+        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets hard and
+            scaled tasks as nearly as possible, and where loops and limits alone clash corrects
+            drift in part, then relaxes acceleration limits; "hold" stands still for the tick, but
+            for joints outside their limits, which recover; "stop" from the next on.
     """
 
     chain: ClosedChain
@@ -169,14 +153,7 @@ class ControlProblem:
 def problem_faults(
     dt: float, kappa: float, tasks: Sequence[Task], secondary: Sequence[Task]
 ) -> Iterator[tuple[Location, str]]:
-    """What no controller can be asked for: places such as tasks[0], and what is wrong there.
-
-    Args:
-        dt: control period [s].
-        kappa: drift gain [1/s].
-        tasks: the main tasks.
-        secondary: objectives for what the tasks leave free.
-    """
+    """What no controller can be asked for: places such as tasks[0], and what is wrong there."""
     if wrong := period_fault(dt):
         yield ("dt",), wrong
         return
@@ -213,10 +190,10 @@ class Command:
     Attributes:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
         tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
-        causes: what became of the tick, and what else was relaxed in it. Where the first, the
-            status, is not usable, v = 0, or torques only hold.
+        causes: status of the tick, and what else was relaxed in it. Where the first is not usable,
+            v = 0, or torques only hold.
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
-        drift: share of the drift correction that is done.
+        drift: share of the Baumgarte correction that is done.
         note: what else is to be said of a tick that stood still, such as what a task raised.
     """
 
@@ -253,16 +230,10 @@ class Command:
 class Law(ABC):
     """A controller built for one problem.
 
-    Args:
-        problem: what it is built for.
-        torques: whether it commands torques.
-        gives_way: whether it does what tasks with an impedance ask for; they are refused if not.
-
     Attributes:
-        problem: what it was built for.
         command: of the last tick.
         compiled: whether the kernel has decided the last tick.
-        squeezer: who presses by measured forces; None where nobody does.
+        squeezer: internal force control by measured forces; None where there is none.
     """
 
     engine: ClassVar[str | None] = None
@@ -296,8 +267,8 @@ class Law(ABC):
 
         Args:
             q: configuration, shape (n,); the chain's start when omitted.
-            q_measured: where the sensors say that the joints are, instead of q. What the loops are
-                open by there is taken for the model's error (``State.gap``).
+            q_measured: measured joint positions, instead of q; the loop error there is taken for
+                the model's bias (``State.gap``).
             hand_wrench: ``State.hand_wrench`` there.
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
@@ -339,12 +310,7 @@ class Law(ABC):
         return command
 
     def run(self, state: State, ticks: int) -> TickBatch:
-        """Many ticks on joints that do as told, with nothing that arrives from outside.
-
-        Args:
-            state: where it begins, of :meth:`start`; written, so that it is where it ends.
-            ticks: how many.
-        """
+        """Many ticks on ideal joints, without inputs from outside; ``state`` is written."""
         found = self._room(state, ticks)
         for k in range(ticks):
             self._keep(state, found, k)
@@ -368,11 +334,7 @@ class Law(ABC):
             found.notes[k] = command.note
 
     def step(self, state: State) -> Command:
-        """A tick, after which the joints have done as told for dt.
-
-        Args:
-            state: of :meth:`start`; written, :meth:`coopqp.model.state.State.advance`.
-        """
+        """A tick and :meth:`coopqp.model.state.State.advance`: ideal joints for dt."""
         command = self.tick(state)
         state.advance(command.v, self.problem.dt)
         return command
@@ -399,12 +361,7 @@ class Law(ABC):
         return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
 
     def refuse(self, why: Status, note: str = "") -> Command:
-        """Stand still where nothing can be decided.
-
-        Args:
-            why: the status.
-            note: what else is to be said.
-        """
+        """Stand still where nothing can be decided."""
         command = self.command
         command.v[:] = 0.0
         if command.tau is not None:
@@ -421,11 +378,7 @@ class Law(ABC):
         return self.command
 
     def hold_still(self, state: State) -> None:
-        """Write torques that keep the arms where they are; for laws in velocities zero does.
-
-        Args:
-            state: with its kinematics up to date.
-        """
+        """Write torques that keep the arms where they are; for laws in velocities zero does."""
         return
 
     def _plugins(self) -> list[tuple[str, object]]:
@@ -438,10 +391,7 @@ class Law(ABC):
 
     @abstractmethod
     def decide(self, state: State) -> Command:
-        """The command at a state whose kinematics are up to date.
-
-        Raises nothing, prints nothing, reuses its arrays.
-        """
+        """The command at an up-to-date state; raises and prints nothing, reuses its arrays."""
 
 
 @spec
@@ -468,11 +418,7 @@ class Controller(ABC):
 
     @abstractmethod
     def build(self, problem: ControlProblem) -> Law:
-        """Prepare everything that does not change from tick to tick.
-
-        Raises:
-            CoopqpError: the controller cannot be used for this problem.
-        """
+        """Prepare what is constant; CoopqpError where the controller cannot serve this problem."""
 
     def unprepared(self, problem: ControlProblem) -> Law:
         """The same, but what only rare ticks need waits for them: for many short runs."""

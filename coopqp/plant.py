@@ -109,12 +109,10 @@ class PlantModel(ABC):
     """A plant built for one problem.
 
     Attributes:
-        signals: what the plant tells beside the state, by name, written by each step; the trace
-            keeps it.
-        measured: where the sensors say that the joints are, shape (n,) [rad, m]; None where the
-            joints do exactly as told. A run begins there, and so does each phase.
-        lost: which hand has lost the object and why, where the plant cannot go on without; empty
-            while it is held.
+        signals: what the plant tells beside the state, by name, written by each step, recorded.
+        measured: measured joint positions, shape (n,) [rad, m], where a run and each phase begin;
+            None where joints follow their commands exactly.
+        lost: which hand has lost the object and why, where the plant cannot go on; else empty.
     """
 
     def __init__(self) -> None:
@@ -146,22 +144,15 @@ class PlantModel(ABC):
         """
 
     def truth(self, state: State) -> State:
-        """What is really so: joints, object and loops, with the kinematics up to date.
+        """The true joints, object and loops, with the kinematics up to date.
 
-        The state itself where joints do exactly as told and the model has no errors.
-
-        Args:
-            state: as the last step left it, or as the run began.
+        The state itself where joints follow their commands exactly and the model has no errors.
         """
         return state
 
     @abstractmethod
     def resume(self, before: PlantModel) -> None:
-        """Go on from where the plant of the phase before stopped, with other arms holding.
-
-        Args:
-            before: of the same type.
-        """
+        """Go on from where the previous phase's plant, of this type, stopped; other arms hold."""
 
 
 @spec

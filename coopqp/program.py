@@ -56,12 +56,11 @@ class Primitive:
     """A few rows of a task.
 
     Attributes:
-        kind: what it does.
         rows: which of the kind's rows, in the task's order; for a posture, which joints; for
             manipulability, which axes of the world.
         reference: the frame that the object is steered to; of a relative motion, its origin alone,
             in the first arm's object frame.
-        profile: how the error goes to zero, or the wish to its goal.
+        profile: how the error goes to zero, or the objective to its goal.
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
         e_start: error at the start, one number a row.
@@ -134,11 +133,7 @@ class Programmed(Protocol):
 
 
 class Programs:
-    """The programs of tasks that set out from one state, each made when it is first asked for.
-
-    Args:
-        start: the state, which stays as it is.
-    """
+    """The programs of tasks that set out from one unchanging state, each made when first needed."""
 
     def __init__(self, start: State) -> None:
         self.start = start
@@ -164,15 +159,7 @@ def profile_numbers(profile: Profile) -> Array:
 def point(
     start: State, reference: Reference, p_O: Vector3, profile: Profile, rows: tuple[int, ...]
 ) -> Primitive:
-    """A point's place along some of the reference's axes; its error shrinks from the start's.
-
-    Args:
-        start: the state from which the reference sets out.
-        reference: what the point goes to.
-        p_O: the point, in the object frame [m].
-        profile: how the error goes to zero.
-        rows: which axes of the reference count.
-    """
+    """A point's place along the reference's axes in ``rows``; its error shrinks to zero."""
     return Primitive(
         kind=Kind.POINT, rows=rows, reference=reference, point=p_O, profile=profile,
         e_start=_place(start, reference, p_O)[list(rows)].tolist(),
@@ -242,12 +229,7 @@ Fill = Callable[[State, Array, Array, Array], None]
 
 
 def evaluated(program: Sequence[Primitive], start: State) -> Fill:
-    """The rows of primitives of the object, in numpy; their references move once a state.
-
-    Args:
-        program: of one task, one primitive after the other.
-        start: the state from which the references set out.
-    """
+    """The rows of a task's primitives, in numpy; their references move once a state."""
     moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
     goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
     seen: dict[tuple[int, Vector3], PointInReference] = {}

@@ -15,12 +15,7 @@ from coopqp.base.spec import Array, Positive, spec
 
 
 class Status(enum.Enum):
-    """What became of a tick; the value is the message.
-
-    Attributes:
-        usable: whether the velocity may be used.
-        fallback: whether something was relaxed to have an answer.
-    """
+    """Status of a tick, with its message; ``fallback``: a constraint was relaxed."""
 
     usable: bool
     fallback: bool
@@ -105,9 +100,9 @@ class Solution:
         multipliers: [z_box; z; y], of which these are views.
         status: as the solver says; after :meth:`Verifier.check`, as verified.
         primal_residual: violation of rows or bounds (Euclidean norm).
-        dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the
-            least curvature: |g| where no bound is active, zero at the optimum, whatever
-            multipliers the solver gives for the bounds.
+        dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the least
+            curvature: |g| where no bound is active, zero at the optimum, whatever multipliers the
+            solver gives for the bounds.
     """
 
     def __init__(self, qp: QP) -> None:
@@ -131,12 +126,10 @@ class Solver(ABC):
 
     @abstractmethod
     def open(self, qp: QP, solution: Solution) -> Solve:
-        """Set the solver up once; the returned function solves what qp then holds.
+        """Set up once; the function returned solves what qp then holds, and raises nothing.
 
-        It writes v, multipliers and status of the solution, and raises nothing.
-
-        Raises:
-            MissingDependencyError: the solver is not installed.
+        It writes v, multipliers and status of the solution. MissingDependencyError if not
+        installed.
         """
 
 
@@ -169,30 +162,21 @@ BEYOND = 1e150
 class Verifier:
     """Checks each solution against the QP itself, whatever solver it came from.
 
-    How far v is from the optimum is told by a projected gradient step of length 1/mu, mu being the
-    least curvature of the cost (the damping): v - clip(v - g/mu, lb, ub) vanishes at the optimum
-    alone, and where no bound is active its norm bounds |v - v*|.
+    The distance of v from the optimum is estimated by a projected gradient step of length 1/mu, mu
+    being the smallest eigenvalue that P can have (``curvature``, the damping): v - clip(v - g/mu,
+    lb, ub) vanishes at the optimum alone, and where no bound is active its norm bounds |v - v*|.
 
     Dividing by mu magnifies rounding as well. The gradient is a sum of terms that cancel, each
-    known to its last digit only; where limits and loop rows nearly clash, the multipliers reach
-    1e5 and their last digits alone make a step of 1e-5 rad/s, even at the optimum. So a step
-    counts as none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a
-    problem whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
+    known to its last digit only; where limits and loop rows nearly clash, the multipliers reach 1e5
+    and their last digits alone make a step of 1e-5 rad/s, even at the optimum. So a step counts as
+    none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a problem
+    whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
     multipliers, however large, excuse an answer that is off by more.
 
     Rows that nearly depend on each other, or on active limits, hold almost as well far from the
-    optimum. So what they lack counts by how far v has to go to make it nothing.
+    optimum. Their residual therefore counts by the length of the step that removes it.
 
     A NaN stays one, and all comparisons are written so that it fails them.
-
-    Args:
-        qp: the problem.
-        solution: the answer.
-        budget: what it may be off by.
-        curvature: smallest eigenvalue that P can have, mu.
-
-    Attributes:
-        curvature: as given; whoever fills P may know more of it in each tick.
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:

@@ -54,12 +54,7 @@ Rows = TypeVar("Rows")
 
 
 def evaluate_all(each: Sequence[tuple[Callable[[State, Rows], None], Rows]], state: State) -> None:
-    """Let bound tasks or limits write their rows at a state, which they cannot write to.
-
-    Args:
-        each: what is bound, and where it writes.
-        state: up to date.
-    """
+    """Let bound tasks or limits write their rows at a state, which they cannot write to."""
     state.lock()
     try:
         for evaluate, rows in each:
@@ -78,8 +73,6 @@ class Part:
 
     Attributes:
         name: such as "orientation"; empty when the task has one part.
-        rows: how many.
-        unit: of the error.
         tolerance: error at the end that still counts as reached [unit].
     """
 
@@ -152,9 +145,6 @@ class Task(ABC):
         """Fix the reference's start and return the function that fills the rows each tick.
 
         A task gives this, or a :meth:`program` of primitives of the object, or both.
-
-        Args:
-            start: the state from which the reference sets out.
         """
         program = self.program(start)
         if program is None:
@@ -167,11 +157,7 @@ class Task(ABC):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """The rows as a list of primitives, which the kernel evaluates; None where they are none.
-
-        Args:
-            start: the state from which the reference sets out.
-        """
+        """The rows as primitives, which the kernel evaluates; None where they are none."""
         return None
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
@@ -179,18 +165,11 @@ class Task(ABC):
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """What pictures show of it: where the goal is then, not the way there; nothing by default.
-
-        Args:
-            at: time since its reference set out, and what is made of inputs then.
-        """
+        """What pictures show of it: the goal at an instant, not the way there."""
         return ()
 
     def at_goal(self) -> Task:
-        """The same task with its reference at the goal at once; its error is that to the goal.
-
-        A task whose reference moves has a field ``profile``; any other is at its goal already.
-        """
+        """The same task with its reference (``profile``) at the goal at once."""
         moved: dict[str, Any] = {"profile": Profile(kind="step")}
         return replace(self, **moved) if self.way else self
 
@@ -207,10 +186,7 @@ class Task(ABC):
 
     @property
     def impedance(self) -> Impedance | None:
-        """How its rows give way to pushes, which only some laws by torques can do; gain is idle.
-
-        None for tasks whose error shall decay whatever pushes.
-        """
+        """How its rows yield to pushes, by torques alone; None where the error shall decay."""
         return None
 
     @property
@@ -221,10 +197,6 @@ class Task(ABC):
 
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
-
-    Args:
-        tasks: in the order of their rows.
-        start: the state from which their references set out.
 
     Attributes:
         slices: of each task's rows. sizes: their numbers.
@@ -272,7 +244,7 @@ class TaskStack:
         self.wanted[:] = self.rate - self._gains * self.e
 
     def bends(self, v: Array) -> Array:
-        """What J leaves out of each row's second derivative, times 1 s, shape (k,).
+        """Curvature that J leaves out of each row's cost, times 1 s, at the last v, shape (k,).
 
         The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
         it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
@@ -280,9 +252,6 @@ class TaskStack:
             g_i |e_i| L_i
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
-
-        Args:
-            v: the last velocity, shape (n,).
         """
         most = self._gains * np.abs(self.e)
         for part in self._asking:
@@ -296,11 +265,7 @@ class TaskStack:
 
 
 def refuse_impedances(tasks: Sequence[Task]) -> None:
-    """Refuse tasks that give way to pushes, for laws that cannot.
-
-    Raises:
-        InvalidValueError: with the first of them.
-    """
+    """Raise InvalidValueError at the first task that yields to pushes, for laws that cannot."""
     for task in tasks:
         if task.impedance is not None:
             raise InvalidValueError(

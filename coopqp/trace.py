@@ -26,7 +26,6 @@ class TickBatch:
     Attributes:
         q: before each and at the end, shape (T + 1, n) [rad, m].
         v: of each command, shape (T, n) [rad/s, m/s].
-        causes: what became of each.
         compiled: whether the kernel decided it, shape (T,).
         scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         memory: what the law remembered when each began, shape (T, .).
@@ -43,13 +42,7 @@ class TickBatch:
 
     @staticmethod
     def room(ticks: int, n: int, remembered: int) -> TickBatch:
-        """Arrays for so many ticks, every one optimal.
-
-        Args:
-            ticks: T.
-            n: joints.
-            remembered: how many numbers the law remembers.
-        """
+        """Arrays for so many ticks, every one optimal."""
         return TickBatch(
             np.zeros((ticks + 1, n)),
             np.zeros((ticks, n)),
@@ -65,7 +58,6 @@ class TaskInfo:
     """A task, or a part of it with a unit of its own, as the trace needs it.
 
     Attributes:
-        name, unit, tolerance: as the task says.
         end: when its reference arrives [s].
         rows: of the trace, during which it counts; its error is NaN in the others.
         springs: of an impedance, which of the task's rows each is, its axis of the push, and its
@@ -82,13 +74,7 @@ class TaskInfo:
 
 @dataclass(frozen=True)
 class PhaseInfo:
-    """A phase as the trace needs it.
-
-    Attributes:
-        name: of the phase.
-        first: its first tick.
-        released: the arms that do not hold the object.
-    """
+    """A phase as the trace needs it: its first tick, and the arms that do not hold the object."""
 
     name: str
     first: int
@@ -97,10 +83,9 @@ class PhaseInfo:
 
 @dataclass(frozen=True)
 class InputTrace:
-    """What arrived at an input, and what was made of it.
+    """What arrived at an input, and its filtered value.
 
     Attributes:
-        kind: of its values.
         arrived: what arrived for each tick, NaN where nothing did, shape (T, values).
         sent: when that was sent, NaN where nothing was, shape (T,) [s].
         value: what was followed in each tick, shape (T, values).
@@ -127,13 +112,7 @@ def followed(inputs: Mapping[str, InputTrace], k: int) -> InputValues:
 
 @dataclass(frozen=True)
 class Failure:
-    """A tick whose answer could not be used.
-
-    Attributes:
-        tick: which.
-        cause: what its status says.
-        note: what else is to be said, such as what a task raised.
-    """
+    """A tick whose answer could not be used: its status, and such as what a task raised."""
 
     tick: int
     cause: str
@@ -289,26 +268,26 @@ class Trace:
     """One controller's run.
 
     Attributes:
-        controller: its name.
         solver: name of its QP solver; None for laws without one.
         engine: "kernel" or "python", whichever is asked first; None for laws without a QP.
-        dt: control period [s]. kappa: gain of the drift correction [1/s].
+        dt: control period [s]. kappa: gain of the Baumgarte stabilisation [1/s].
         joints: names, shape (n,). units: of their coordinates, "rad" or "m".
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
-        leverage: how much of what is missed of each task in the end joints with closed loops can
-            still bring about, over the start's, shape (K,); 0 where singular, 1 if none is missed.
+        leverage: directional manipulability: how much of what is missed of each task in the end
+            joints with closed loops can still bring about, over the start's, shape (K,); 0 where
+            singular, 1 if none is missed.
         t: shape (T + 1,) [s].
-        q: what the plant's joints did, before noise, shape (T + 1, n) [rad or m].
-        v: commanded velocity, or the plant's after the tick when torques were commanded, shape
-            (T, n) [rad/s or m/s].
-        commanded: the configuration from which each tick decided: the integral of the commands,
-            or what was measured when torques were commanded, shape (T, n).
-        measured: where the sensors said that the joints are when each tick decided, shape (T, n);
-            NaN where they said nothing, as where joints do exactly as told.
-        gap: the part of the loop error that each tick took for the model's own, loop by loop in
-            the order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
+        q: positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
+        v: commanded velocity, or the plant's after the tick when torques were commanded, shape (T,
+            n) [rad/s or m/s].
+        commanded: the configuration from which each tick decided: the integral of the commands, or
+            what was measured when torques were commanded, shape (T, n).
+        measured: measured joint positions when each tick decided, shape (T, n); NaN where there are
+            none, as where joints follow their commands exactly.
+        gap: the part of the loop error that each tick took for the model's own, loop by loop in the
+            order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
         memory: what the law remembered when each tick began, zero beyond what it remembers, shape
             (T, .); with t, commanded, gap and the v before it repeats the tick.
         position: of the object, shape (T + 1, 3) [m].
@@ -318,12 +297,12 @@ class Trace:
             to the goal, shape (T + 1, K) [the task's unit].
         goal_error: the same to the goal, as if the reference were there from the start.
         task_rows: the rows of all tasks, such as "reach.z", R of them.
-        e: each row's error to its reference, value minus reference, shape (T + 1, R) [the task's
-            unit]; 0 for tasks that ask for a velocity alone.
+        e: each row's error, value minus reference, shape (T + 1, R) [the task's unit]; 0 for tasks
+            that ask for a velocity alone.
         rate: how fast each row's reference moves, shape (T + 1, R) [unit/s].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
-        status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
+        status: of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
         scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
@@ -398,12 +377,7 @@ class Trace:
         return len(self.v)
 
     def moment(self, k: int, t: float) -> Moment:
-        """An instant as references see it.
-
-        Args:
-            k: row.
-            t: since they set out [s].
-        """
+        """The instant of row k as references see it, t [s] after they set out."""
         return Moment(t, followed(self.inputs, k))
 
     @property
@@ -413,13 +387,10 @@ class Trace:
 
 
 def join(phases: Legs) -> Trace:
-    """One trace of a controller's phases.
+    """One trace of a controller's phases, in their order; the time of each begins at zero.
 
     Every field says how it is joined; there is no default, so that none is forgotten. The instant
     between two phases belongs to the first of them: a loop is as open as it was before a hand took
     hold anew.
-
-    Args:
-        phases: in their order, each with its own trace, whose time begins at zero.
     """
     return Trace(**{part.name: part.metadata["join"](phases, part.name) for part in fields(Trace)})

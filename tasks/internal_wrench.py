@@ -101,7 +101,7 @@ class InternalWrench(Task):
 
         Raises:
             UnknownNameError: an arm that does not hold the object.
-            GraspError: the pair is not told, three hands on one line, or a component that three
+            GraspError: the pair is not given, three hands on one line, or a component that three
                 hands do not have.
         """
         held = hands(start.chain)

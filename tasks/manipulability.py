@@ -86,12 +86,7 @@ class Manipulability(Task):
 
 
 class _Climb:
-    """The gradient of the manipulability.
-
-    Args:
-        chain: the closed chain.
-        kept: rows of J_task that count.
-    """
+    """The gradient of the manipulability; ``kept`` are the rows of J_task that count."""
 
     def __init__(self, chain: ClosedChain, kept: list[int]) -> None:
         self._kept, self._arms = np.array(kept), len(chain.arms)

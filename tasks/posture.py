@@ -55,12 +55,7 @@ class Posture(Task):
         return last_end(self.profile, *goal)
 
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from the joints' values now.
-
-        Raises:
-            UnknownNameError: the goal names neither an arm nor a joint.
-            InvalidValueError: it has a wrong number of values.
-        """
+        """The reference sets out from the joints' values now."""
         goal = _Goal(self.goal, start)
         goal.update(start)
         given = np.isfinite(goal.value).astype(float)
@@ -101,12 +96,7 @@ class Posture(Task):
 
 
 class _Goal:
-    """Where all joints shall be.
-
-    Attributes:
-        value, rate: shape (n,) [rad, m; rad/s, m/s]; NaN and zero where nothing is given.
-        moves: whether anything changes with time.
-    """
+    """Where all joints shall be, shape (n,) [rad, m; rad/s, m/s]; NaN and zero if not given."""
 
     def __init__(
         self, goal: Mapping[str, JointValues] | list[float] | Signal, start: State
@@ -130,12 +120,7 @@ class _Goal:
 
 
 def posture(goal: Mapping[str, JointValues] | list[float], chain: ClosedChain) -> Array:
-    """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given.
-
-    Raises:
-        UnknownNameError: a key is neither an arm nor a joint.
-        InvalidValueError: a wrong number of values.
-    """
+    """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given."""
     return _Goal(goal, State(chain)).value
 
 

@@ -63,11 +63,7 @@ class RelativeMotion(Task):
         return last_end(self.profile, self.goal)
 
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from the relative pose now.
-
-        Raises:
-            UnknownNameError: no such arm, or the first one.
-        """
+        """The reference sets out from the relative pose now; no such arm: UnknownNameError."""
         chain, seen = start.chain, _Seen(start.chain, self._loop(start.chain))
         at, R_0, Q, gap = seen.at, seen.R_0, seen.Q, seen.gap
         first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
@@ -131,12 +127,7 @@ class RelativeMotion(Task):
 class _Seen:
     """Where an arm carries the object, seen from where the first arm does.
 
-    Args:
-        chain: of both.
-        loop: which the arm closes with the first.
-
     Attributes:
-        at: the first of the loop's rows.
         R_0: orientation of the object as the first arm carries it, shape (3, 3).
         Q: of the other's in its axes, R_0' R_i, shape (3, 3).
         gap: from the first's origin to the other's, in the world, shape (3,) [m].

@@ -27,12 +27,7 @@ MOST_NAMES = 100  # that are listed where none is near
 
 
 class CoopqpError(Exception):
-    """Base of all errors raised by coopqp.
-
-    Attributes:
-        keys: the way from what was to be built to the value that is wrong, as far as it is known:
-            names of fields, keys and indices.
-    """
+    """Base of all errors raised by coopqp; ``keys`` lead to the wrong value, as far as known."""
 
     keys: tuple[str | int, ...] = ()
 
@@ -86,12 +81,7 @@ class MissingDependencyError(CoopqpError, ImportError):
 
 
 class UnreadableFileError(CoopqpError):
-    """A file that cannot be read.
-
-    Attributes:
-        place: the file, or a line in it.
-        why: what keeps it from being read.
-    """
+    """A file, or a line in it (``place``), that cannot be read, and why."""
 
     def __init__(self, place: object, why: str) -> None:
         self.place, self.why = str(place), why

@@ -49,11 +49,7 @@ def _explain(schema: dict[str, Any], cls: type) -> None:
 
 
 def told(cls: type) -> dict[str, str]:
-    """What the docstring under each field says, of the class that has it or a base; from source.
-
-    Args:
-        cls: a class; one whose source is not to be had says nothing.
-    """
+    """The docstring under each field of a class or its bases; empty where there is no source."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         with suppress(OSError, TypeError):
@@ -118,12 +114,7 @@ def taken_names(names: Sequence[str]) -> Iterator[tuple[int, str]]:
 
 
 def overshoot(gain: float, dt: float) -> str:
-    """What is wrong with a gain [1/s] that takes back more than all in one tick; else empty.
-
-    Args:
-        gain: share of an error, or of a distance, that goes per second.
-        dt: control period [s].
-    """
+    """What is wrong with a gain [1/s] that takes back more than all in a tick dt [s]; or empty."""
     if gain * dt <= 1.0 + 1e-9:
         return ""
     return f"gain {gain} 1/s overshoots; needs at most 1/dt = {1.0 / dt:g} 1/s"
@@ -135,11 +126,7 @@ def _three(value: Any) -> Any:
 
 
 def numbers(value: Any, count: int) -> Any:
-    """A list, tuple or array of ``count`` numbers as a list; other values are left to pydantic.
-
-    Raises:
-        ValueError: it has another length.
-    """
+    """A list, tuple or array of ``count`` numbers as a list, else ValueError; others unchanged."""
     listed = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(listed, list | tuple) or len(listed) != count:
         raise ValueError(f"needs {count} numbers")
@@ -147,15 +134,7 @@ def numbers(value: Any, count: int) -> Any:
 
 
 def array(name: str, values: ArrayLike) -> Array:
-    """Numbers given in Python, as an array of their own of whatever shape.
-
-    Args:
-        name: what they are, for the message.
-        values: numbers, NaN and infinities too.
-
-    Raises:
-        InvalidValueError: they are no numbers, or ragged.
-    """
+    """Numbers given in Python, NaN and infinities too, as a new array, or InvalidValueError."""
     try:
         return np.array(values, float)
     except (TypeError, ValueError):
@@ -163,13 +142,10 @@ def array(name: str, values: ArrayLike) -> Array:
 
 
 def real(values: Any) -> Array:
-    """What arrives while a loop runs, as an array of its own of whatever shape.
+    """What arrives while a loop runs, as a new array; ValueError says why it is not real numbers.
 
     numpy makes numbers of much that is none: of complex ones it drops a part, of masked values the
     mask; True is 1, and None is NaN.
-
-    Raises:
-        ValueError: they are no real numbers; says why.
     """
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise ValueError("has masked values")
@@ -191,11 +167,7 @@ _NO_NUMBERS = {"c": "found complex numbers", "b": "found true or false", "U": "f
 
 
 def vector(name: str, values: ArrayLike, n: int) -> Array:
-    """The same for n numbers, shape (n,).
-
-    Raises:
-        InvalidValueError: they are no numbers, or not n.
-    """
+    """The same for n numbers, shape (n,); InvalidValueError where they are not n."""
     found = array(name, values)
     if found.shape != (n,):
         raise InvalidValueError(f"{name}: found shape {found.shape}, needs ({n},)")
@@ -203,22 +175,14 @@ def vector(name: str, values: ArrayLike, n: int) -> Array:
 
 
 def finite(name: str, found: Array) -> Array:
-    """The array as it is.
-
-    Raises:
-        InvalidValueError: a number is NaN or infinite.
-    """
+    """The array as it is; InvalidValueError where a number is NaN or infinite."""
     if not np.isfinite(found).all():
         raise InvalidValueError(f"{name}: found {found.tolist()}, needs finite numbers")
     return found
 
 
 def near(key: str, found: Array) -> Array:
-    """The array as it is, of a key of joint values.
-
-    Raises:
-        InvalidValueError: a number is NaN, infinite, or more than a joint's value can be [rad, m].
-    """
+    """The array of a key of joint values; InvalidValueError beyond what joints reach [rad, m]."""
     if np.abs(finite(key, found)).max(initial=0.0) > FARTHEST:
         words = f"found {found.tolist()}, needs at most {FARTHEST:g} rad or m"
         raise InvalidValueError(f"{key}: {words}").at(key)
@@ -226,11 +190,7 @@ def near(key: str, found: Array) -> Array:
 
 
 def seeded(seed: int) -> np.random.Generator:
-    """Random numbers that are the same for equal seeds.
-
-    Raises:
-        InvalidValueError: the seed is negative.
-    """
+    """Random numbers that are the same for equal seeds; InvalidValueError for negative ones."""
     if seed < 0:
         raise InvalidValueError(f"seed: found {seed}, needs at least 0")
     return np.random.default_rng(seed)
@@ -282,11 +242,7 @@ class Pose:
 
 
 def one_angle(name: str, radians: object, degrees: object, *, needed: bool = False) -> None:
-    """Refuse an angle that is given twice, or not at all when it is needed.
-
-    Raises:
-        ValueError: both or, if needed, neither of the two keys was given.
-    """
+    """Raise ValueError where an angle is given twice, or not at all when it is needed."""
     if radians is not None and degrees is not None:
         raise ValueError(f"give {name} (radians) or {name}_deg (degrees), not both")
     if needed and radians is None and degrees is None:

@@ -23,12 +23,9 @@ MOST = 256 << 20
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers by name.
+    """Columns of numbers by name, shape (rows,) each, NaN where a cell is empty.
 
-    Attributes:
-        path: of the file.
-        columns: by name, NaN where a cell is empty, shape (rows,) each.
-        first_line: of the first row; 0 where the file has no lines.
+    ``first_line`` is that of the first row; 0 where the file has no lines.
     """
 
     path: Path
@@ -58,11 +55,7 @@ class Table:
         return found
 
     def times(self, name: str = "t") -> Array:
-        """A column whose numbers rise, shape (rows,) [s].
-
-        Raises:
-            InvalidValueError: no such column, or a time that is not later than the one before.
-        """
+        """A column [s], shape (rows,); InvalidValueError where it is missing or does not rise."""
         t: Array = self.take([name])[:, 0]
         back = np.flatnonzero(np.diff(t) <= 0.0)
         if len(back):
@@ -73,10 +66,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """A file with columns of numbers.
-
-    Args:
-        path: ending in ``.parquet``, or a CSV file with the names in its first line.
+    """Columns of numbers from a ``.parquet`` file, or CSV with names in its first line.
 
     Raises:
         CoopqpError: it cannot be read, or is no such table.

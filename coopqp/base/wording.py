@@ -82,11 +82,9 @@ def said(error: BaseException) -> str:
 
 
 def raised(error: BaseException, file: str | None = None) -> str:
-    """``FILE:LINE: raises ZeroDivisionError: division by zero``.
+    """``FILE:LINE: raises ZeroDivisionError: division by zero``; the last line in no library.
 
-    Args:
-        error: caught; what ends Python, such as SystemExit, counts too.
-        file: whose line counts; the last that is no library if omitted.
+    A ``file`` given is the one whose line counts. What ends Python, such as SystemExit, counts too.
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]
@@ -117,10 +115,8 @@ def by_user(error: BaseException) -> bool:
 def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
     """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
 
-    Args:
-        error: caught.
-        plugins: whose code may have raised it, with the words for each; of several the outermost
-            counts, and of those with the same code all.
+    Of several ``plugins``, with the words for each, the outermost counts; of those with the same
+    code all.
     """
     called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
     for code in called:
@@ -193,13 +189,7 @@ def _plain(value: Any) -> Any:
 
 
 def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tuple[str | int, ...]:
-    """The location without pydantic's own steps, such as which branch of a union failed.
-
-    Args:
-        data: what was given.
-        location: pydantic's.
-        missing: whether the last step is a key that is not there.
-    """
+    """The location without pydantic's own steps, such as which branch of a union failed."""
     kept: list[str | int] = []
     for i, part in enumerate(location):
         last = i == len(location) - 1

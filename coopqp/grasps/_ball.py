@@ -9,12 +9,7 @@ from coopqp.grasp import PassiveJoint
 
 
 def ball(point: tuple[float, float, float], cone: float) -> tuple[PassiveJoint, ...]:
-    """Hinges about x, y and z through a point.
-
-    Args:
-        point: in the hand [m].
-        cone: each angle goes this far both ways [rad].
-    """
+    """Hinges about x, y and z through a point of the hand [m], each within +-cone [rad]."""
     centre = pin.SE3(np.eye(3), np.array(point))
     kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
     places = (centre, pin.SE3.Identity(), pin.SE3.Identity())

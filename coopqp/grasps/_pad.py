@@ -36,11 +36,9 @@ SUMS_UP = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Pad(Contact):
-    """A flat pad.
+    """A flat pad; ``torsion`` is the share of the corners' yaw that it bears.
 
-    Attributes:
-        torsion: share of the corners' yaw that the pad bears: 1 where it carries at its corners,
-            about a half under even pressure.
+    That is 1 where it carries at its corners, about a half under even pressure.
     """
 
     torsion: float = 1.0
@@ -120,13 +118,7 @@ class Pad(Contact):
 
 
 def pad_rows(m: float, X: float, Y: float) -> Array:
-    """The 16 rows, shape (16, 6).
-
-    Args:
-        m: half the edge of the square of tangential forces over the normal force.
-        X: half-length along x [m].
-        Y: along y [m].
-    """
+    """The 16 rows, shape (16, 6), for half-lengths X, Y [m] and m of the square of forces."""
     rows = []
     for sign in (1.0, -1.0):
         rows += [
@@ -142,13 +134,7 @@ def pad_rows(m: float, X: float, Y: float) -> Array:
 
 
 def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> bool:
-    """Whether forces at the corners, each in a cone of many edges, sum up to a wrench.
-
-    Args:
-        wrench: shape (6,) with a normal force that presses.
-        half: half-lengths X, Y [m].
-        friction: coefficient.
-    """
+    """Whether forces at the corners, each in a cone of many edges, sum up to a pressing wrench."""
     from scipy.optimize import nnls  # which takes a quarter of a second to come
 
     wanted = wrench / wrench[2]

@@ -14,15 +14,10 @@ PARALLEL = 1e-3
 
 
 def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE3:
-    """The contact frame in the hand: z along the normal, x along the pad.
+    """The contact frame in the hand at a position [m]: z along the normal, x along the pad.
 
-    Args:
-        position: of its origin [m].
-        normal: into the object.
-        along: of x, less its part along the normal; the hand's own x, or y, if omitted.
-
-    Raises:
-        ValueError: along goes along the normal.
+    x goes along ``along`` less its part along the normal; the hand's own x, or y, if omitted.
+    ValueError: along goes along the normal.
     """
     z = unit(normal)
     if along is None:
@@ -37,14 +32,6 @@ def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE
 
 
 def check_range(least: float, most: float | None) -> None:
-    """Refuse normal forces that leave nothing between them.
-
-    Args:
-        least: [N].
-        most: [N]; any if None.
-
-    Raises:
-        ValueError: that is so.
-    """
+    """ValueError: normal forces [N] leave nothing between them."""
     if most is not None and not least < most:
         raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")

@@ -21,11 +21,7 @@ CONE = 1.4
 
 @dataclass(frozen=True, kw_only=True)
 class Fingertip(Contact):
-    """A point that presses.
-
-    Attributes:
-        edges: of the pyramid inside Coulomb's cone.
-    """
+    """A point that presses, with so many edges of the pyramid inside Coulomb's cone."""
 
     edges: int = 8
 

@@ -37,13 +37,9 @@ UNLIMITED = np.pi
 
 
 def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[str]]:
-    """The robot's bodies, and a sentence for each part of it that cannot be one.
+    """The robot's bodies, from capsules or shapes, and a sentence for each part that cannot be one.
 
     Meshes of one link are one body: robots drawn in CAD have one for every screw.
-
-    Args:
-        robot: with capsules or shapes.
-        model: of the robot, or one with more joints.
     """
     bodies = [
         Body(c.name, model.getJointId(c.joint) if c.joint else 0, of_capsule(c))
@@ -91,11 +87,7 @@ def held_body(chain: ClosedChain) -> Body:
 
 
 def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
-    """The robot's bodies and the object, and what of the robot cannot be watched.
-
-    Raises:
-        InvalidValueError: the robot has no bodies.
-    """
+    """The robot's bodies (InvalidValueError: none) and the object, and what cannot be watched."""
     bodies, faults = robot_bodies(chain.robot, chain.model)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
@@ -107,12 +99,7 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
 
 
 def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
-    """What of the robot a limit does not watch, one sentence each.
-
-    Args:
-        kind: of limit.
-        chain: what is limited.
-    """
+    """What of the robot a limit of this kind does not watch, one sentence each."""
     return tuple(f"{kind} does not see {fault}" for fault in bodies_of(chain)[1])
 
 
@@ -120,12 +107,6 @@ def named_bodies(
     where: str, name: str, bodies: Sequence[Body], faults: Sequence[str]
 ) -> list[Body]:
     """Those of a link, or of this very name, or else that a pattern fits.
-
-    Args:
-        where: before the message.
-        name: of a body or a link, or a pattern.
-        bodies: to choose from.
-        faults: what else of the robot there is, and why it cannot be watched.
 
     Raises:
         UnknownNameError: there is none.
@@ -142,11 +123,7 @@ def named_bodies(
 
 
 def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
-    """All pairs of :func:`bodies_of` but neighbours and those that touch by construction.
-
-    Raises:
-        InvalidValueError: the robot has no bodies.
-    """
+    """All pairs of :func:`bodies_of` but neighbours and those that touch by construction."""
     (*bodies, held), _ = bodies_of(chain)
     tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
     firm = {chain.model.frames[i].parentJoint for i in chain.frames[: chain.holding]}
@@ -195,13 +172,7 @@ def _configurations(model: pin.Model) -> Array:
 
 
 class _Tree:
-    """Which bodies follow which.
-
-    Args:
-        robot: whose bodies.
-        model: in which their joints are.
-        bodies: of the robot.
-    """
+    """Which bodies follow which."""
 
     def __init__(self, robot: RobotModel, model: pin.Model, bodies: Collection[Body]) -> None:
         self._model, self._occupied = model, {body.joint for body in bodies}

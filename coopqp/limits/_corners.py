@@ -32,14 +32,9 @@ SLAB = 0.002
 class Corners:
     """Corners of the closest pairs, in a fixed number of rows.
 
-    Args:
-        pairs: of bodies.
-        found: their distances.
-        distance: kept free [m].
-
     Attributes:
-        room: distance of each corner from the other body's plane less what is kept free; that of
-            rows without a corner is large, shape (ROWS,) [m].
+        room: margin of each corner to the distance kept from the other body's plane; that of rows
+            without a corner is large, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
         W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
         count: how many rows have a corner.

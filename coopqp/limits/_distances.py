@@ -51,9 +51,6 @@ Pair = tuple[Body, Body]
 class Distances:
     """Signed distances of pairs of bodies.
 
-    Args:
-        pairs: of bodies.
-
     Attributes:
         geometry, placed: the bodies, and where they are.
         d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
@@ -138,13 +135,7 @@ class Distances:
 
 
 class _Bounds:
-    """Lower bounds of distances: from the box round one body to the ball round the other.
-
-    Args:
-        placed: where the bodies are, each about the middle of its box.
-        bodies: their order.
-        ids: of the bodies of each pair.
-    """
+    """Lower bounds of distances: from the box round one body to the ball round the other."""
 
     def __init__(
         self, placed: pin.GeometryData, bodies: Sequence[Body], ids: Sequence[tuple[int, int]]

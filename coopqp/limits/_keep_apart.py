@@ -36,11 +36,7 @@ SHOWN = 3
 
 
 def check_count(name: str, count: int) -> None:
-    """Refuse more pairs than can be watched.
-
-    Raises:
-        InvalidValueError: with what to do.
-    """
+    """InvalidValueError for more pairs than can be watched, with what to do."""
     if count > MOST_PAIRS:
         raise InvalidValueError(
             f"{name}: watches {count} pairs, at most {MOST_PAIRS} can be; name the bodies that "
@@ -49,13 +45,7 @@ def check_count(name: str, count: int) -> None:
 
 
 def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
-    """A row a pair, then those of corners of whichever pairs are closest.
-
-    Args:
-        owner: name of the limit.
-        pairs: of bodies.
-        distance: kept free [m].
-    """
+    """A row a pair, then those of corners of the closest pairs; the distance [m] is kept free."""
 
     def row(name: str, label: str) -> Row:
         return Row(
@@ -93,16 +83,8 @@ def keep_apart(
 ) -> Tighten:
     """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
 
-    Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row there
-    if it could come closer than ``distance`` before the next one (:class:`LookAhead`).
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-        dt: control period [s].
-        distance: kept free [m].
-        gain: of the damper [1/s].
-        within: pairs farther apart than this are not slowed down before they are so near [m].
+    Of what a pair is farther apart than ``within`` [m] all may be used up in a tick. It has a row
+    there if it could come closer than ``distance`` [m] before the next one (:class:`LookAhead`).
     """
     found, count = Distances(pairs), len(pairs)
     corners = Corners(pairs, found, distance)
@@ -134,12 +116,7 @@ def keep_apart(
 
 
 class _Rates:
-    """How the distances of pairs, and of corners, change.
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-    """
+    """How the distances of pairs, and of corners, change."""
 
     def __init__(self, chain: ClosedChain, pairs: Sequence[Pair]) -> None:
         first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))

@@ -25,17 +25,9 @@ FASTEST = 1e6
 
 
 class LookAhead:
-    """Distances up to which pairs have a row.
+    """Distances up to which pairs have a row, at least up to ``within`` [m].
 
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-        distance: kept free [m].
-        within: pairs have a row at least up to here [m].
-        dt: control period [s].
-
-    Attributes:
-        far: of each pair, as of the last update, shape (p,) [m].
+    ``far`` is that of each pair as of the last update, shape (p,) [m].
     """
 
     def __init__(
@@ -47,11 +39,7 @@ class LookAhead:
         self.far = np.full(len(pairs), within)
 
     def update(self, bounds: LimitRows) -> None:
-        """Look as far as pairs can close in a tick, and keep the distance.
-
-        Args:
-            bounds: on v, as far as they are known.
-        """
+        """Look as far as pairs can close in a tick within these bounds on v."""
         speed = self._speed
         np.abs(bounds.lb, speed)
         np.abs(bounds.ub, self._other)
@@ -63,12 +51,7 @@ class LookAhead:
 
 
 def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
-    """How fast each joint, at speed 1, can bring each pair together at most, shape (p, n) [m, 1].
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-    """
+    """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1]."""
     bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
     of_body = dict(zip(bodies, (_levers_of(chain, body) for body in bodies), strict=True))
     first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))

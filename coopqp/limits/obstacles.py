@@ -187,13 +187,7 @@ class Obstacles(Limit):
         )
 
     def _pairs(self, chain: ClosedChain) -> list[Pair]:
-        """All bodies that move, or those named, with all things.
-
-        Raises:
-            InvalidValueError: the robot has no bodies, none of those named moves, there are too
-                many pairs, or a mesh cannot be used.
-            UnknownNameError: no body has the name given.
-        """
+        """All bodies that move, or those named, with all things."""
         bodies, faults = bodies_of(chain)
         if self.bodies is not None:
             named = list[Body]()

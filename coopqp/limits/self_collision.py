@@ -130,12 +130,7 @@ class SelfCollision(Limit):
         return tuple(found)
 
     def _pairs(self, chain: ClosedChain) -> list[Pair]:
-        """Those given, or those that can meet, without those to be ignored.
-
-        Raises:
-            InvalidValueError: the robot has no bodies, or one that is named cannot be watched.
-            UnknownNameError: no body has the name given.
-        """
+        """Those given, or those that can meet, without those to be ignored."""
         bodies, faults = bodies_of(chain)
         if self.pairs is None:
             found = pairs_that_can_meet(chain)
@@ -172,19 +167,7 @@ def _named(
     bodies: Sequence[Body],
     faults: Sequence[str],
 ) -> Iterator[Pair]:
-    """Pairs of bodies by names and patterns, each once.
-
-    Args:
-        owner: name of the limit.
-        key: under which the names are.
-        names: of both bodies of each pair, or patterns.
-        bodies: to choose from.
-        faults: what else of the robot there is, and why it cannot be watched.
-
-    Raises:
-        UnknownNameError: no body has the name given.
-        InvalidValueError: nothing of what has it can be watched.
-    """
+    """Pairs of bodies by names and patterns, each once; errors as :func:`named_bodies`."""
     seen = set[frozenset[Body]]()
     where = f"{owner}.{key}: "
     for i, pair_of_names in enumerate(names):

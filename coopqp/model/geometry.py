@@ -60,11 +60,7 @@ class Turn:
 
 
 def last_end(*moving: object) -> float:
-    """When all of what a task follows is where it stays; what never rests does not count [s].
-
-    Args:
-        moving: profiles, turns, signals; anything else is at rest.
-    """
+    """When all profiles, turns and signals among what a task follows have come to rest [s]."""
     ends = (
         x.profile.end
         if isinstance(x, Turn)
@@ -79,7 +75,7 @@ def last_end(*moving: object) -> float:
 
 
 class Reference:
-    """A frame that the object is steered to.
+    """A frame that the object is steered to; InvalidValueError: it moves in two ways at once.
 
     Args:
         origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
@@ -90,9 +86,6 @@ class Reference:
             have to move for it:
         point: of the object, in the object frame [m]; it is where the origin begins.
         axis: of the object, in the object frame; it is along it that the direction begins.
-
-    Raises:
-        InvalidValueError: something moves in two ways at once.
 
     Attributes:
         c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
@@ -169,11 +162,7 @@ class Reference:
 
 
 class PlaceOf(Trajectory):
-    """The place of a pose, as the origin of a reference.
-
-    Args:
-        pose: of which it is a part.
-    """
+    """The place of a pose, as the origin of a reference."""
 
     def __init__(self, pose: Trajectory) -> None:
         self.kind, self._pose, self.moves = POINT, pose, pose.moves
@@ -198,25 +187,14 @@ def _one_motion(
 
 
 def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
-    """A pose to follow.
-
-    Args:
-        given: of a task.
-        start: the instant from which the reference sets out.
-        here: the value with which nothing would have to move, shape (7,).
-    """
+    """A pose or a signal to follow; an input begins at ``here``, shape (7,)."""
     if isinstance(given, Signal):
         return given.bind(POSE, start, here)
     return Trajectory(POSE, POSE.read(pose_matrix(given)))
 
 
 class PointInReference:
-    """A point of the object, seen from the reference.
-
-    Args:
-        p_O: the point in the object frame, shape (3,) [m].
-        reference: updated by the task before this.
-        n: number of joints.
+    """A point of the object, seen from the reference, which its task updates before this.
 
     Attributes:
         x: where it is, in the reference's axes, shape (3,) [m].
@@ -242,12 +220,9 @@ class PointInReference:
 
 @dataclass(frozen=True, slots=True)
 class Polar:
-    """A unit vector by its angle from the third axis and its way from it.
+    """A unit vector by its angle [rad] from the third axis, 0 to pi, and its way from it.
 
-    Attributes:
-        angle: from the third axis, 0 to pi [rad].
-        sine: of the angle.
-        way: unit vector in the plane of the first two axes; the first axis where none is known.
+    The way is a unit vector in the plane of the first two axes; the first where none is known.
     """
 
     angle: float
@@ -280,11 +255,7 @@ class Alignment:
     zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
     ``CONE`` of pi it keeps its value at the cone's edge.
 
-    Args:
-        axis: of the object, in the object frame; any length.
-        reference: updated by the task before this.
-        profile: how the wished direction goes there.
-        start: the state from which it sets out; the reference must be up to date.
+    The reference must be up to date at the start, and updated by the task before each tick.
     """
 
     def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
@@ -319,20 +290,15 @@ class Alignment:
 class RotationError:
     """Three rows that turn Q, an orientation that the joints change, onto its goal.
 
-    The reference turns about one axis of the goal, which may turn itself at omega_g,
-    Q_r = exp((s - 1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r',
-    Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
+    The reference turns about one axis of the goal, which may turn itself at omega_g, Q_r = exp((s -
+    1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r', Jl the left
+    Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
 
         e = log Q_e,   J = Jl^-1(e) R' J_omega
         rate = Jl^-1(e) Q_e (s_dot phi + exp((s - 1) phi) omega_g)
 
-    Args:
-        goal: where Q_goal is, a rotation or a pose; updated by the task before this.
-        profile: how the reference turns there.
-        start: Q_start, shape (3, 3).
-
-    Attributes:
-        rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
+    Q_goal is a rotation or a pose that the task updates before this. ``rows`` is Jl^-1(e) R' of the
+    last tick, shape (3, 3): what R brings in by turning itself.
     """
 
     def __init__(self, goal: Trajectory, profile: Profile, start: Array) -> None:
@@ -346,12 +312,7 @@ class RotationError:
     ) -> None:
         """Write e, J and rate, shapes (3,) [rad], (3, n) [rad/rad] and (3,) [rad/s].
 
-        Args:
-            t: time [s].
-            Q: the orientation, shape (3, 3).
-            RT: turns J_omega's axes into Q's, shape (3, 3).
-            J_omega: angular velocity of Q by joint, shape (3, n).
-            out: e, J and rate, written.
+        RT turns the axes of J_omega, shape (3, n), into those of the orientation Q.
         """
         e, J, rate = out
         share, speed = self._profile.at(t)
@@ -391,12 +352,7 @@ def _inverse_left_jacobian(w: Array) -> Array:
 
 
 class Approach:
-    """Lets an error shrink from what it is at the start to zero: e_r = (1 - s) e_start.
-
-    Args:
-        profile: how it shrinks.
-        e_start: the error at the start, shape (k,); copied.
-    """
+    """Lets an error shrink from e_start, shape (k,), to zero: e_r = (1 - s) e_start."""
 
     def __init__(self, profile: Profile, e_start: ArrayLike) -> None:
         self._profile, self._e_start = profile, np.array(e_start, float)

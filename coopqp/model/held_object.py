@@ -20,11 +20,7 @@ def inertia_matrix(six: Sequence[float]) -> Array:
 
 
 def check_inertia(matrix: Array, what: str) -> None:
-    """Refuse an inertia no body can have: a negative or too large principal moment.
-
-    Raises:
-        InvalidValueError: a principal moment is negative or exceeds the sum of the other two.
-    """
+    """InvalidValueError: a principal moment is negative or exceeds the sum of the other two."""
     moments = np.linalg.eigvalsh(matrix)
     slack = 1e-9 * max(float(moments[-1]), 1e-12)
     if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:

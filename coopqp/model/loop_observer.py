@@ -32,12 +32,7 @@ MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 
 
 class LoopObserver:
-    """Keeps ``State.gap``.
-
-    Args:
-        chain: the modelled chain.
-        dt: control period [s].
-    """
+    """Estimates ``State.gap``."""
 
     def __init__(self, chain: ClosedChain, dt: float) -> None:
         self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
@@ -48,10 +43,7 @@ class LoopObserver:
         return State(self._chain)
 
     def begin(self, state: State) -> None:
-        """Take all that the loops are open by at q for the model's error.
-
-        Without this, arms that begin with an error would squeeze until it is observed.
-        """
+        """Take the whole loop error at q for the model's, so that arms do not press at first."""
         self._measured.q[:] = state.q  # made now, not in a tick
         state.update()
         state.gap[:] = state.loop_error
@@ -59,11 +51,9 @@ class LoopObserver:
         state.update()
 
     def update(self, state: State, along: Array | None = None) -> bool:
-        """Follow the measured configuration, where there is one; False where it is none.
+        """Update ``gap`` from the measured configuration, if any; False where that is not finite.
 
-        Args:
-            state: ``gap`` and what follows from it are written.
-            along: unit vector, shape (6 L,), along which others decide about the gap.
+        Along the unit vector ``along``, shape (6 L,), others decide about the gap.
         """
         if state.q_measured is None:
             return True

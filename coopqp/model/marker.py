@@ -1,6 +1,6 @@
-"""What a task or a limit shows of itself in pictures: marks in the world, at one instant.
+"""What a task or a limit shows of itself in pictures: markers in the world, at one instant.
 
-A mark without a place of its own, such as a direction to point along, is drawn at the object.
+A marker without a place of its own, such as a direction to point along, is drawn at the object.
 Arrays, lists and tuples may be given; they are kept as arrays.
 """
 
@@ -188,13 +188,7 @@ def marks_fault(marks: object) -> str:
 def asked(
     name: str, marks: Callable[[], Sequence[Marker]], faults: list[str]
 ) -> tuple[Marker, ...]:
-    """The marks of a task or a limit; none where its code raises or gives something else.
-
-    Args:
-        name: of the task or the limit.
-        marks: asks for them.
-        faults: to which a sentence is added on what went wrong.
-    """
+    """The markers of a task or a limit; none, and a sentence in ``faults``, where code fails."""
     try:
         found = marks()
     except KeyboardInterrupt:

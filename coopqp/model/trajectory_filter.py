@@ -99,16 +99,9 @@ def _columns(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
 
 
 class TrajectoryFilter(Trajectory):
-    """A reference that follows what it is told to.
+    """A reference that follows its target; at first at rest at ``value``, shape (values,).
 
-    Args:
-        kind: of the value.
-        pace: its bounds.
-        dt: time of a step [s].
-        value: where it is at first, at rest, shape (values,).
-
-    Attributes:
-        acceleration: shape (rates,) [1/s2].
+    ``dt`` is the time of a step [s]; ``acceleration`` has the shape (rates,) [1/s2].
     """
 
     moves = True
@@ -127,13 +120,9 @@ class TrajectoryFilter(Trajectory):
         return
 
     def step(self, target: Array | None) -> bool:
-        """Go on for one dt.
+        """Go on for one dt towards a target, shape (values,); None brakes to rest.
 
-        Args:
-            target: shape (values,); None brakes to rest.
-
-        Returns:
-            Whether there was a way; without one it stands still.
+        Returns whether there was a way; without one it stands still.
         """
         plan = self._brake if target is None else self._plan
         k = self.kind.numbers

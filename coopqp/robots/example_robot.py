@@ -60,11 +60,7 @@ def _described(file: Path) -> Description:
 
 
 def robots() -> dict[str, Path]:
-    """The package's URDF files by name; by folder and name where a name is there twice.
-
-    Raises:
-        MissingDependencyError: the package is not installed.
-    """
+    """The package's URDF files by name, or by folder and name; or MissingDependencyError."""
     try:
         folder = Path(str(metadata.distribution(PACKAGE).locate_file(FOLDER)))
     except metadata.PackageNotFoundError:

@@ -39,7 +39,7 @@ class Stop:
     """When a search ends.
 
     Attributes:
-        steps: most of them.
+        steps: largest number of them.
         most: farthest that a variable goes in one.
         enough: whether a residual is small enough.
         stuck: share of |r|^2 by which a step must change it to go on.
@@ -69,14 +69,9 @@ class BoundedSteps:
         stop: Stop,
         inequalities: Inequalities | None = None,
     ) -> Array:
-        """The residual at the end of the way down from x, which is moved there.
+        """The residual at the end of the way down from x, shape (n,), which is moved there.
 
-        Args:
-            x: where to begin, inside the bounds, shape (n,).
-            residual: what shall become small.
-            bounds: lower and upper, shape (n,).
-            stop: when to end.
-            inequalities: rows that every step keeps.
+        x begins inside the bounds; every step keeps the inequality rows.
         """
         mu = DAMPING
         r, J = residual(x)
@@ -108,10 +103,7 @@ class BoundedSteps:
         bounds: tuple[Array, Array],
         most: float | None = None,
     ) -> Array:
-        """Where the step goes that is best for the quadratic model; x where there is none.
-
-        ``most`` is the farthest that a variable goes; as :meth:`descend` has set it when omitted.
-        """
+        """The best point of the quadratic model within ``most`` of x; x where there is none."""
         qp = self._qp
         if most is not None:
             self._limit(x, bounds, most, None)

@@ -169,9 +169,6 @@ class Catalog:
         task_folders: folders with the user's own task files.
         plugin_folders: folders with the user's own plug-ins, in subfolders named as collections.
 
-    Attributes:
-        folders: both, from the root on, so that another process can make the same catalogue.
-
     Raises:
         CoopqpError: with a line for every file that is no plug-in, or takes a name that exists.
     """

@@ -244,7 +244,7 @@ def _mistaken(given: Any, read: Any) -> Iterator[tuple[Location, str]]:
     """Values that were made numbers or truths and are none, with what is wrong.
 
     Inside a slot pydantic reads values of Python, either strictly, when no list is a tuple, or so
-    that true is 1.0. Slots are therefore not read strictly, and what came of them is looked at.
+    that true is 1.0. Slots are therefore not read strictly, and what came of them is checked.
     """
     if isinstance(given, dict):
         for key, value in given.items():

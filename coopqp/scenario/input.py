@@ -59,17 +59,9 @@ class InputSettings(MotionLimits):
 
 
 class Channel(TrajectoryFilter):
-    """One input while the arms move.
+    """One input while the arms move, of a kind, which begins at ``value``, shape (values,).
 
-    Args:
-        kind: of its values.
-        settings: from the scenario.
-        dt: control period [s].
-        value: where it begins, shape (values,).
-
-    Attributes:
-        target: what arrived last, or where it began, shape (values,).
-        sent: when that was sent [s]; minus infinity where nothing has arrived.
+    ``target`` arrived last, or is where it began; ``sent`` is when [s], -inf where nothing has.
     """
 
     def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
@@ -80,15 +72,9 @@ class Channel(TrajectoryFilter):
         self._lower, self._upper = np.array(lower, float), np.array(upper, float)
 
     def take(self, value: Any, sent: float, now: float) -> str:
-        """A value that has arrived.
+        """A value that has arrived, as :meth:`coopqp.signal.Kind.read` takes it; times in [s].
 
-        Args:
-            value: as :meth:`coopqp.signal.Kind.read` takes it.
-            sent: when it was sent [s].
-            now: [s].
-
-        Returns:
-            Why it cannot be used; empty if it can.
+        Returns why it cannot be used; empty if it can.
         """
         try:
             found = self.kind.read(value)
@@ -118,15 +104,7 @@ class Channel(TrajectoryFilter):
 
 
 def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array | None]]:
-    """Inputs that tasks follow, by name: their kind, and where they begin.
-
-    Args:
-        tasks: any.
-        start: the state from which their references set out; the list of its inputs is written.
-
-    Raises:
-        CoopqpError: an input is wanted as two kinds.
-    """
+    """Kind and start of each input that tasks follow; CoopqpError if wanted as two kinds."""
     start.inputs = InputValues()
     for task in tasks:
         task.bind(start)
@@ -134,19 +112,10 @@ def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array |
 
 
 class Inputs:
-    """All inputs of a run.
-
-    Args:
-        settings: by name, from the scenario.
-        tasks: what follows them.
-        start: the state in which the run begins; what is followed is put into it.
-        dt: control period [s].
+    """All inputs of a run; their filtered values are put into its first state.
 
     Raises:
         CoopqpError: a task wants an input that is not there, or as what it cannot be.
-
-    Attributes:
-        channels: by name, those that are followed.
     """
 
     def __init__(
@@ -165,11 +134,9 @@ class Inputs:
         start.inputs.update(self.channels)
 
     def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
-        """Take what has arrived and go on to the time of a state, whose tick is next.
+        """Take what has arrived and go on to the time of a state, whose inputs are written.
 
-        Args:
-            state: written: what is followed then.
-            arrivals: name, value and when it was sent by the state's clock [s], oldest first.
+        Arrivals are name, value and when it was sent by the state's clock [s], oldest first.
         """
         followed, now = state.inputs, state.t
         refused = []
@@ -191,13 +158,7 @@ class Inputs:
 
 
 def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
-    """An input, at rest where it begins.
-
-    Args:
-        kind: of its values.
-        here: where it begins, shape (values,).
-        settings: from the scenario.
-        dt: control period [s].
+    """An input, at rest where it begins; ``here`` has the shape (values,).
 
     Raises:
         InvalidValueError: nobody says where it begins; a setting does not fit its kind.
@@ -228,12 +189,7 @@ _Row = tuple[float, float, Array]
 
 
 class Feed:
-    """Who sends, in a comparison.
-
-    Args:
-        settings: of the inputs, by name.
-        inputs: of the run.
-        since: when the phase begins [s].
+    """Who sends, in a comparison, in a phase that begins at ``since`` [s].
 
     Raises:
         CoopqpError: a signal or a file is not of the input's kind.
@@ -267,11 +223,7 @@ class Feed:
         self._inputs.step(state, self.arrivals(state.t))
 
     def arrivals(self, t: float) -> Iterator[Arrival]:
-        """What has been sent since the last call.
-
-        Args:
-            t: since the phase began [s].
-        """
+        """What has been sent since the last call, at t since the phase began [s]."""
         now = self._since + t
         for name, signal in self._signals.items():
             signal.update(Moment(now))

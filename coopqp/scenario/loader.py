@@ -48,11 +48,7 @@ def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
 def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> Scenario:
     """The same from a file that has been read.
 
-    Args:
-        file: read.
-        catalog: what it can name.
-        known: the same for all variants of one file, so that each only builds and tries what is
-            different from the one before.
+    ``known`` serves all variants of a file: each builds and tries only what differs from the last.
     """
     known = known or Known()
     with file.lines():
@@ -104,16 +100,10 @@ def load_and_solve(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> StartSolution:
-    """Solve for a start of a scenario file, whatever start it has.
+    """Solve for a start of a scenario file, whatever start it has; else as :func:`load`.
 
-    Args:
-        path: of a YAML file, or the name of a shipped scenario.
-        catalog: what it can name; shipped and installed plug-ins when omitted.
-        seed: of the random configurations; the scenario's when omitted.
-        progress: called after each try.
-
-    Raises:
-        ScenarioError: with every fault, its line and its likely fix.
+    ``seed`` is of the random configurations, the scenario's when omitted; ``progress`` is called
+    after each try.
     """
     file = read_yaml(find(path))
     with file.lines():
@@ -155,11 +145,7 @@ def shipped() -> dict[str, Path]:
 
 
 def find(path: str | Path) -> Path:
-    """The file behind a path or the name of a shipped scenario.
-
-    Raises:
-        ScenarioError: it looks like a name, and there is neither such a file nor such a scenario.
-    """
+    """The file behind a path or a shipped scenario's name; ScenarioError if there is neither."""
     given, known = Path(path), shipped()
     if os.path.exists(given) or given.suffix or given.name != str(path):
         return given
@@ -170,20 +156,12 @@ def find(path: str | Path) -> Path:
 
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
-    """The scenario with another QP solver.
-
-    Raises:
-        UnknownNameError: no such solver; names the nearest.
-    """
+    """The scenario with another QP solver; UnknownNameError names the nearest."""
     return replace(scenario, solver=solver_by_name(name, scenario.catalog), solver_name=name)
 
 
 def solver_by_name(name: str, catalog: Catalog) -> Solver:
-    """A solver of the catalogue, or an installed backend of qpsolvers.
-
-    Raises:
-        UnknownNameError: no such solver; names the nearest.
-    """
+    """A solver of the catalogue, or an installed backend of qpsolvers; or UnknownNameError."""
     entries = catalog.entries("solvers")
     if name not in solver_names(catalog):
         raise UnknownNameError("solver", name, solver_names(catalog))
@@ -193,11 +171,7 @@ def solver_by_name(name: str, catalog: Catalog) -> Solver:
 
 
 def plant_by_name(name: str, catalog: Catalog) -> Plant:
-    """A plant of the catalogue with its defaults.
-
-    Raises:
-        UnknownNameError: no such plant; names the nearest.
-    """
+    """A plant of the catalogue with its defaults; UnknownNameError names the nearest."""
     entries = catalog.entries("plants")
     if name not in entries:
         raise UnknownNameError("plant", name, entries)

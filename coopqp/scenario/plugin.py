@@ -46,11 +46,7 @@ BUILT = (Law, PlantModel)
 
 @dataclass(frozen=True)
 class Entry:
-    """One plug-in.
-
-    Attributes:
-        name: in YAML, and of its file.
-    """
+    """One plug-in; its name in YAML is that of its file."""
 
     name: str
     cls: type

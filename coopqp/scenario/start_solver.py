@@ -219,14 +219,13 @@ def solve_start(
         robot: the robot.
         grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
         held: the object, with its pose.
-        near: posture that the start is to be near, by arm or joint; joints that it does not name
-            may be anywhere.
+        near: posture that the start is to be near, by arm or joint; others may be anywhere.
         seed: of the random configurations.
         progress: called after each try.
 
     Raises:
-        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far
-            it gets.
+        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far it
+            gets.
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
@@ -263,13 +262,7 @@ def solve_start(
 def close_start(
     robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], held: HeldObject, start: Start
 ) -> StartSolution:
-    """Close the loops near a start that nearly closes them, wherever that puts the object.
-
-    Args:
-        robot: the robot.
-        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
-        held: the object.
-        start: by arm, joint and passive joint [rad, m].
+    """Close the loops near a start [rad, m] that nearly closes them, wherever the object then is.
 
     Raises:
         GraspError: object_in_hand is missing, the start is farther off than counts as closed, the
@@ -359,15 +352,7 @@ def _solution(
 
 
 class _Search:
-    """Tries of a group of arms.
-
-    Attributes:
-        columns: the joints that are searched.
-        best: the best closed configuration, :meth:`StartProblem.worth`; None so far.
-        nearest: where |r|^2 is least.
-        gap: the largest part of r there [m].
-        tries, found: how many.
-    """
+    """Tries of a group of arms: the joints searched, the best closed q, and the nearest."""
 
     def __init__(
         self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator

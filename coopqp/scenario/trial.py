@@ -63,10 +63,7 @@ class _Nearby:
 
 
 class Places:
-    """Where tasks and limits are tried: the start of a chain and configurations near it.
-
-    Those near it are the same for a chain that moves alike.
-    """
+    """Where tasks and limits are tried: the start of a chain and configurations near it."""
 
     def __init__(self, chain: ClosedChain, like: Places | None = None) -> None:
         self.start = State(chain)
@@ -98,11 +95,7 @@ def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
 
 
 def try_task(task: Task, places: Places, duration: float) -> None:
-    """Evaluate a task.
-
-    Raises:
-        CoopqpError: it cannot be bound, raises, or does not write what a task must.
-    """
+    """CoopqpError: the task cannot be bound, raises, or does not write what it must."""
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
@@ -204,11 +197,7 @@ def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
-    """Evaluate a limit.
-
-    Raises:
-        CoopqpError: it cannot be bound, raises, or does not write what a limit must.
-    """
+    """CoopqpError: the limit cannot be bound, raises, or does not write what it must."""
     with blamed(limit):
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
@@ -273,12 +262,7 @@ class _PromiseError(Exception):
 
 @contextmanager
 def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
-    """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
-
-    Raises:
-        CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that
-            speaks of the user's values.
-    """
+    """Raise what goes wrong in a plug-in with its file and line; its own CoopqpError as it is."""
     file = str(getattr(type(plugin), method).__code__.co_filename)
     try:
         with np.errstate(all="ignore"):  # what is not finite is told of anyway

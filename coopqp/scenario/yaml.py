@@ -64,13 +64,7 @@ class _Node:
 
 
 class Wrong(NamedTuple):
-    """Something that is wrong with a file.
-
-    Attributes:
-        place: keys and indices to the value that is named.
-        message: what is wrong with it, and what to do about it.
-        inside: from it to the value whose line counts.
-    """
+    """Something that is wrong with a file: the place it names, and from there whose line counts."""
 
     place: Location
     message: str
@@ -87,11 +81,7 @@ class MisplacedError(Exception):
 
 @dataclass(frozen=True)
 class YamlFile:
-    """A mapping read from a file.
-
-    Attributes:
-        data: plain dicts, lists, strings, numbers, booleans and None.
-    """
+    """A mapping read from a file, of plain dicts, lists, strings, numbers, booleans and None."""
 
     path: Path
     text: str

@@ -21,12 +21,7 @@ Between = Literal["linear", "minimum_jerk", "cubic"]
 
 
 class Pieces:
-    """A polynomial in each segment.
-
-    Args:
-        t: ends of the segments, shape (s + 1,) [s].
-        coefficients: highest power first, shape (powers, s, k).
-    """
+    """A polynomial in each segment between times, coefficients (powers, s, k), highest first."""
 
     def __init__(self, t: Array, coefficients: Array) -> None:
         self._t, self._c = t.tolist(), np.ascontiguousarray(coefficients.swapaxes(0, 1))
@@ -45,14 +40,7 @@ class Pieces:
 
 
 def pieces(t: Array, values: Array, between: Between, *, round_trip: bool) -> Pieces:
-    """Polynomials through values.
-
-    Args:
-        t: of the way-points, rising, shape (m,) [s].
-        values: shape (m, k).
-        between: how to go from one to the next.
-        round_trip: whether the last is the first again.
-    """
+    """Polynomials through values, shape (m, k), at rising times; round trips end as they begin."""
     if between == "cubic":
         from scipy.interpolate import CubicSpline  # nobody else waits for it
 
@@ -67,14 +55,7 @@ def pieces(t: Array, values: Array, between: Between, *, round_trip: bool) -> Pi
 
 
 class Turns:
-    """A way through rotations.
-
-    Args:
-        t: of the way-points, rising, shape (m,) [s].
-        quaternions: x, y, z, w, shape (m, 4), neighbours on the same side.
-        between: how to go from one to the next.
-        round_trip: whether the last is the first again.
-    """
+    """A way through quaternions x, y, z, w, neighbours on the same side, at rising times."""
 
     def __init__(self, t: Array, quaternions: Array, between: Between, *, round_trip: bool) -> None:
         self._spline: Pieces | None = None

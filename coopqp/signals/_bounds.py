@@ -12,15 +12,7 @@ FASTEST = 1e3
 
 
 def check_places(key: str, numbers: Array) -> None:
-    """Refuse a value that is nowhere.
-
-    Args:
-        key: of the value, for the message.
-        numbers: of it, without quaternions.
-
-    Raises:
-        InvalidValueError: one is beyond what any place or joint can be.
-    """
+    """InvalidValueError: a number (none of a quaternion) is beyond what any place can be."""
     most = float(np.abs(numbers).max(initial=0.0))
     if most > FARTHEST:
         words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
@@ -28,15 +20,7 @@ def check_places(key: str, numbers: Array) -> None:
 
 
 def check_speed(key: str, speed: float) -> None:
-    """Refuse a motion that nothing can follow.
-
-    Args:
-        key: of what makes it fast, for the message.
-        speed: the largest [m/s, rad/s, N/s].
-
-    Raises:
-        InvalidValueError: it is beyond that of any arm.
-    """
+    """InvalidValueError: a speed [m/s, rad/s, N/s] is beyond that of any arm."""
     if speed > FASTEST:
         words = f"goes at {speed:.3g} m/s (rad/s; of forces N/s), needs at most {FASTEST:g}"
         raise InvalidValueError(f"{key}: {words}; times are seconds")

@@ -132,9 +132,6 @@ def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
     """Let each direction's axes be those of the one before, turned on the shortest way.
 
     On a round trip these come back turned about the direction; each then takes its share of that.
-
-    Raises:
-        InvalidValueError: a direction is the opposite of the one before.
     """
     axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
     for i, q in enumerate(quaternions[1:], start=1):
@@ -150,11 +147,7 @@ def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
 
 
 def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
-    """The rotation on the shortest way from one unit vector to another, shape (3, 3).
-
-    Raises:
-        InvalidValueError: they are opposite, so that no way is shortest.
-    """
+    """The shortest rotation from one unit vector to another; InvalidValueError if opposite."""
     across, cosine = np.cross(a, b), float(a @ b)
     sine = float(np.linalg.norm(across))
     if sine < 1e-9:
