@@ -11,8 +11,9 @@ becomes J v = rate - gain e, the rows h_dot of the paper's eq. (32).
 from __future__ import annotations
 
 import itertools
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
@@ -24,11 +25,12 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec, type_name
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Turn
 from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, evaluated
-from coopqp.signal import Instant
+from coopqp.signal import Instant, Signal
 
 Mode = Literal["soft", "hard", "scaled"]
 
@@ -181,8 +183,8 @@ class Task(ABC):
 
     @property
     def end(self) -> float:
-        """When the reference has reached its goal [s]."""
-        return 0.0
+        """When the profiles, turns and signals in its fields have come to rest, if ever [s]."""
+        return max(filter(math.isfinite, _ends(vars(self).values())), default=0.0)
 
     @property
     def impedance(self) -> Impedance | None:
@@ -193,6 +195,29 @@ class Task(ABC):
     def curvature(self) -> float:
         """Of the surface from which a length is measured [1/m]; 0 where it is flat, or a point."""
         return 0.0
+
+
+def _ends(values: Iterable[object]) -> Iterator[float]:
+    """When each motion that a task follows comes to rest [s]."""
+    for value in values:
+        match value:
+            case Turn():
+                yield value.profile.end
+            case Profile():
+                yield value.end
+            case Signal():
+                yield value.rest
+            case dict():
+                yield from _ends(value.values())
+
+
+def pose_parts(
+    moves: int, turns: int, tolerance: float, tolerance_angle: float
+) -> tuple[Part, ...]:
+    """Rows of a position [m], then of an orientation [rad]; a part without rows is left out."""
+    position = Part("position", moves, "m", tolerance)
+    parts = position, Part("orientation", turns, "rad", tolerance_angle)
+    return tuple(part for part in parts if part.rows)
 
 
 class TaskStack:

@@ -24,12 +24,12 @@ from pydantic import BeforeValidator, Field
 
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import last_end, pose_course
+from coopqp.model.geometry import pose_course
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.signal import Instant, MovingPose
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
 
@@ -93,17 +93,12 @@ class Impedance(Task):
         return self._axes
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Position and orientation, as far as given."""
         turns = sum(axis.startswith("rot") for axis in self._axes)
-        parts = (
-            Part("position", len(self._axes) - turns, "m", self.tolerance),
-            Part("orientation", turns, "rad", self.tolerance_angle),
-        )
-        return tuple(part for part in parts if part.rows)
+        moves = len(self._axes) - turns
+        return pose_parts(moves, turns, self.tolerance, self.tolerance_angle)
 
     @property
     def impedance(self) -> OfRows:
-        """What the rows are made of."""
         return OfRows(
             axes=tuple(AXES.index(axis) for axis in self._axes),
             stiffness=self._by_row(self.stiffness),
@@ -115,13 +110,7 @@ class Impedance(Task):
     def _by_row(self, given: dict[Axis, float]) -> Array:
         return np.array([given[axis] for axis in self._axes])  # type: ignore[index]
 
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
-
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from where the object is now."""
         whole = Pose(goal=self.goal, profile=self.profile).bind(start)
         every = TaskRows(np.zeros(6), np.zeros((6, start.chain.n)), np.zeros(6))
         chosen = np.array([AXES.index(axis) for axis in self._axes])
@@ -134,7 +123,6 @@ class Impedance(Task):
         return evaluate
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, and the object's origin."""
         goal = pose_course(self.goal, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

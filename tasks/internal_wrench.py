@@ -75,11 +75,9 @@ class InternalWrench(Task):
         return tuple(name for name in COMPONENTS if getattr(self, name) is not None)
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """A row for each component."""
         return self.components
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Forces and torques, as far as given."""
         parts = tuple(part for part in self._parts() if part.rows)
         return parts if len(parts) > 1 else (replace(parts[0], name=""),)
 
@@ -88,13 +86,6 @@ class InternalWrench(Task):
         torques = sum(units[name] == "N m" for name in self.components)
         yield Part("force", len(self.components) - torques, "N", self.tolerance)
         yield Part("torque", torques, "N m", self.tolerance_torque)
-
-    @property
-    def end(self) -> float:
-        """When what is wanted no longer changes [s]; at once where a signal never rests."""
-        given = [getattr(self, name) for name in self.components]
-        rests = [signal.rest for signal in given if isinstance(signal, Signal)]
-        return max((rest for rest in rests if np.isfinite(rest)), default=0.0)
 
     def bind(self, start: State) -> Evaluate:
         """C and what is wanted, for the hands that hold the object now.

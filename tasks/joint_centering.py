@@ -28,11 +28,9 @@ class JointCentering(Task):
     all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """No reference: the middles are constant."""
         middle, scale = self._middles(start.chain)
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -42,7 +40,6 @@ class JointCentering(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         middle, scale = self._middles(start.chain)
         return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(middle, scale)),)
 

@@ -37,11 +37,9 @@ class JointLimitBarrier(Task):
     """Where the slope stops growing, as a share of half the joint's range."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """No reference: limits and middles are constant."""
         middle, per_half, per_range = self._middles(start.chain)
         most, x = 1.0 - self.width, np.zeros(start.chain.n)
 
@@ -55,7 +53,6 @@ class JointLimitBarrier(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         numbers = self._middles(start.chain)
         return (Primitive(kind=Kind.BARRIER, rows=(), length=1.0 - self.width, numbers=numbers),)
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -56,19 +56,9 @@ class LineOnLine(Task):
         return ("across_1", "across_2", "lean_1", "lean_2")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Offset and angle."""
-        return (
-            Part("position", 2, "m", self.tolerance),
-            Part("orientation", 2, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the lines shall coincide and the one in space has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.direction)
+        return pose_parts(2, 2, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         line = self._line(start)
         offset = point(start, line, self.point, self.profile, (0, 1))
         against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
@@ -76,7 +66,6 @@ class LineOnLine(Task):
         return offset, lean(start, line, axis.tolist(), self.profile)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The line, and the point of the object's own."""
         line = self._line(at)
         line.update(at)
         return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)

@@ -60,7 +60,6 @@ class Manipulability(Task):
     """Directions in the world that count; for a planar robot those of its plane."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
@@ -75,7 +74,6 @@ class Manipulability(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         m_0 = _Climb(start.chain, self._kept).isotropic(start)
         return (Primitive(kind=Kind.MANIPULABILITY, rows=tuple(self._kept), length=m_0),)
 

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 from coopqp.base.spec import Direction, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -46,17 +46,10 @@ class Pointing(Task):
         """How far the axis leans two ways normal to the direction."""
         return ("lean_1", "lean_2")
 
-    @property
-    def end(self) -> float:
-        """When the axis shall point there and the direction has turned [s]."""
-        return last_end(self.profile, self.turn, self.direction)
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         return (lean(start, self._reference(start), self.axis, self.profile),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The direction, wherever the object is."""
         reference = self._reference(at)
         reference.update(at)
         return (LineMarker(direction=reference.RT[2]),)

@@ -17,7 +17,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, last_end
+from coopqp.model.geometry import Approach
 from coopqp.model.marker import Marker, PostureMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -45,17 +45,9 @@ class Posture(Task):
     """How the reference moves from the start to the goal."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        goal = self.goal.values() if isinstance(self.goal, dict) else (self.goal,)
-        return last_end(self.profile, *goal)
-
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from the joints' values now."""
         goal = _Goal(self.goal, start)
         goal.update(start)
         given = np.isfinite(goal.value).astype(float)
@@ -113,7 +105,6 @@ class _Goal:
         self.moves = any(moving.moves for _, moving in self._courses)
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         for joints, moving in self._courses:
             moving.update(at)
             self.value[joints], self.rate[joints] = moving.value, moving.rate

@@ -24,13 +24,13 @@ import pinocchio as pin
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, Reference, RotationError, last_end, pose_course
+from coopqp.model.geometry import Approach, Reference, RotationError, pose_course
 from coopqp.model.marker import Marker, RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 
 
 @spec
@@ -51,16 +51,7 @@ class RelativeMotion(Task):
         return ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Position and orientation."""
-        return (
-            Part("position", 3, "m", self.tolerance),
-            Part("orientation", 3, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
+        return pose_parts(3, 3, self.tolerance, self.tolerance_angle)
 
     def bind(self, start: State) -> Evaluate:
         """The reference sets out from the relative pose now; no such arm: UnknownNameError."""
@@ -109,7 +100,6 @@ class RelativeMotion(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, which moves with the first arm."""
         goal = pose_course(self.goal, at)
         goal.update(at)
         return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
@@ -138,7 +128,6 @@ class _Seen:
         self.R_0, self.Q, self.gap = np.eye(3), np.eye(3), np.zeros(3)
 
     def update(self, state: State) -> None:
-        """Look at a state."""
         errors, at, R_0 = state.loop_error.reshape(-1, 6), self.at, self.R_0
         pin.exp3(-self._alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
         self.gap[:] = state.loop_error[at : at + 3]

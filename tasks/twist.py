@@ -17,7 +17,6 @@ from pydantic import Field
 
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import last_end
 from coopqp.model.marker import Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
@@ -62,7 +61,6 @@ class Twist(Task):
         return tuple(axis for axis in AXES if axis in self._given)
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Translation and rotation, as far as given."""
         given = self._given
         turns = sum(axis.startswith("rot") for axis in given)
         parts = (
@@ -71,13 +69,7 @@ class Twist(Task):
         )
         return tuple(part for part in parts if part.rows)
 
-    @property
-    def end(self) -> float:
-        """When the velocity is what is commanded [s]."""
-        return last_end(self.profile, self.velocity)
-
     def bind(self, start: State) -> Evaluate:
-        """The velocity grows from zero."""
         names = self.rows(start.chain)
         chosen = np.array([AXES.index(name) for name in names])
         order = np.array([self._given.index(name) for name in names])
@@ -113,7 +105,6 @@ class Twist(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The point that moves."""
         return (TrackedMarker(point=self.point),)
 
     @property

@@ -48,7 +48,6 @@ class Pad(Contact):
         return self._rows(INNER * friction)
 
     def edge_use(self, wrench: ArrayLike) -> float:
-        """Of the nearer pair of edges."""
         w = np.asarray(wrench, float)
         X, Y = self.half_lengths
         return max(abs(w[3]) / Y, abs(w[4]) / X) / float(w[2]) if w[2] > NO_CONTACT else math.nan

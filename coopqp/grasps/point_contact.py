@@ -38,12 +38,10 @@ class Fingertip(Contact):
         return rows
 
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """By the round cone."""
         w = np.asarray(wrench, float)
         return math.hypot(w[0], w[1]) / float(w[2]) if w[2] > NO_CONTACT else math.inf
 
     def edge_use(self, wrench: ArrayLike) -> float:
-        """A point has no edge."""
         return math.nan
 
 
@@ -71,12 +69,10 @@ class PointContact(Grasp):
         placed(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """Hinges about x, y and z through the point."""
         return ball(self.position, CONE)
 
     @property
     def contact(self) -> Contact:
-        """The point."""
         placement = placed(self.position, self.normal, self.along)
         return Fingertip(
             placement=placement,

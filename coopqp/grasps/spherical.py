@@ -27,5 +27,4 @@ class Spherical(Grasp):
             raise ValueError(f"needs a cone below a quarter turn, found {self.cone} rad")
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """Hinges about x, y and z through the point."""
         return ball(self.point, self.cone)

@@ -61,7 +61,6 @@ class JointAcceleration(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """The same window."""
         lower, upper = np.clip(self._ends(chain), -UNLIMITED, UNLIMITED)
         step = self._limits(chain) * dt
         return JointBounds(of=Bounded.BRAKING, lower=lower, upper=upper, step=step)

@@ -53,7 +53,6 @@ class JointPosition(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """Of q."""
         lower, upper = self._ends(chain)
         speed = self.recovery_speed
         return JointBounds(of=Bounded.POSITION, lower=lower, upper=upper, speed=speed)

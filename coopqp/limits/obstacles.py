@@ -157,7 +157,6 @@ class Obstacles(Limit):
         )
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Parts of the robot that are no bodies."""
         return unseen(self.name, chain)
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
@@ -173,7 +172,6 @@ class Obstacles(Limit):
         return (*self.unseen(chain), *near, *far)
 
     def marks(self, t: float) -> tuple[Marker, ...]:
-        """The things."""
         shapes = (thing.shape for thing in self.shapes.values())
         return tuple(
             SolidMarker(

@@ -99,7 +99,6 @@ class SelfCollision(Limit):
         return replace(self, distance=self.distance - room) if room <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Pairs that are in each other."""
         found = inside(chain, self._pairs(chain))
         if not found:
             return ()
@@ -111,7 +110,6 @@ class SelfCollision(Limit):
         )
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Parts of the robot that are no bodies."""
         return unseen("self_collision", chain)
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:

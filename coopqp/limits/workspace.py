@@ -48,7 +48,6 @@ class Workspace(Limit):
             raise ValueError("needs points of the object or frames of the robot")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """Points of the object, then frames."""
         known = [frame.name for frame in chain.model.frames]
         for i, frame in enumerate(self.frames):
             if frame not in known:
@@ -120,7 +119,6 @@ class Workspace(Limit):
         return replace(self, through=(x, y, z))
 
     def marks(self, t: float) -> tuple[Marker, ...]:
-        """The plane."""
         return (PlaneMarker(normal=np.array(self.normal), through=np.array(self.through)),)
 
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
@@ -157,7 +155,6 @@ class _Points:
         self.arms = np.zeros_like(self.p)
 
     def update(self, state: State) -> None:
-        """Follow the object and the robot."""
         k = self.of_object
         self._p_O.dot(state.R_WO.T, self.arms[:k])
         np.add(self.arms[:k], state.p_WO, self.p[:k])

@@ -59,21 +59,6 @@ class Turn:
         return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 
-def last_end(*moving: object) -> float:
-    """When all profiles, turns and signals among what a task follows have come to rest [s]."""
-    ends = (
-        x.profile.end
-        if isinstance(x, Turn)
-        else x.end
-        if isinstance(x, Profile)
-        else x.rest
-        if isinstance(x, Signal)
-        else 0.0
-        for x in moving
-    )
-    return max((end for end in ends if math.isfinite(end)), default=0.0)
-
-
 class Reference:
     """A frame that the object is steered to; InvalidValueError: it moves in two ways at once.
 

@@ -40,7 +40,6 @@ class ExampleRobot(Robot):
     """Limits instead of the file's, by joint or pattern such as left_*."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         known = robots()
         if self.name not in known:
             raise UnknownNameError("example robot", self.name, known).at("name")

@@ -161,7 +161,6 @@ class MdhTable(Robot):
     """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         tips = {
             name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
         }

@@ -41,7 +41,6 @@ class Circle(Signal):
             raise ValueError("begin is along the normal; needs a direction within the plane")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Any three numbers can go round."""
         if kind.values != 3:
             raise InvalidValueError(
                 f"circle: is 3 numbers, but a {kind.name} is needed here; use waypoints or input"
@@ -72,7 +71,6 @@ class _Round(Trajectory):
         super().__init__(kind, self._center + self._axes[0])
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         angle, speed = self._angle(at.t)
         c, s = math.cos(angle), math.sin(angle)
         np.add(np.array([c, s]).dot(self._axes), self._center, self.value)

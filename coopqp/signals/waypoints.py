@@ -65,7 +65,6 @@ class Waypoints(Signal):
                 raise ValueError(f"times: found {t:g} s after {before:g} s; they need to rise")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Read the values as what is needed."""
         t, values = self._table(kind)
         round_trip = self.repeat == "round"
         if round_trip and not _same(kind, values):
@@ -185,7 +184,6 @@ class _Way(Trajectory):
         self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         gone, direction = self._gone(at.t - self._begin)
         numbers, quaternion, rate, omega = self._parts
         if self._pieces is not None:
