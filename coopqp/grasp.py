@@ -83,10 +83,6 @@ class Contact(ABC):
         tips = self.edge_use(wrench) > 1.0 + BEYOND
         return math.inf if tips else self.friction_needed(wrench)
 
-    def holds(self, wrench: ArrayLike, friction: float) -> bool:
-        """Whether true friction bears a wrench (contact frame)."""
-        return self.needed(wrench) <= friction
-
     def force_rows(self, safety: float) -> ForceRows:
         """All that a wrench has to keep: the cone for friction / safety, and the normal force."""
         cone = self.counted_on.rows(self.friction / safety)
@@ -114,12 +110,7 @@ class Contact(ABC):
         w = np.asarray(wrench, float)
         if not w[2] > NO_CONTACT:
             return np.inf
-        rows = self.rows(friction)
-        return used(rows, w)
-
-    def margin(self, wrench: ArrayLike, friction: float) -> float:
-        """Share of the inner cone that is left, 1 - use; negative beyond it."""
-        return 1.0 - self.use(wrench, friction)
+        return used(self.rows(friction), w)
 
 
 def used(rows: Array, w: Array) -> float:

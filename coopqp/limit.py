@@ -213,14 +213,15 @@ def states_along(chain: ClosedChain, q: Iterable[Array]) -> Iterator[State]:
         yield state
 
 
-def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str = "") -> Row:
-    """The row "limit.KIND[JOINT].upper" of one side; ``per`` divides the joint's unit, "/s"."""
-    return _joint_row(kind, chain.joint_names[joint], chain.joint_units[joint], side, per)
+def place_row(owner: str, what: str, label: str) -> Row:
+    """The row "limit.OWNER" and what of it, which bounds a distance [m]."""
+    name = f"limit.{owner}{what}"
+    return Row(name=name, kind="limit", owner=owner, unit="m", label=label, of_place=True)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)  # margins of a run that goes on are asked for ten times a second
 def _joint_row(kind: str, name: str, unit: str, side: Side, per: str) -> Row:
-    """Margins of a run that goes on are asked for ten times a second."""
+    """The row "limit.KIND[JOINT].upper" of one side; ``per`` divides the joint's unit, "/s"."""
     of = "" if kind == "position" else f"{kind.replace('_', ' ')} of "
     return Row(
         name=f"limit.{kind}[{name}].{side}",
@@ -240,8 +241,8 @@ def joint_margins(
     """Finite margins of all joints, from distances to both limits, shape (T, n) each."""
     sides: tuple[tuple[Side, Array], ...] = (("lower", below), ("upper", above))
     return {
-        joint_limit(kind, chain, i, side, per): margin[:, i]
-        for i in range(chain.n)
+        _joint_row(kind, *joint, side, per): margin[:, i]
+        for i, joint in enumerate(zip(chain.joint_names, chain.joint_units, strict=True))
         for side, margin in sides
         if np.isfinite(margin[:, i]).all()
     }
@@ -251,7 +252,8 @@ def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
     """What a limit's bounds on v are called, joint by joint, in units of a velocity or a place."""
     kind = type_name(type(limit)).removeprefix("joint_")
     per = "" if limit.bounds_position else "/s"
-    return tuple(joint_limit(kind, chain, i, side, per) for i in range(chain.n))
+    joints = zip(chain.joint_names, chain.joint_units, strict=True)
+    return tuple(_joint_row(kind, *joint, side, per) for joint in joints)
 
 
 def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:

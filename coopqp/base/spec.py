@@ -120,13 +120,8 @@ def overshoot(gain: float, dt: float) -> str:
     return f"gain {gain} 1/s overshoots; needs at most 1/dt = {1.0 / dt:g} 1/s"
 
 
-def _three(value: Any) -> Any:
-    """Let numpy arrays be given, and say how many numbers are needed."""
-    return numbers(value, 3)
-
-
 def numbers(value: Any, count: int) -> Any:
-    """A list, tuple or array of ``count`` numbers as a list, else ValueError; others unchanged."""
+    """A list, tuple or array of ``count`` numbers as a list, else ValueError."""
     listed = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(listed, list | tuple) or len(listed) != count:
         raise ValueError(f"needs {count} numbers")
@@ -205,8 +200,13 @@ def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
 Positive = Annotated[float, Field(gt=0.0)]
 Name = Annotated[str, Field(min_length=1)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_three)]
-Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+_THREE = BeforeValidator(lambda value: numbers(value, 3))
+Vector3 = Annotated[tuple[float, float, float], _THREE]
+Lengths3 = Annotated[tuple[Positive, Positive, Positive], _THREE]
+Vector6 = Annotated[
+    tuple[float, float, float, float, float, float],
+    BeforeValidator(lambda value: numbers(value, 6)),
+]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 """A vector of any length but zero; only its direction counts."""
 

@@ -1,4 +1,4 @@
-"""Where a contact is in the hand, and how hard it may press."""
+"""Where a contact or a ball joint is in the hand, and how hard a contact may press."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import unit
+from coopqp.grasp import PassiveJoint
 
 Three = tuple[float, float, float]
 
@@ -35,3 +36,14 @@ def check_range(least: float, most: float | None) -> None:
     """ValueError: normal forces [N] leave nothing between them."""
     if most is not None and not least < most:
         raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")
+
+
+def ball(point: Three, cone: float) -> tuple[PassiveJoint, ...]:
+    """Hinges about x, y and z through a point of the hand [m], each within +-cone [rad]."""
+    centre = pin.SE3(np.eye(3), np.array(point))
+    kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
+    places = (centre, pin.SE3.Identity(), pin.SE3.Identity())
+    return tuple(
+        PassiveJoint(name=f"ball_{axis}", joint=joint, placement=place, lower=-cone, upper=cone)
+        for axis, joint, place in zip("xyz", kinds, places, strict=True)
+    )

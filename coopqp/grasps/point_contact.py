@@ -12,8 +12,7 @@ from pydantic import Field
 
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint
-from coopqp.grasps._ball import ball
-from coopqp.grasps._placed import check_range, placed
+from coopqp.grasps._placed import ball, check_range, placed
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4

@@ -10,7 +10,7 @@ import math
 
 from coopqp.base.spec import Array, Positive, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
-from coopqp.grasps._ball import ball
+from coopqp.grasps._placed import ball
 
 
 @spec

@@ -1,6 +1,6 @@
 """What self_collision and obstacles have in common: rows that keep pairs of bodies apart.
 
-With d a distance, or that of a corner from a plane (:mod:`coopqp.limits._corners`), each row is
+With d a distance, or that of a corner from a plane (:class:`Corners`), each row is
 -d_dot <= gain (d - distance). What is too close is asked back, but no faster than joints at
 ``BACK`` can do: where d hardly changes with the joints, no speed could. What is in each other may
 not go deeper and is not asked apart.
@@ -17,10 +17,17 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
-from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
-from coopqp.limits._corners import ROWS, Corners
+from coopqp.limit import (
+    SHALLOW,
+    LimitRows,
+    RoomLeft,
+    Tighten,
+    damp,
+    movers,
+    place_row,
+    states_along,
+)
 from coopqp.limits._distances import Body, Distances, Pair
-from coopqp.limits._step_verification import LookAhead
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -33,6 +40,16 @@ MOST_PAIRS = 2500
 WORTH_SAYING = 5e-5
 #: How many of those that do are named.
 SHOWN = 3
+#: How many rows of corners there are, and how many of them a pair can have.
+ROWS, EACH = 24, 3
+#: Pairs with a smaller margin have corners [m].
+CLOSE = 0.005
+#: Corners are this much farther away than the nearest point at most [m].
+SLAB = 0.002
+#: Reach of a sliding joint without limits [m].
+UNLIMITED = math.pi
+#: Speed of a joint that nothing bounds [rad/s, m/s].
+FASTEST = 1e6
 
 
 def check_count(name: str, count: int) -> None:
@@ -46,27 +63,16 @@ def check_count(name: str, count: int) -> None:
 
 def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
     """A row a pair, then those of corners of the closest pairs; the distance [m] is kept free."""
-
-    def row(name: str, label: str) -> Row:
-        return Row(
-            name=f"limit.{owner}{name}",
-            kind="limit",
-            owner=owner,
-            unit="m",
-            label=label,
-            of_place=True,
-        )
-
     of_pairs = (
         replace(
-            row(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
+            place_row(owner, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
             bodies=(a.name, b.name),
             kept=distance,
         )
         for a, b in pairs
     )
     of_corners = (
-        row(f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
+        place_row(owner, f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
         for i in range(1, ROWS + 1)
     )
     return (*of_pairs, *of_corners)
@@ -84,7 +90,7 @@ def keep_apart(
     """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
 
     Of what a pair is farther apart than ``within`` [m] all may be used up in a tick. It has a row
-    there if it could come closer than ``distance`` [m] before the next one (:class:`LookAhead`).
+    there if it could come closer than ``distance`` [m] before the next (:class:`StepVerification`).
     """
     found, count = Distances(pairs), len(pairs)
     corners = Corners(pairs, found, distance)
@@ -92,7 +98,7 @@ def keep_apart(
     gains, free = np.full(count + ROWS, gain), np.array(distance)
     shallow = max(distance, SHALLOW)
     room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
-    ahead, beyond = LookAhead(chain, pairs, distance, within, dt), np.zeros(count)
+    ahead, beyond = StepVerification(chain, pairs, distance, within, dt), np.zeros(count)
 
     def tighten(state: State, rows: LimitRows) -> None:
         state.place(found.geometry, found.placed)
@@ -214,3 +220,152 @@ def _nearer(pair: Pair, d: float, distance: float) -> str:
         return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
     nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
     return f"{nearer} ({1e3 * d:.1f} of {1e3 * distance:g} mm)"
+
+
+class Corners:
+    """More points of pairs that lie along each other, in a fixed number of rows.
+
+    Where an edge or a face of one body lies along another body, the nearest points jump from end to
+    end: a row at one of them lets the other turn in, and a tick later the first one. So the ends of
+    what is close get rows too. With n the pair's normal and p a corner of the body that reaches
+    less far along the other, its distance from the plane that bounds the other is s, and
+
+        n' (J_first - J_second) v <= gain (s - distance)
+
+    at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
+
+    Attributes:
+        room: margin of each corner to the distance kept from the other body's plane; that of rows
+            without a corner is large, shape (ROWS,) [m].
+        pair: which pair each corner belongs to, shape (ROWS,).
+        W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
+        count: how many rows have a corner.
+    """
+
+    def __init__(self, pairs: Sequence[Pair], found: Distances, distance: float) -> None:
+        self._pairs, self._found, self._distance = pairs, found, distance
+        self._flat = np.array([_lie_along(pair) for pair in pairs], bool)
+        self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
+        self.pair, self.count = np.zeros(ROWS, np.int64), 0
+
+    def update(self) -> None:
+        """Find the corners of the closest pairs."""
+        found = self._found
+        if self.count:
+            self.room[:], self.W[:], self.count = 1.0, 0.0, 0
+        room = found.d[found.near] - self._distance
+        (close,) = (room < CLOSE).nonzero()
+        for k in close[room[close].argsort(kind="stable")].tolist():
+            pair = int(found.near[k])
+            if not self._flat[pair]:
+                continue
+            n, p = found.n[k, :3], found.p[k, :3]
+            for corner, s in self._corners(pair, n, p)[: ROWS - self.count]:
+                self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.W[self.count] = _wrench(n, corner)
+                self.count += 1
+
+    def _corners(self, pair: int, n: Array, p: Array) -> list[tuple[Array, float]]:
+        """Points, and how far each is from the plane that bounds the other body [m]."""
+        first, a = self._ends(pair, 0, n)
+        if len(a) == 1:
+            return []  # it touches in its nearest point alone
+        second, b = self._ends(pair, 1, n)
+        if len(b) == 1:
+            return []
+        if _width(first) <= _width(second):
+            bottom = float(b.min())
+            return [(first[i], bottom - float(a[i])) for i in _spread(first, p)]
+        top = float(a.max())
+        return [(second[i], float(b[i]) - top) for i in _spread(second, p)]
+
+    def _ends(self, pair: int, side: int, n: Array) -> tuple[Array, Array]:
+        """A body's points next to the plane that bounds it, and their heights along n."""
+        convex = self._pairs[pair][side].convex
+        X = self._found.placed.oMg[self._found.ids[pair][side]]
+        out = -1.0 if side else 1.0
+        R, o = X.rotation, X.translation
+        heights = convex.points.dot(n.dot(R))
+        ends = heights > heights.max() - SLAB if out > 0.0 else heights < heights.min() + SLAB
+        points = convex.points[ends].dot(R.T) + o
+        return points, heights[ends] + (float(n.dot(o)) + out * convex.rim)
+
+
+def _lie_along(pair: Pair) -> bool:
+    """Whether two bodies can touch in more than one point."""
+    return all(len(body.convex.points) > 1 for body in pair)
+
+
+def _width(points: Array) -> float:
+    return float((points.max(axis=0) - points.min(axis=0)).max())
+
+
+def _spread(points: Array, p: Array) -> list[int]:
+    """Up to three of the points, far from p and from each other."""
+    if len(points) <= EACH:
+        return list(range(len(points)))
+    one = int(((points - p) ** 2).sum(axis=1).argmax())
+    away = points - points[one]
+    other = int((away**2).sum(axis=1).argmax())
+    return [one, other, int((np.cross(away, away[other]) ** 2).sum(axis=1).argmax())]
+
+
+def _wrench(n: Array, p: Array) -> tuple[float, ...]:
+    """The row of a point that moves along n, [n; p x n]."""
+    (x, y, z), (a, b, c) = p.tolist(), n.tolist()
+    return a, b, c, y * c - z * b, z * a - x * c, x * b - y * a
+
+
+class StepVerification:
+    """Distances up to which pairs have a row, so that none can come too close within a tick.
+
+    A joint that turns moves no point of a body faster than its speed times the longest way from its
+    axis to the body's far end, whatever the configuration; one that slides moves all of it at its
+    own speed. Of a pair only joints that move one of the two count. Summed up with the bounds on
+    the velocity of the tick, that is how far a pair can close at most.
+
+    ``far`` is that of each pair as of the last update, at least ``within``, shape (p,) [m].
+    """
+
+    def __init__(
+        self, chain: ClosedChain, pairs: Sequence[Pair], distance: float, within: float, dt: float
+    ) -> None:
+        self._ways = dt * levers(chain, pairs)
+        self._distance, self._within = distance, within
+        self._speed, self._other = np.zeros((2, chain.n))
+        self.far = np.full(len(pairs), within)
+
+    def update(self, bounds: LimitRows) -> None:
+        """Add the way that pairs can close in a tick within these bounds on v."""
+        speed = self._speed
+        np.abs(bounds.lb, speed)
+        np.abs(bounds.ub, self._other)
+        np.maximum(speed, self._other, out=speed)
+        np.minimum(speed, FASTEST, out=speed)
+        self._ways.dot(speed, self.far)
+        self.far += self._distance
+        np.maximum(self.far, self._within, out=self.far)
+
+
+def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
+    """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1]."""
+    bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
+    of_body = dict(zip(bodies, (_levers_of(chain, body) for body in bodies), strict=True))
+    first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
+    found = np.array([of_body[a] + of_body[b] for a, b in pairs]).reshape(-1, chain.n)
+    return np.asarray(found * (first != second), float)
+
+
+def _levers_of(chain: ClosedChain, body: Body) -> Array:
+    """Longest way from each joint to a body's far end, 1 where the joint slides, shape (n,)."""
+    model, found = chain.model, np.zeros(chain.n)
+    way = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
+    for joint in reversed([j for j in model.supports[body.joint] if j]):
+        i = model.idx_vs[joint]
+        found[i] = way
+        if chain.joint_units[i] == "m":
+            found[i] = 1.0
+            ends = np.abs([chain.lower[i], chain.upper[i]])
+            way += float(np.where(np.isfinite(ends), ends, UNLIMITED).max())
+        way += float(np.linalg.norm(model.jointPlacements[joint].translation))
+    return found

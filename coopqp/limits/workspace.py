@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
-from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers
+from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers, place_row
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, PlaneMarker
 from coopqp.model.state import State
@@ -57,14 +57,7 @@ class Workspace(Limit):
             for i, point in enumerate(self._points(chain))
         }
         return tuple(
-            Row(
-                name=f"limit.{self.name}.{what}",
-                kind="limit",
-                owner=self.name,
-                unit="m",
-                label=f"the {self.name}, {words}",
-                of_place=True,
-            )
+            place_row(self.name, f".{what}", f"the {self.name}, {words}")
             for what, words in (points | {frame: frame for frame in self.frames}).items()
         )
 

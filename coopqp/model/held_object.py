@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BeforeValidator
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Lengths3, NonNegative, Pose, Vector3, numbers, spec
+from coopqp.base.spec import Array, Lengths3, NonNegative, Pose, Vector3, Vector6, spec
 
 
 def inertia_matrix(six: Sequence[float]) -> Array:
@@ -30,11 +28,6 @@ def check_inertia(matrix: Array, what: str) -> None:
         )
 
 
-Six = Annotated[
-    tuple[float, float, float, float, float, float], BeforeValidator(lambda v: numbers(v, 6))
-]
-
-
 @spec
 class HeldObject:
     """The object that all arms hold: its size, mass and pose at the start."""
@@ -45,7 +38,7 @@ class HeldObject:
     """[kg]"""
     com: Vector3 = (0.0, 0.0, 0.0)
     """Centre of mass in the object frame [m]."""
-    inertia: Six | None = None
+    inertia: Vector6 | None = None
     """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]; that of a solid box if omitted."""
     pose: Pose | None = None
     """Pose in the world at the start; midway between the hands, unturned, if omitted."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -70,22 +69,8 @@ def _within(name: str, x: float, bounds: tuple[float, float], unit: str, beside:
         raise ValueError(f"{name}: found {x:g}, needs {low:g} to {high:g} {unit}{beside}")
 
 
-@dataclass(frozen=True)
-class _Bounds:
-    """Bounds of each axis, shape (rates,)."""
-
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-
-
-def _bounds(kind: Kind, pace: MotionLimits) -> _Bounds:
-    columns = np.array(list(_columns(kind, pace))).T
-    return _Bounds(*columns)
-
-
-def _columns(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
-    """The three bounds of each axis."""
+def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
+    """Bounds on velocity, acceleration and jerk of each axis."""
     along = np.array([pace.velocity, pace.acceleration, pace.jerk])
     about = np.array([pace.angular_velocity, pace.angular_acceleration, pace.angular_jerk])
     turns = [name.startswith("rot") for name in kind.columns] if kind.velocity else []
@@ -110,8 +95,8 @@ class TrajectoryFilter(Trajectory):
         super().__init__(kind, value)
         count = kind.rates
         self.acceleration = np.zeros(count)
-        bounds = _bounds(kind, pace)
-        self._fastest, self._jerk = bounds.velocity, bounds.jerk
+        bounds = np.array(list(_bounds(kind, pace))).T
+        self._fastest, _, self._jerk = bounds
         self._planner, self._out = Ruckig(count, dt), OutputParameter(count)
         self._plan, self._brake = _plan(kind, bounds), _plan(kind, bounds, brakes=True)
 
@@ -183,14 +168,13 @@ class TrajectoryFilter(Trajectory):
             self.value[k:] = turned / np.linalg.norm(turned)
 
 
-def _plan(kind: Kind, bounds: _Bounds, *, brakes: bool = False) -> InputParameter:
+def _plan(kind: Kind, bounds: Array, *, brakes: bool = False) -> InputParameter:
     """What does not change of a plan."""
     plan = InputParameter(kind.rates)
     velocities = brakes or kind.velocity
     plan.control_interface = ControlInterface.Velocity if velocities else ControlInterface.Position
     plan.target_velocity = plan.target_acceleration = [0.0] * kind.rates
-    plan.max_velocity = bounds.velocity
-    plan.max_acceleration, plan.max_jerk = bounds.acceleration, bounds.jerk
+    plan.max_velocity, plan.max_acceleration, plan.max_jerk = bounds
     return plan
 
 

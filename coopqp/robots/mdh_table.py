@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from coopqp.base.errors import under
-from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, Vector6, one_angle, spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.description import Description
@@ -34,13 +34,6 @@ def _name(value: Any) -> Any:
 def _antecedent(value: Any) -> Any:
     """A name, or None for the base, which is 0 in the table."""
     return None if type(value) is int and value == 0 else _name(value)
-
-
-def _six(value: Any) -> Any:
-    return numbers(value, 6)
-
-
-Six = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_six)]
 
 
 @spec
@@ -89,7 +82,7 @@ class TableRow:
     """Of the link that the joint moves [kg]; massless when omitted."""
     com: Vector3 = (0.0, 0.0, 0.0)
     """Its centre of mass, from the row's origin [m]."""
-    inertia: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    inertia: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]."""
     axes: Literal["joint", "base"] = "joint"
     """Of com and inertia: the row's own, or the base's at the zero pose."""

@@ -11,7 +11,6 @@ from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_n
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
-from coopqp.plant import Plant
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import at, check_start, contradictions, refuse
@@ -168,16 +167,6 @@ def solver_by_name(name: str, catalog: Catalog) -> Solver:
     chosen = entries[name].cls() if name in entries else qpsolvers.Qpsolvers(backend=name)
     assert isinstance(chosen, Solver)  # what the catalogue holds there
     return chosen
-
-
-def plant_by_name(name: str, catalog: Catalog) -> Plant:
-    """A plant of the catalogue with its defaults; UnknownNameError names the nearest."""
-    entries = catalog.entries("plants")
-    if name not in entries:
-        raise UnknownNameError("plant", name, entries)
-    plant = entries[name].cls()
-    assert isinstance(plant, Plant)  # what the catalogue holds there
-    return plant
 
 
 def solver_names(catalog: Catalog) -> tuple[str, ...]:
