@@ -31,8 +31,7 @@ from coopqp.base.spec import told, type_name
 from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
-from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.plugin import COLLECTIONS
+from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal

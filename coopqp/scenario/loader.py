@@ -13,9 +13,8 @@ from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import at, check_start, contradictions, refuse
+from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
-from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml

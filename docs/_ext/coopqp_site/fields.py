@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from coopqp.base.spec import told
-from coopqp.scenario.plugin import COLLECTIONS
+from coopqp.scenario.catalog import COLLECTIONS
 from coopqp_site.writing import table
 
 HEAD = ("key", "takes", "default", "meaning")

@@ -12,10 +12,9 @@ from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.spec import told
 from coopqp.report.terminal import help_lines
-from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
-from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import points, reader, space
