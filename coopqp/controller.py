@@ -356,7 +356,6 @@ class Law(ABC):
             return command, wrong
 
     def _fits(self, state: State) -> bool:
-        """Whether a state is one of this law's chain."""
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
         return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
 

@@ -66,17 +66,11 @@ class Contact(ABC):
 
     @abstractmethod
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """The friction coefficient that a wrench (contact frame, [N, N m]) needs, tipping aside.
-
-        inf where the hand does not press.
-        """
+        """The friction coefficient that a wrench needs, tipping aside; inf without pressure."""
 
     @abstractmethod
     def edge_use(self, wrench: ArrayLike) -> float:
-        """Distance of the normal force from the middle over the half-lengths: 1 at an edge.
-
-        NaN for a contact without an edge, and where the hand does not press.
-        """
+        """Where the normal force is, over the half-lengths: 1 at an edge, NaN without one."""
 
     def needed(self, wrench: ArrayLike) -> float:
         """The friction coefficient that a wrench (contact frame) needs; inf where none bears it."""

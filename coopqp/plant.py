@@ -144,10 +144,7 @@ class PlantModel(ABC):
         """
 
     def truth(self, state: State) -> State:
-        """The true joints, object and loops, with the kinematics up to date.
-
-        The state itself where joints follow their commands exactly and the model has no errors.
-        """
+        """The true joints, object and loops, up to date; for an ideal plant the state itself."""
         return state
 
     @abstractmethod

@@ -218,7 +218,6 @@ def fixed(R: Array) -> Trajectory:
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
-    """Where a point is at the start, in the reference's axes."""
     reference.update(start)
     seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
     return seen

@@ -195,11 +195,7 @@ PER_VELOCITY = (
 
 
 def _hold_both_ways(model: pin.Model) -> None:
-    """Make speed and effort limits hold in both directions.
-
-    pinocchio 4 gives a joint that is added without limits a least speed that is above its largest,
-    and then refuses to put the model beside another one.
-    """
+    """Make speed and effort limits symmetric: pinocchio 4's lower defaults exceed the upper."""
     for key in ("Velocity", "Effort"):
         if hasattr(model, f"lower{key}Limit"):
             setattr(model, f"lower{key}Limit", -np.array(getattr(model, f"upper{key}Limit")))

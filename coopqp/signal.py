@@ -249,10 +249,7 @@ def course(
     start: Instant,
     here: Array | None = None,
 ) -> Trajectory:
-    """A signal or a constant, as :meth:`Kind.read` takes it, as a trajectory to follow.
-
-    Arguments and errors are those of :meth:`Signal.bind`.
-    """
+    """A signal, or a constant as :meth:`Kind.read` takes it, to follow; as :meth:`Signal.bind`."""
     if isinstance(given, Signal):
         return given.bind(kind, start, here)
     return Trajectory(kind, kind.read(given))

@@ -126,10 +126,9 @@ class Solver(ABC):
 
     @abstractmethod
     def open(self, qp: QP, solution: Solution) -> Solve:
-        """Set up once; the function returned solves what qp then holds, and raises nothing.
+        """Set up once; the returned function solves what qp then holds and raises nothing.
 
-        It writes v, multipliers and status of the solution. MissingDependencyError if not
-        installed.
+        It writes v, multipliers and status. MissingDependencyError: the solver is not installed.
         """
 
 

@@ -309,10 +309,7 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
 
 
 def levers_of(task: Task, chain: ClosedChain) -> list[float]:
-    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints.
-
-    A distance from something round bends by itself too, by the square of the reach.
-    """
+    """L of each row: for metres the reach, more for round surfaces; 1 for angles, 0 for joints."""
     if task.joint_space:
         return [0.0] * len(task.rows(chain))
     length = chain.reach * (1.0 + chain.reach * task.curvature)

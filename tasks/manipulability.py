@@ -79,7 +79,6 @@ class Manipulability(Task):
 
     @property
     def _kept(self) -> list[int]:
-        """Rows of J_task that count."""
         return [AXES.index(axis) for axis in dict.fromkeys(self.axes)]
 
 
@@ -144,5 +143,4 @@ def _regular(matrix: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products of the columns, shapes (N, 3, n)."""
     return np.asarray(a[:, _YZX] * b[:, _ZXY] - a[:, _ZXY] * b[:, _YZX])

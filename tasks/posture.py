@@ -134,7 +134,6 @@ def _given(
 
 
 def _counted(key: str, value: JointValues, joints: tuple[str, ...]) -> JointValues:
-    """A number a joint, or a signal."""
     if not isinstance(value, Signal) and np.size(value) != len(joints):
         raise InvalidValueError(
             f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "

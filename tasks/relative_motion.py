@@ -105,7 +105,6 @@ class RelativeMotion(Task):
         return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
 
     def _loop(self, chain: ClosedChain) -> int:
-        """Number of the loop that the arm closes with the first."""
         others = [arm.name for arm in chain.arms[1:]]
         if self.arm is None:
             return 0

@@ -109,7 +109,6 @@ class Twist(Task):
 
     @property
     def _given(self) -> tuple[str, ...]:
-        """The components, in the order of the command."""
         if isinstance(self.velocity, Signal):
             return self.components or AXES
         return tuple(self.velocity)

@@ -53,10 +53,7 @@ def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
 
 
 def least_squares(matrix: Array, wanted: Array) -> Array:
-    """The x of least norm that brings matrix x nearest to ``wanted``, shape (m,) or (m, r).
-
-    NaN where a number is not finite, which LAPACK would print about, or never end.
-    """
+    """The least-norm x with matrix x nearest to ``wanted`` (m,) or (m, r); NaN if not finite."""
     if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
         return np.full((matrix.shape[1], *wanted.shape[1:]), np.nan)
     return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=RANK_TOLERANCE)[0], float)

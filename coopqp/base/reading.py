@@ -24,10 +24,7 @@ def absolute(path: Path) -> Path:
 
 @contextmanager
 def open_bytes(path: Path) -> Iterator[BinaryIO]:
-    """A file to read from; UnreadableFileError where there is none, or reading fails.
-
-    Pipes and devices are refused without being waited for: some never end, some never begin.
-    """
+    """A plain file, no pipe or device, to read from; UnreadableFileError also where that fails."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:

@@ -38,10 +38,7 @@ would be all that is left of a motion."""
 
 
 def _explain(schema: dict[str, Any], cls: type) -> None:
-    """Say in a JSON Schema what the class says of its keys.
-
-    Pydantic's own ``use_attribute_docstrings`` reads the source of every class at its import.
-    """
+    """Describe a JSON Schema's keys; pydantic's own way reads all sources at import."""
     words = told(cls)
     for key, value in schema.get("properties", {}).items():
         if key in words:
@@ -66,10 +63,10 @@ CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra=_expl
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Field,))
 def spec(cls: type[T]) -> type[T]:
-    """Make a class a frozen, keyword-only, validated dataclass.
+    """Make a class a frozen, keyword-only dataclass that checks its values.
 
-    Building one with wrong values raises one ``InvalidValueError`` that names
-    each of them, what was found and what is allowed, in the words of a scenario file's faults.
+    Building one with wrong values raises one ``InvalidValueError`` that names each of them, what
+    was found and what is allowed, in the words of a scenario file's faults.
     """
     checked: Any = dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
     checked.__init__ = _in_our_words(checked.__init__)
@@ -77,11 +74,7 @@ def spec(cls: type[T]) -> type[T]:
 
 
 def _in_our_words(build: Callable[..., None]) -> Callable[..., None]:
-    """An ``__init__`` that raises no error of pydantic's.
-
-    Where a spec is a field of another, or of a file's form, pydantic builds it without
-    ``__init__``, so that there all faults keep their places.
-    """
+    """An ``__init__`` without pydantic's errors, which inside of other specs keep their places."""
 
     @functools.wraps(build)
     def build_or_refuse(self: Any, *args: Any, **values: Any) -> None:
@@ -96,11 +89,7 @@ def _in_our_words(build: Callable[..., None]) -> Callable[..., None]:
 
 
 def type_name(cls: type) -> str:
-    """Name of a plug-in's type, as in YAML: that of its file.
-
-    A class that lies in no folder of plug-ins, such as one in a script, is named after itself,
-    ``HoldStill`` as ``hold_still``.
-    """
+    """YAML name of a plug-in's type: that of its file, or of a class in a script, in snake_case."""
     folder, _, file = cls.__module__.rpartition(".")
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__)
     return file if folder else words.lower()

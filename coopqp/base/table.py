@@ -23,10 +23,7 @@ MOST = 256 << 20
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers by name, shape (rows,) each, NaN where a cell is empty.
-
-    ``first_line`` is that of the first row; 0 where the file has no lines.
-    """
+    """Columns of numbers by name, NaN in empty cells; ``first_line`` of the rows, 0 if without."""
 
     path: Path
     columns: dict[str, Array]
@@ -37,11 +34,7 @@ class Table:
         return f"{self.path}:{self.first_line + row}" if self.first_line else f"{self.path}: {row}"
 
     def take(self, names: Sequence[str]) -> Array:
-        """Some columns beside each other, shape (rows, names).
-
-        Raises:
-            InvalidValueError: a column is missing, with those that are there; a cell is empty.
-        """
+        """Columns side by side, (rows, names); InvalidValueError if one, or a cell, is missing."""
         for name in names:
             if name not in self.columns:
                 there = ", ".join(self.columns)
@@ -66,11 +59,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Columns of numbers from a ``.parquet`` file, or CSV with names in its first line.
-
-    Raises:
-        CoopqpError: it cannot be read, or is no such table.
-    """
+    """Numbers from a ``.parquet`` file, or CSV with names in its first line; or a CoopqpError."""
     path = Path(path)
     try:
         found = os.stat(path)

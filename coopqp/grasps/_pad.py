@@ -36,10 +36,7 @@ SUMS_UP = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Pad(Contact):
-    """A flat pad; ``torsion`` is the share of the corners' yaw that it bears.
-
-    That is 1 where it carries at its corners, about a half under even pressure.
-    """
+    """A flat pad; ``torsion`` is its share of the corners' yaw, about 0.5 under even pressure."""
 
     torsion: float = 1.0
 
@@ -53,11 +50,7 @@ class Pad(Contact):
         return max(abs(w[3]) / Y, abs(w[4]) / X) / float(w[2]) if w[2] > NO_CONTACT else math.nan
 
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """By cones at the corners, between what the squares in and around them say.
-
-        Where the normal force is beyond the edge it is taken to be on it, with the same yaw
-        about the place where it is.
-        """
+        """By cones at the corners; a force beyond the edge counts as on it, with the same yaw."""
         w = self._on_the_pad(np.array(wrench, float))
         X, Y = self.half_lengths
         if not w[2] > NO_CONTACT:
@@ -145,10 +138,7 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
 
 @lru_cache(maxsize=64)
 def _corner_edges(half: tuple[float, float]) -> Array:
-    """Wrenches of the edges of all corners' cones with a friction of 1, shape (6, edges).
-
-    The torques are over the greater half-length. Not to be written to.
-    """
+    """Wrenches, (6, edges), of all corners' cones for friction 1, torques over max(half)."""
     angles = 2.0 * np.pi * np.arange(CORNER_EDGES) / CORNER_EDGES
     edges = np.array([np.cos(angles), np.sin(angles), np.ones(CORNER_EDGES)])
     X, Y = half

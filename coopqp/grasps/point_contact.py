@@ -25,10 +25,7 @@ class Fingertip(Contact):
     edges: int = 8
 
     def rows(self, friction: float) -> Array:
-        """One a face of the pyramid whose edges lie on Coulomb's cone, the first along x.
-
-        Between two edges cos(pi / edges) of the friction is left.
-        """
+        """A row a face; between two edges, of which one is along x, cos(pi / edges) is left."""
         step = 2.0 * math.pi / self.edges
         faces = step * (np.arange(self.edges) + 0.5)
         rows = np.zeros((self.edges, 6))

@@ -106,12 +106,7 @@ def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
 def named_bodies(
     where: str, name: str, bodies: Sequence[Body], faults: Sequence[str]
 ) -> list[Body]:
-    """Those of a link, or of this very name, or else that a pattern fits.
-
-    Raises:
-        UnknownNameError: there is none.
-        InvalidValueError: there is a link of this name, but nothing of it can be watched.
-    """
+    """Those of a link, or of this very name, or else that a pattern fits; errors where none is."""
     found = [body for body in bodies if name in (body.name, body.link)]
     found = found or [body for body in bodies if fnmatch.fnmatchcase(body.name, name)]
     for fault in faults if not found else ():
@@ -190,7 +185,6 @@ class _Tree:
         self._roots = [frames[i].name for i in self._root_ids]
 
     def neighbours(self, a: Body, b: Body) -> bool:
-        """Whether two bodies touch by design."""
         if a.joint == b.joint:
             return True
         if not (a.link or b.link) and self._one_arm(a, b):

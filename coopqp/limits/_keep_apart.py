@@ -152,10 +152,7 @@ class _Rates:
 
 
 def room_left(pairs: Sequence[Pair], *, distance: float, within: float) -> RoomLeft:
-    """What :func:`keep_apart` leaves each pair; none farther apart than ``within`` counts [m].
-
-    Corners have no room of their own: it is never less than that of their pair's bodies.
-    """
+    """What :func:`keep_apart` leaves each pair [m], at most of ``within``; corners have none."""
     found = Distances(pairs)
 
     def left(state: State) -> Array:

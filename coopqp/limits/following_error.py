@@ -62,5 +62,4 @@ class FollowingError(Limit):
 
 
 def _driven(chain: ClosedChain) -> NDArray[np.bool_]:
-    """Which joints have motors."""
     return ~np.isin(np.arange(chain.n), chain.passive)

@@ -119,7 +119,6 @@ class Workspace(Limit):
         return n, lambda p, out: p.dot(n, out), float(n @ np.array(self.through))
 
     def _words(self, point: Array) -> str:
-        """A point of the object in words."""
         if self.points is None:
             sides = (
                 f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True)
@@ -128,7 +127,6 @@ class Workspace(Limit):
         return f"point ({', '.join(f'{c:g}' for c in point)})"
 
     def _points(self, chain: ClosedChain) -> Array:
-        """Points of the object, shape (k, 3)."""
         if self.points is not None:
             return np.array(self.points, float).reshape(-1, 3)
         half = 0.5 * np.array(chain.held.size)

@@ -58,7 +58,7 @@ class LoopRows:
         rows: all of them, such as "loop[left].rot_y"; those of open loops come last.
         closed: how many rows belong to closed loops.
         kept: indices of the rows handed to the solvers.
-        rank: rank of the closed rows at generic configurations.
+        rank: of the closed rows at generic configurations.
     """
 
     rows: tuple[Row, ...]
@@ -138,7 +138,6 @@ class ClosedChain:
         self._start()
 
     def _start(self) -> None:
-        """Take the start from the hold."""
         self.q_start, self.start_position = self.hold.q, self.hold.p_WO
         self.q_start.flags.writeable = self.start_position.flags.writeable = False
         self.loops = self._independent_rows()
@@ -239,10 +238,7 @@ class ClosedChain:
 
     @cached_property
     def reach(self) -> float:
-        """Bound on the distance from any joint to the object along its arm [m].
-
-        A sliding joint adds a metre, so that its share of a second derivative is bounded too.
-        """
+        """Bound on the distance from any joint to the object [m]; a sliding joint adds a metre."""
         longest = 0.0
         with self._data() as data:
             carried = self._carried(self.q_start, data)

@@ -115,11 +115,7 @@ class Reference:
         self.moves = self.follows or turn is not None or self._slides
 
     def numbers(self) -> Array:
-        """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
-
-        The profile is kind, duration and delay; a reference that does not turn has zeros there.
-        What follows a signal is not in them.
-        """
+        """(22,): c_0, R_0', c_dot, turn, its profile (kind, duration, delay), whether it turns."""
         turning = self._turning
         profile = [0.0, 1.0, 0.0]
         if turning:
@@ -164,7 +160,6 @@ def _one_motion(
     velocity: Vector3,
     turn: Turn | None,
 ) -> None:
-    """Refuse what moves in two ways at once."""
     if isinstance(origin, Signal) and any(velocity):
         raise InvalidValueError("velocity: the place is a signal, which says how it moves; omit it")
     if isinstance(direction, Signal) and turn is not None:
@@ -260,7 +255,6 @@ class Alignment:
         rate[:] = E.dot(C.dot(reference.omega) - speed * self._phi)
 
     def _rows(self, seen: Polar) -> Array:
-        """E, shape (2, 3)."""
         theta, (u, w) = seen.angle, seen.way
         if seen.sine > TINY:
             h = max(theta * math.cos(theta) / seen.sine, self._lowest)
@@ -320,10 +314,7 @@ _ONE = np.eye(3)
 
 
 def _inverse_left_jacobian(w: Array) -> Array:
-    """Jl^-1(w), with which log(exp(a) exp(w)) = w + Jl^-1(w) a for a small a; shape (3, 3).
-
-    Of pinocchio's Jlog3 cancellation leaves nine digits about an angle of 1e-4 rad.
-    """
+    """Jl^-1(w), log(exp(a) exp(w)) = w + Jl^-1(w) a; pinocchio's Jlog3 loses digits at 1e-4 rad."""
     x, y, z = w.tolist()
     t2 = x * x + y * y + z * z
     if t2 < 1e-3:

@@ -73,10 +73,7 @@ class GraspConfiguration:
         return np.asarray(alpha / alpha.sum(), float)
 
     def model(self) -> tuple[pin.Model, tuple[int, ...]]:
-        """The robot with its grasps' joints, and the ids of the object's frames, of :attr:`arms`.
-
-        The object has no mass: its inertia matters to the dynamics alone, which add it.
-        """
+        """The robot with the grasps' joints, and the ids of the object's frames; it is massless."""
         model, ends = with_passive_joints(self.robot, self.passive)
         return model, tuple(
             add_object_frame(model, arm.name, self._end(arm, ends), self.X_EO[arm.name])
@@ -94,12 +91,7 @@ class GraspConfiguration:
         p_WO: Array,
         X_WO: Mapping[str, pin.SE3],
     ) -> GraspConfiguration:
-        """The same robot with other arms holding the object, at q with p_WO [m] and X_WO by arm.
-
-        Raises:
-            UnknownNameError: an arm that the robot does not have.
-            GraspError: no arm is left that holds the object.
-        """
+        """The same with other arms holding the object, X_WO by arm; as :func:`check_released`."""
         check_released(self.robot, released)
         other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))
@@ -252,11 +244,7 @@ def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin
 def with_passive_joints(
     robot: RobotModel, joints: Mapping[str, Sequence[PassiveJoint]]
 ) -> tuple[pin.Model, dict[str, str]]:
-    """The robot's model with its grasps' joints, by arm, hand first, after the tips.
-
-    Returns:
-        The model, and by arm the frame that carries the object: "ARM.grasp", or the tip.
-    """
+    """The robot's model with its grasps' joints, hand first, and each arm's last frame by name."""
     model, ends, one = robot.model.copy(), {}, np.ones(1)
     for arm in robot.arms:
         ends[arm.name] = arm.tip
@@ -321,12 +309,7 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
 
 
 def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
-    """The grasp of each arm, in the order of the arms, from one for all or one for each by name.
-
-    Raises:
-        UnknownNameError: a grasp for an arm that the robot does not have.
-        GraspError: an arm without a grasp.
-    """
+    """Each arm's grasp, in their order; UnknownNameError: no such arm, GraspError: none for one."""
     names = [arm.name for arm in robot.arms]
     if isinstance(grasps, Grasp):
         return dict.fromkeys(names, grasps)

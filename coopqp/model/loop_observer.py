@@ -51,10 +51,7 @@ class LoopObserver:
         state.update()
 
     def update(self, state: State, along: Array | None = None) -> bool:
-        """Update ``gap`` from the measured configuration, if any; False where that is not finite.
-
-        Along the unit vector ``along``, shape (6 L,), others decide about the gap.
-        """
+        """Follow the measured q, but along the unit vector ``along``; False where not finite."""
         if state.q_measured is None:
             return True
         measured, found = self._measured, np.asarray(state.q_measured)

@@ -44,7 +44,6 @@ class Memory:
 
 
 def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    """A memory from what a copy is made of."""
     memory = Memory(sizes)
     memory.numbers[:] = numbers
     return memory
@@ -214,10 +213,7 @@ class State:
         return self._e_loop
 
     def advance(self, v: Array, dt: float) -> None:
-        """Go on to the next tick with the commanded v, shape (n,): q + v dt, t + dt.
-
-        The measured configuration is not touched: sensors say where the joints are.
-        """
+        """Go on to the next tick with the commanded v, (n,): q + v dt, t + dt; q_measured stays."""
         self.q += dt * v
         self.v[:] = v
         self.t += dt
@@ -333,7 +329,6 @@ def _state(
     own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
     inputs: InputValues,
 ) -> State:
-    """A state from what a copy is made of."""
     state = State(chain, q, t, memory)
     state.inputs = inputs
     state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:] = own

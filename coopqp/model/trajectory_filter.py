@@ -84,10 +84,7 @@ def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
 
 
 class TrajectoryFilter(Trajectory):
-    """A reference that follows its target; at first at rest at ``value``, shape (values,).
-
-    ``dt`` is the time of a step [s]; ``acceleration`` has the shape (rates,) [1/s2].
-    """
+    """A reference that follows its target in steps of dt [s]; at first at rest at ``value``."""
 
     moves = True
 
@@ -105,10 +102,7 @@ class TrajectoryFilter(Trajectory):
         return
 
     def step(self, target: Array | None) -> bool:
-        """Go on for one dt towards a target, shape (values,); None brakes to rest.
-
-        Returns whether there was a way; without one it stands still.
-        """
+        """Go on for dt to a target (None: brake); False, and standing still, without a way."""
         plan = self._brake if target is None else self._plan
         k = self.kind.numbers
         plan.current_acceleration = self.acceleration
@@ -140,7 +134,6 @@ class TrajectoryFilter(Trajectory):
         return False
 
     def _slow(self, velocity: Array) -> Array:
-        """A velocity within its bounds."""
         most = float(np.max(np.abs(velocity) / self._fastest, initial=1.0))
         return velocity / most
 
@@ -169,7 +162,6 @@ class TrajectoryFilter(Trajectory):
 
 
 def _plan(kind: Kind, bounds: Array, *, brakes: bool = False) -> InputParameter:
-    """What does not change of a plan."""
     plan = InputParameter(kind.rates)
     velocities = brakes or kind.velocity
     plan.control_interface = ControlInterface.Velocity if velocities else ControlInterface.Position

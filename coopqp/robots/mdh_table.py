@@ -22,17 +22,14 @@ SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
 
 
 def _word(value: Any) -> Any:
-    """Sigma as a word; the number of the table is also read."""
     return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
 
 
 def _name(value: Any) -> Any:
-    """A name; the number j of the table is also read."""
     return str(value) if type(value) is int else value
 
 
 def _antecedent(value: Any) -> Any:
-    """A name, or None for the base, which is 0 in the table."""
     return None if type(value) is int and value == 0 else _name(value)
 
 

@@ -69,10 +69,7 @@ class BoundedSteps:
         stop: Stop,
         inequalities: Inequalities | None = None,
     ) -> Array:
-        """The residual at the end of the way down from x, shape (n,), which is moved there.
-
-        x begins inside the bounds; every step keeps the inequality rows.
-        """
+        """Move x, (n,), inside its bounds down to a small residual, which is returned."""
         mu = DAMPING
         r, J = residual(x)
         for _ in range(stop.steps):

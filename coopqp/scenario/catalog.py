@@ -113,7 +113,6 @@ def _miscounted(
 
 
 def _wrong_with(cls: type, base: type) -> str:
-    """What keeps a class from being used; empty when nothing does."""
     if missing := sorted(getattr(cls, "__abstractmethods__", ())):
         methods = " and ".join(f"'{name}'" for name in missing)
         return f"{cls.__name__} is half-written; it needs {methods}"
@@ -140,7 +139,6 @@ def _needed(field: dataclasses.Field[object]) -> bool:
 
 
 def _line(cls: type) -> int:
-    """Where a class begins in its file."""
     return inspect.getsourcelines(cls)[1]
 
 
@@ -245,7 +243,6 @@ def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]
 
 
 def _wrong_name(name: str) -> str:
-    """Why a scenario cannot name a plug-in so; empty when it can."""
     if not name.isidentifier() or keyword.iskeyword(name):
         return f"'{name}' is not a name in Python: letters, digits and _ alone, no keyword"
     if hasattr(BaseModel, name) or name.startswith("model_"):
@@ -254,7 +251,6 @@ def _wrong_name(name: str) -> str:
 
 
 def _place(error: BaseException, file: Path) -> str:
-    """File and line of the user's code that an import stumbled over."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)

@@ -109,7 +109,6 @@ def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
 
 
 def _of_end(place: Location, task: Task, duration: float) -> Iterator[Wrong]:
-    """Whether a reference arrives before its phase ends [s]."""
     try:
         with blamed(task):
             end = task.end
@@ -265,7 +264,6 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
 
 
 def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
-    """The closed chain, or what of the file keeps it from closing."""
     try:
         return scenario.chain
     except CoopqpError as error:
@@ -307,7 +305,6 @@ def _longest(scenario: Scenario) -> Location:
 
 
 def _released(scenario: Scenario) -> Iterator[Wrong]:
-    """Phases in which an arm lets go that does not exist, or all of them."""
     arms = arm_names(scenario.robot_model)
     for i, phase in enumerate(scenario.phases):
         place: Location = ["phases", i, "released"]
@@ -319,7 +316,6 @@ def _released(scenario: Scenario) -> Iterator[Wrong]:
 
 
 def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:
-    """Tasks that name what is not there or break a promise; each is tried in its phase."""
     for place, task, phase in tasks:
         try:
             try_task(task, places[phase.name], phase.duration)
@@ -354,7 +350,6 @@ def _broken_inputs(
 
 
 def _used(data: Any, place: Location, name: str) -> Location:
-    """Where in a task an input is used."""
     for key in place:
         data = data[key]
     waiting: list[tuple[list[str | int], Any]] = [([*place], data)]
@@ -391,7 +386,6 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
 
 
 def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str) -> Iterator[Wrong]:
-    """Passive joints that start outside their limits."""
     for name in passive:
         i = chain.joint_names.index(name)
         value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
@@ -433,7 +427,6 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
 
 
 def _like_degrees(robot: RobotModel, q: Array) -> bool:
-    """Whether joints are outside their limits by more than a turn, and inside them in degrees."""
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     turns = np.array([unit == "rad" for unit in robot.joint_units])
     outside = turns & ((q < lower) | (q > upper))
@@ -442,7 +435,6 @@ def _like_degrees(robot: RobotModel, q: Array) -> bool:
 
 
 def _too_large(chain: ClosedChain) -> str:
-    """What is wrong with an object that no such arms hold; empty if nothing is."""
     longest = max(chain.held.size)
     if longest <= LARGE * chain.reach:
         return ""

@@ -44,7 +44,6 @@ Joints = dict[str, float | list[float]]
 
 
 def _start(value: Any) -> Any:
-    """Joint values; none yet where they shall be solved for."""
     if value == SOLVE:
         return {}
     if value is not None and not isinstance(value, dict):
@@ -191,7 +190,6 @@ WITHOUT_PHASES = ("tasks", "duration")
 
 
 def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
-    """What is missing or too much, with phases or without."""
     if "phases" not in data:
         missing = [key for key in WITHOUT_PHASES if key not in data]
         yield from (Wrong([], f"needs the key '{key}'") for key in missing)
@@ -284,7 +282,6 @@ def _plain(value: Any) -> Any:
 
 
 def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:
-    """The plug-in in a slot inside another plug-in."""
     read = slot.validate_json(json.dumps(value), context=context)
     for place, words in _mistaken(value, read):
         raise ValueError(f"{wording.dotted(place)}: {words}")

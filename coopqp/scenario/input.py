@@ -72,10 +72,7 @@ class Channel(TrajectoryFilter):
         self._lower, self._upper = np.array(lower, float), np.array(upper, float)
 
     def take(self, value: Any, sent: float, now: float) -> str:
-        """A value that has arrived, as :meth:`coopqp.signal.Kind.read` takes it; times in [s].
-
-        Returns why it cannot be used; empty if it can.
-        """
+        """Take an arrived value, :meth:`coopqp.signal.Kind.read`; why it cannot be used, or ""."""
         try:
             found = self.kind.read(value)
         except InvalidValueError as error:
@@ -112,11 +109,7 @@ def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array |
 
 
 class Inputs:
-    """All inputs of a run; their filtered values are put into its first state.
-
-    Raises:
-        CoopqpError: a task wants an input that is not there, or as what it cannot be.
-    """
+    """All inputs of a run, put into its first state; CoopqpError: not there, or of another kind."""
 
     def __init__(
         self,
@@ -134,10 +127,7 @@ class Inputs:
         start.inputs.update(self.channels)
 
     def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
-        """Take what has arrived and go on to the time of a state, whose inputs are written.
-
-        Arrivals are name, value and when it was sent by the state's clock [s], oldest first.
-        """
+        """Take arrivals, oldest first by the state's clock [s], and go on to the state's time."""
         followed, now = state.inputs, state.t
         refused = []
         arrived: dict[str, tuple[float, Array]] = {}
@@ -158,11 +148,7 @@ class Inputs:
 
 
 def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
-    """An input, at rest where it begins; ``here`` has the shape (values,).
-
-    Raises:
-        InvalidValueError: nobody says where it begins; a setting does not fit its kind.
-    """
+    """An input at rest where it begins; InvalidValueError if nowhere, or settings do not fit."""
     if kind.velocity and settings.when_stale == "hold":
         words = "when_stale: hold would go on for ever with a velocity; use brake"
         raise InvalidValueError(words)
@@ -189,11 +175,7 @@ _Row = tuple[float, float, Array]
 
 
 class Feed:
-    """Who sends, in a comparison, in a phase that begins at ``since`` [s].
-
-    Raises:
-        CoopqpError: a signal or a file is not of the input's kind.
-    """
+    """Who sends, in a comparison, from ``since`` [s] on; CoopqpError: not of the input's kind."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float = 0.0

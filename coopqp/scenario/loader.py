@@ -44,10 +44,7 @@ def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
 
 
 def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> Scenario:
-    """The same from a file that has been read.
-
-    ``known`` serves all variants of a file: each builds and tries only what differs from the last.
-    """
+    """The same from a file that has been read; ``known`` is shared by variants of one file."""
     known = known or Known()
     with file.lines():
         scenario = _read(file, catalog)

@@ -189,10 +189,7 @@ class Scenario:
 
     @property
     def portable(self) -> str:
-        """The source as it can be read from another folder on this machine.
-
-        As JSON where it is written so that no line can be added, such as ``{dt: 0.01, ...}``.
-        """
+        """The source, or else JSON, as it can be read from another folder on this machine."""
         if self.folder is None:
             return self.source
         path = self.folder / self.name  # for faults, of which none is told

@@ -330,7 +330,6 @@ def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
 
 
 def _without_object(grasps: Mapping[str, Grasp]) -> str:
-    """Which grasps do not say where the object is in the hand; empty if all do."""
     unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
     return f"object_in_hand in the grasp of {' and '.join(unknown)}" if unknown else ""
 
@@ -367,7 +366,6 @@ class _Search:
         self._steps = BoundedSteps(len(self.columns))
 
     def run(self, report: Callable[[int], None]) -> None:
-        """Try until enough starts are found or the tries are used up."""
         while self.tries < TRIES and self.found < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
@@ -431,7 +429,6 @@ def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
 
 
 def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generator) -> list[str]:
-    """Which arms cannot reach, and how far they get."""
     alone = []
     for arm in search.arms if len(search.arms) > 1 else ():
         single = _Search(problem, [arm], rng)

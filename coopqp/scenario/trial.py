@@ -137,7 +137,6 @@ class _Look:
         self._J = np.eye(n) if task.joint_space else np.zeros((len(names), n))
 
     def at(self, state: State, t: float) -> TaskRows:
-        """Rows of their own."""
         k = len(self.names)
         rows = TaskRows(np.zeros(k), self._J.copy(), np.zeros(k))
         before, state.t = state.t, t

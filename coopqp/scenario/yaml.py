@@ -127,12 +127,7 @@ class FaultLines:
 
 
 def read_yaml(path: Path) -> YamlFile:
-    """Read a YAML mapping.
-
-    Raises:
-        ScenarioError: no such file, too large, not text, not YAML, a key given twice, values that
-            are no plain data, too many of them, empty, not a mapping.
-    """
+    """Read a YAML mapping; ScenarioError with the line of what is wrong."""
     try:
         text = read_text(path, MOST_BYTES)
     except UnreadableFileError as error:
@@ -178,11 +173,9 @@ class _Lines:
         self._starts = [found.end() for found in re.finditer(r"\r\n?|\n", text)]
 
     def at(self, index: int) -> int:
-        """That of a character."""
         return bisect_right(self._starts, index) + 1
 
     def of(self, event: Any) -> int:
-        """That in which what an event tells of begins."""
         return self.at(event.start_mark.index)
 
 
@@ -196,7 +189,6 @@ class _Builder:
         self._values = 0
 
     def document(self) -> _Node | None:
-        """The only document; None where there is none."""
         root = None
         for event in self._events:
             if isinstance(event, StreamStartEvent | StreamEndEvent | DocumentEndEvent):
@@ -281,7 +273,6 @@ class _Builder:
         return found
 
     def _key(self, event: Any) -> str:
-        """A key as it is written."""
         if not isinstance(event, ScalarEvent):
             raise self._fault(event, "needs a plain word as a key, found something else")
         return self._text(event)
@@ -299,7 +290,6 @@ class _Builder:
             raise self._fault(event, f"tag '{_short(event.tag)}' is not read here; leave it out")
 
     def _scalar(self, event: Any) -> Any:
-        """Text, number, boolean or null."""
         text, tag = self._text(event), event.tag
         if tag in ("!", _STANDARD + "str") or (tag is None and event.style):
             return text
@@ -332,7 +322,6 @@ class _Builder:
 
 
 def _number(text: str) -> int | float:
-    """A number as it is written; what is checked is that it is one."""
     digits = text.replace("_", "").lower()
     if not _INT.fullmatch(text):
         return float(digits.replace(".inf", "inf").replace(".nan", "nan"))
@@ -344,5 +333,4 @@ def _node_of(value: Any, inside: dict[str | int, tuple[int, _Node]]) -> _Node:
 
 
 def _short(tag: str) -> str:
-    """A tag as a file has it."""
     return tag.replace(_STANDARD, "!!")[:40]

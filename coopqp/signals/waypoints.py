@@ -127,7 +127,6 @@ def _value(kind: Kind, row: object) -> Array:
 
 
 def _same(kind: Kind, values: Array) -> bool:
-    """Whether the last value is the first."""
     first, last = values[0], values[-1]
     k = kind.numbers
     near = np.abs(last[:k] - first[:k]).max(initial=0.0) < SAME
