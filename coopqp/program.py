@@ -27,7 +27,7 @@ from coopqp.model.geometry import (
     RotationError,
     polar,
 )
-from coopqp.model.profile import KINDS, Profile
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.signal import ROTATION, Trajectory, quaternion_of
 
@@ -112,7 +112,7 @@ class Primitive:
             "kind": float(self.kind),
             "rows": np.array(self.rows, float),
             "reference": self.reference.numbers(),
-            "profile": profile_numbers(self.profile),
+            "profile": np.array(self.profile.numbers),
             "point": np.array(self.point, float),
             "axis": np.array(self.axis, float),
             "e_start": np.array([*self.e_start, 0.0, 0.0, 0.0][:3]),
@@ -149,11 +149,6 @@ class Programs:
 def sees_twist(program: Sequence[Primitive] | None) -> bool:
     """Whether a task's rows are those of the object's twist, and nothing else."""
     return program is not None and not any(p.of_joints or p.over_joints for p in program)
-
-
-def profile_numbers(profile: Profile) -> Array:
-    """Kind, duration and delay, shape (3,)."""
-    return np.array([KINDS.index(profile.kind), profile.duration, profile.delay], float)
 
 
 def point(
@@ -285,8 +280,7 @@ def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> F
 
 
 def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    axis = p.axis[0], p.axis[1], p.axis[2]
-    return Alignment(axis, p.reference, p.profile, start).fill
+    return Alignment((p.axis[0], p.axis[1], p.axis[2]), p.reference, p.profile, start).fill
 
 
 def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:

@@ -23,6 +23,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.tasks.joint_centering import ranges
 
 
 @spec
@@ -58,9 +59,7 @@ class JointLimitBarrier(Task):
 
     def _middles(self, chain: ClosedChain) -> tuple[Array, Array, Array]:
         """Middle, 2 / range and 1 / range of each joint; zero for joints without limits."""
-        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle, per_half, per_range = np.zeros((3, chain.n))
-        lower, upper = chain.lower[limited], chain.upper[limited]
-        middle[limited] = 0.5 * (lower + upper)
-        per_half[limited], per_range[limited] = 2.0 / (upper - lower), 1.0 / (upper - lower)
+        limited, middle, width = ranges(chain)
+        per_range = np.divide(1.0, width, out=np.zeros(chain.n), where=limited)
+        per_half = np.divide(2.0, width, out=np.zeros(chain.n), where=limited)
         return middle, per_half, per_range

@@ -241,7 +241,8 @@ class Corners:
 
     def __init__(self, pairs: Sequence[Pair], found: Distances, distance: float) -> None:
         self._pairs, self._found, self._distance = pairs, found, distance
-        self._flat = np.array([_lie_along(pair) for pair in pairs], bool)
+        # Which can touch in more than one point.
+        self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
         self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
@@ -286,11 +287,6 @@ class Corners:
         ends = heights > heights.max() - SLAB if out > 0.0 else heights < heights.min() + SLAB
         points = convex.points[ends].dot(R.T) + o
         return points, heights[ends] + (float(n.dot(o)) + out * convex.rim)
-
-
-def _lie_along(pair: Pair) -> bool:
-    """Whether two bodies can touch in more than one point."""
-    return all(len(body.convex.points) > 1 for body in pair)
 
 
 def _width(points: Array) -> float:

@@ -67,7 +67,7 @@ class SelfCollision(Limit):
         seen: set[frozenset[str]] = set()
         for pair in self.pairs or ():
             one = frozenset(pair)
-            if one in seen or (len(one) < 2 and not _is_pattern(pair[0])):
+            if one in seen or (len(one) < 2 and not set(pair[0]) & set("*?[")):
                 raise ValueError(f"pair {list(pair)} names one body, or a pair given before")
             seen.add(one)
         if self.within <= self.distance:
@@ -148,10 +148,6 @@ class SelfCollision(Limit):
             ).at("ignore")
         check_count(self.name, len(kept))
         return kept
-
-
-def _is_pattern(name: str) -> bool:
-    return any(sign in name for sign in "*?[")
 
 
 def _names(pair: Pair) -> frozenset[str]:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, unit
 from coopqp.grasp import pose_matrix
-from coopqp.model.profile import KINDS, Profile
+from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
 from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, course
 
@@ -116,12 +116,8 @@ class Reference:
 
     def numbers(self) -> Array:
         """(22,): c_0, R_0', c_dot, turn, its profile (kind, duration, delay), whether it turns."""
-        turning = self._turning
-        profile = [0.0, 1.0, 0.0]
-        if turning:
-            profile = [float(KINDS.index(turning.kind)), turning.duration, turning.delay]
-        parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
-        return np.concatenate([*parts, [float(turning is not None)]])
+        profile = (0.0, 1.0, 0.0, 0.0) if self._turning is None else (*self._turning.numbers, 1.0)
+        return np.concatenate([self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile])
 
     def update(self, at: Instant) -> None:
         """Go to where it is then."""

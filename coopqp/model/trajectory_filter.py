@@ -109,7 +109,8 @@ class TrajectoryFilter(Trajectory):
         if self.kind.velocity:
             plan.current_position = np.zeros(k)
             plan.current_velocity = self.value
-            plan.target_velocity = np.zeros(k) if target is None else self._slow(target)
+            wanted = np.zeros(k) if target is None else target  # cut to its bounds
+            plan.target_velocity = wanted / np.max(np.abs(wanted) / self._fastest, initial=1.0)
             plan.current_acceleration = self.rate
         else:
             plan.current_position = np.concatenate([self.value[:k], np.zeros(len(self.rate) - k)])
@@ -133,10 +134,6 @@ class TrajectoryFilter(Trajectory):
             return True
         return False
 
-    def _slow(self, velocity: Array) -> Array:
-        most = float(np.max(np.abs(velocity) / self._fastest, initial=1.0))
-        return velocity / most
-
     def _turn_to(self, quaternion: Array) -> Array:
         """The rotation vector from here to there, shape (3,) or (0,)."""
         if not self.kind.turns:
@@ -156,7 +153,8 @@ class TrajectoryFilter(Trajectory):
         self.rate[:] = out.new_velocity
         if self.kind.turns:
             way = position[k:]
-            self.rate[k:] = _left_jacobian(way).dot(self.rate[k:])
+            # The left Jacobian; pinocchio's Jexp3 is the right one, of the opposite way.
+            self.rate[k:] = pin.Jexp3(-way).dot(self.rate[k:])
             turned = quaternion_of(pin.exp3(way).dot(self.R))
             self.value[k:] = turned / np.linalg.norm(turned)
 
@@ -181,10 +179,3 @@ def _between(a: Array, b: Array) -> Array:
     aside = np.eye(3)[int(np.argmin(np.abs(a)))]  # opposite: any way is as short
     across = np.cross(a, aside)
     return np.asarray(math.pi * across / np.linalg.norm(across))
-
-
-def _left_jacobian(phi: Array) -> Array:
-    """Omega = Jl(phi) phi_dot, shape (3, 3)."""
-    # pinocchio's Jexp3 is the right one, which is that of the opposite way.
-    J: Array = pin.Jexp3(-phi)
-    return J

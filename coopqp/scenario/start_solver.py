@@ -229,7 +229,9 @@ def solve_start(
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
-    _check_known(grasp_of, held)
+    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasp_of)])]
+    if missing:
+        raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
     q, rng = problem.middle.copy(), seeded(seed)
@@ -321,12 +323,6 @@ def _cure(off: float) -> str:
             "which the loops are closed then"
         )
     return "move object.pose or change object_in_hand"
-
-
-def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
-    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasps)])]
-    if missing:
-        raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
 
 
 def _without_object(grasps: Mapping[str, Grasp]) -> str:

@@ -205,7 +205,10 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         for state in (start, *(place.here for place in places.nearby)):
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
             evaluate_all([(tighten, open_), (tighten, shut)], state)
-            _check_inequalities(chain, names, open_)
+            _check_finite("G", names, open_.G, chain)
+            for name, h in zip(names, open_.h, strict=True):
+                if not h > -np.inf:
+                    raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 
 
@@ -215,13 +218,6 @@ def _limit_rows(chain: ClosedChain, names: Sequence[str], width: float) -> Limit
     return LimitRows(
         np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan)
     )  # fmt: skip
-
-
-def _check_inequalities(chain: ClosedChain, names: Sequence[str], rows: LimitRows) -> None:
-    _check_finite("G", names, rows.G, chain)
-    for name, h in zip(names, rows.h, strict=True):
-        if not h > -np.inf:
-            raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
