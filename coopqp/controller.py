@@ -322,7 +322,7 @@ class Law(ABC):
         """For so many ticks from a state, whose memory is then this law's."""
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        return TickBatch.room(ticks, self.problem.chain.n, len(state.memory.numbers))
+        return TickBatch.empty(ticks, self.problem.chain.n, len(state.memory.numbers))
 
     def _keep(self, state: State, found: TickBatch, k: int) -> None:
         """One of them, by the tick: whatever a law has instead has been tried."""

@@ -100,8 +100,8 @@ class TwistBounds:
 
 Tighten = Callable[[State, LimitRows], None]
 
-RoomLeft = Callable[[State], Array]
-"""What is left in space at a state, in the order of the limit's rows, shape (k,) [m].
+Clearance = Callable[[State], Array]
+"""Distances left in space at a state, in the order of the limit's rows, shape (k,) [m].
 
 Rows after the first k only help to keep the others.
 """
@@ -114,10 +114,10 @@ class Limit(ABC):
     constant: ClassVar[bool] = False
     """Whether the bounds are the same in every tick, so that they are asked for once."""
     sacrificed_first: ClassVar[bool] = False
-    """Whether it may be given up before the drift correction when not everything can hold."""
+    """Whether it may be relaxed before the Baumgarte correction when not everything can hold."""
 
-    heeds_measured: ClassVar[bool] = False
-    """Whether it depends on what the sensors say, which geometry alone cannot explain."""
+    uses_measurements: ClassVar[bool] = False
+    """Whether it depends on measurements, which geometry alone cannot explain."""
 
     bounds_position: ClassVar[bool] = False
     """Whether its bounds on v are bounds on q, divided by dt."""
@@ -142,27 +142,27 @@ class Limit(ABC):
         Returns:
             By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the row's
             unit, shape (T,); negative where violated. Infinite sides are left out. For a limit with
-            :meth:`room`, that after each tick.
+            :meth:`clearance`, that after each tick.
         """
-        left = self.room(chain)
+        left = self.clearance(chain)
         if left is None:
             return {}
         found = np.array([left(state) for state in states_along(chain, q[1:])])
         return dict(zip(self.rows(chain), found.T, strict=False)) if len(found) else {}
 
     def audited(self, chain: ClosedChain) -> bool:
-        """Whether :meth:`margins` or :meth:`room` say how far a run stayed away from it."""
-        return type(self).margins is not Limit.margins or self.room(chain) is not None
+        """Whether :meth:`margins` or :meth:`clearance` say how far a run stayed away from it."""
+        return type(self).margins is not Limit.margins or self.clearance(chain) is not None
 
-    def room(self, chain: ClosedChain) -> RoomLeft | None:
+    def clearance(self, chain: ClosedChain) -> Clearance | None:
         """Distance of what a limit in space bounds from it; None for all others.
 
-        Its :meth:`rows` are then velocity dampers: G = -d room/dq. Of what is far, room and rows
+        Its :meth:`rows` are then velocity dampers: G = -d clearance/dq. Of what is far, both
         may say nothing; rows may look farther where joints are fast.
         """
         return None
 
-    def eased(self, room: float) -> Limit | None:
+    def relaxed(self, by: float) -> Limit | None:
         """The limit relaxed by a distance [m], to verify ``explain``; None where it has none."""
         return None
 

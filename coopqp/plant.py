@@ -120,7 +120,7 @@ class PlantModel(ABC):
         self.signals = {}
         self.measured = None
 
-    as_told: bool = False
+    ideal: bool = False
     """Whether a step is :meth:`State.advance` alone, so that many may be done at once."""
     signals: dict[str, Array]
     measured: Array | None

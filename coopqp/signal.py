@@ -243,7 +243,7 @@ class Signal(ABC):
         return np.inf
 
 
-def course(
+def trajectory_of(
     given: Signal | Array | tuple[float, ...] | list[float],
     kind: Kind,
     start: Instant,

@@ -42,7 +42,7 @@ class TickBatch:
     notes: dict[int, str] = field(default_factory=dict)
 
     @staticmethod
-    def room(ticks: int, n: int, remembered: int) -> TickBatch:
+    def empty(ticks: int, n: int, remembered: int) -> TickBatch:
         """Arrays for so many ticks, every one optimal."""
         return TickBatch(
             np.zeros((ticks + 1, n)),

@@ -24,7 +24,7 @@ from pydantic import BeforeValidator, Field
 
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import pose_course
+from coopqp.model.geometry import pose_trajectory
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -123,6 +123,6 @@ class Impedance(Task):
         return evaluate
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = pose_course(self.goal, at)
+        goal = pose_trajectory(self.goal, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

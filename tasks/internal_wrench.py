@@ -28,7 +28,7 @@ from coopqp.closed_loop.hands import Hand, hands, points
 from coopqp.closed_loop.section import COMPONENTS, UNITS, section
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.signal import Kind, Reads, Signal, course
+from coopqp.signal import Kind, Reads, Signal, trajectory_of
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 FORCE = Kind("component of a wrench", 1, columns=("value",))
@@ -98,7 +98,7 @@ class InternalWrench(Task):
         held = hands(start.chain)
         i, j = self._pair(held)
         chosen = [COMPONENTS.index(name) for name in self.components]
-        wanted = [course(_value(getattr(self, n)), FORCE, start) for n in self.components]
+        wanted = [trajectory_of(_value(getattr(self, n)), FORCE, start) for n in self.components]
         swapped = i > j
 
         def evaluate(state: State, rows: TaskRows) -> None:

@@ -48,16 +48,16 @@ class Orientation(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """The reference sets out from how the object is turned now."""
-        goal = self._course(start, quaternion_of(start.R_WO))
+        goal = self._trajectory(start, quaternion_of(start.R_WO))
         goal.update(start)
         return (rotation(goal, self.profile, start.R_WO),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = self._course(at)
+        goal = self._trajectory(at)
         goal.update(at)
         return (PoseMarker(rotation=goal.R),)
 
-    def _course(self, start: Instant, here: Array | None = None) -> Trajectory:
+    def _trajectory(self, start: Instant, here: Array | None = None) -> Trajectory:
         if self.goal is not None:
             return self.goal.bind(ROTATION, start, here)
         R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation

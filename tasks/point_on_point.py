@@ -15,7 +15,7 @@ from coopqp.model.marker import Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point
-from coopqp.signal import POINT, Instant, MovingPoint, course
+from coopqp.signal import POINT, Instant, MovingPoint, trajectory_of
 from coopqp.task import Task
 
 
@@ -38,6 +38,6 @@ class PointOnPoint(Task):
         return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = course(self.goal, POINT, at)
+        goal = trajectory_of(self.goal, POINT, at)
         goal.update(at)
         return PointMarker(at=goal.value), TrackedMarker(point=self.point)

@@ -95,17 +95,17 @@ class _Goal:
     ) -> None:
         chain = start.chain
         self.value, self.rate = np.full(chain.n, np.nan), np.zeros(chain.n)
-        self._courses: list[tuple[list[int], Trajectory]] = []
+        self._trajectories: list[tuple[list[int], Trajectory]] = []
         for joints, given in _given(goal, chain):
             at, kind = [chain.joint_names.index(joint) for joint in joints], of_joints(joints)
             if isinstance(given, Signal):
-                self._courses.append((at, given.bind(kind, start, start.q[at])))
+                self._trajectories.append((at, given.bind(kind, start, start.q[at])))
             else:
                 self.value[at] = given
-        self.moves = any(moving.moves for _, moving in self._courses)
+        self.moves = any(moving.moves for _, moving in self._trajectories)
 
     def update(self, at: Instant) -> None:
-        for joints, moving in self._courses:
+        for joints, moving in self._trajectories:
             moving.update(at)
             self.value[joints], self.rate[joints] = moving.value, moving.rate
 

@@ -24,7 +24,7 @@ import pinocchio as pin
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, Reference, RotationError, pose_course
+from coopqp.model.geometry import Approach, Reference, RotationError, pose_trajectory
 from coopqp.model.marker import Marker, RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -60,7 +60,7 @@ class RelativeMotion(Task):
         first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
         J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
         seen.update(start)
-        goal = pose_course(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
+        goal = pose_trajectory(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
         goal.update(start)
         p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
         rotation = RotationError(goal, self.profile, Q)
@@ -84,7 +84,7 @@ class RelativeMotion(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
         """As a primitive; None where a signal is the goal."""
-        goal, loop = pose_course(self.goal, start), self._loop(start.chain)
+        goal, loop = pose_trajectory(self.goal, start), self._loop(start.chain)
         if goal.moves:
             return None
         seen = _Seen(start.chain, loop)
@@ -100,7 +100,7 @@ class RelativeMotion(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = pose_course(self.goal, at)
+        goal = pose_trajectory(self.goal, at)
         goal.update(at)
         return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
 

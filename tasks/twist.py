@@ -74,7 +74,7 @@ class Twist(Task):
         chosen = np.array([AXES.index(name) for name in names])
         order = np.array([self._given.index(name) for name in names])
         tracked, profile = PointOfObject(self.point, start.chain.n), self.profile
-        commanded = self._course(start)
+        commanded = self._trajectory(start)
         turned, J = self.axes == "object", np.zeros((6, start.chain.n))
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -113,7 +113,7 @@ class Twist(Task):
             return self.components or AXES
         return tuple(self.velocity)
 
-    def _course(self, start: Instant) -> Trajectory:
+    def _trajectory(self, start: Instant) -> Trajectory:
         kind = of_twist(self._given)
         if isinstance(self.velocity, Signal):
             return self.velocity.bind(kind, start, kind.zero)

@@ -39,13 +39,13 @@ would be all that is left of a motion."""
 
 def _explain(schema: dict[str, Any], cls: type) -> None:
     """Describe a JSON Schema's keys; pydantic's own way reads all sources at import."""
-    words = told(cls)
+    words = field_docs(cls)
     for key, value in schema.get("properties", {}).items():
         if key in words:
             value["description"] = words[key]
 
 
-def told(cls: type) -> dict[str, str]:
+def field_docs(cls: type) -> dict[str, str]:
     """The docstring under each field of a class or its bases; empty where there is no source."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):

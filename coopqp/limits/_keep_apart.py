@@ -19,8 +19,8 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.limit import (
     SHALLOW,
+    Clearance,
     LimitRows,
-    RoomLeft,
     Tighten,
     damp,
     movers,
@@ -151,7 +151,7 @@ class _Rates:
             np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
 
 
-def room_left(pairs: Sequence[Pair], *, distance: float, within: float) -> RoomLeft:
+def clearance_of(pairs: Sequence[Pair], *, distance: float, within: float) -> Clearance:
     """What :func:`keep_apart` leaves each pair [m], at most of ``within``; corners have none."""
     found = Distances(pairs)
 

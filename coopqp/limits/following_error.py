@@ -27,7 +27,7 @@ from coopqp.model.state import State
 class FollowingError(Limit):
     """A leash between commanded and measured joints."""
 
-    heeds_measured: ClassVar[bool] = True
+    uses_measurements: ClassVar[bool] = True
     bounds_position: ClassVar[bool] = True
 
     max: Positive = 0.025

@@ -23,20 +23,20 @@ from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.grasp import pose_matrix
-from coopqp.limit import Limit, RoomLeft, Tighten
+from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import (
     SHOWN,
     check_count,
+    clearance_of,
     inside,
     keep_apart,
     margins_along,
     nearer_at_start,
     nearest_of_each,
     pair_rows,
-    room_left,
 )
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
@@ -137,13 +137,13 @@ class Obstacles(Limit):
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
         return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
-        return room_left(self._pairs(chain), distance=self.distance, within=self.within)
+        return clearance_of(self._pairs(chain), distance=self.distance, within=self.within)
 
-    def eased(self, room: float) -> Obstacles | None:
+    def relaxed(self, by: float) -> Obstacles | None:
         """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - room) if room <= self.distance else None
+        return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing, a sentence for each thing."""

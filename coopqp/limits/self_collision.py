@@ -20,7 +20,7 @@ from dataclasses import replace
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
-from coopqp.limit import Limit, RoomLeft, Tighten
+from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
     by_construction,
@@ -31,12 +31,12 @@ from coopqp.limits._bodies import (
 from coopqp.limits._distances import Body, Pair
 from coopqp.limits._keep_apart import (
     check_count,
+    clearance_of,
     inside,
     keep_apart,
     margins_along,
     nearer_at_start,
     pair_rows,
-    room_left,
 )
 from coopqp.model.closed_chain import ClosedChain
 
@@ -90,13 +90,13 @@ class SelfCollision(Limit):
         """Distance of each pair after each tick, less what is kept free [m]."""
         return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each pair less what is kept free, at most of ``within`` [m]."""
-        return room_left(self._pairs(chain), distance=self.distance, within=self.within)
+        return clearance_of(self._pairs(chain), distance=self.distance, within=self.within)
 
-    def eased(self, room: float) -> SelfCollision | None:
+    def relaxed(self, by: float) -> SelfCollision | None:
         """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - room) if room <= self.distance else None
+        return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         found = inside(chain, self._pairs(chain))

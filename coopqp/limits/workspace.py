@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
-from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers, place_row
+from coopqp.limit import Clearance, Limit, LimitRows, Tighten, TwistBounds, damp, movers, place_row
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, PlaneMarker
 from coopqp.model.state import State
@@ -95,7 +95,7 @@ class Workspace(Limit):
         points = self._points(chain)
         return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each point from the plane [m]."""
         points = _Points(chain, self._points(chain), self.frames)
         n, _, offset = self._plane()
@@ -106,9 +106,9 @@ class Workspace(Limit):
 
         return left
 
-    def eased(self, room: float) -> Workspace:
+    def relaxed(self, by: float) -> Workspace:
         """The plane moved away from the side that is allowed."""
-        x, y, z = (np.array(self.through) - room * unit(self.normal)).tolist()
+        x, y, z = (np.array(self.through) - by * unit(self.normal)).tolist()
         return replace(self, through=(x, y, z))
 
     def marks(self, t: float) -> tuple[Marker, ...]:

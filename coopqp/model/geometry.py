@@ -26,7 +26,7 @@ from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, u
 from coopqp.grasp import pose_matrix
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, course
+from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-12  # sine of an angle, or [m]
@@ -101,9 +101,9 @@ class Reference:
             if isinstance(direction, Signal):
                 along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
         self._origin = (
-            origin if isinstance(origin, Trajectory) else course(origin, POINT, start, here)
+            origin if isinstance(origin, Trajectory) else trajectory_of(origin, POINT, start, here)
         )
-        self._axes = course(direction, DIRECTION, start, along)
+        self._axes = trajectory_of(direction, DIRECTION, start, along)
         self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
         self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
         self.c_dot, self.omega = np.array(velocity, float), np.zeros(3)
@@ -162,7 +162,7 @@ def _one_motion(
         raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
 
 
-def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
+def pose_trajectory(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
     """A pose or a signal to follow; an input begins at ``here``, shape (7,)."""
     if isinstance(given, Signal):
         return given.bind(POSE, start, here)

@@ -174,7 +174,7 @@ Marker = (
 )
 
 
-def marks_fault(marks: object) -> str:
+def markers_fault(marks: object) -> str:
     """What of something given as marks is none; empty where all are."""
     *others, last = (kind.__name__ for kind in get_args(Marker))
     if not isinstance(marks, tuple | list):
@@ -196,7 +196,7 @@ def asked(
     except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
         wrong = raised(error)
     else:
-        wrong = marks_fault(found)
+        wrong = markers_fault(found)
     if not wrong:
         return tuple(found)
     faults.append(f"{name}.marks: {wrong}")

@@ -27,7 +27,7 @@ from pydantic import (
 
 from coopqp.base import wording
 from coopqp.base.errors import CoopqpError, unknown_name
-from coopqp.base.spec import told, type_name
+from coopqp.base.spec import field_docs, type_name
 from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
@@ -139,7 +139,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
 
 def _keys(cls: Any, catalog: Catalog) -> Iterator[tuple[str, Any]]:
     """Keys of a file, with the types and defaults that the fields of a class give them."""
-    words = told(cls)
+    words = field_docs(cls)
     for found, hint, key in _fields(cls):
         default = found.default if found.default_factory is MISSING else found.default_factory()
         default = _named(default) if key.default is MISSING else key.default

@@ -27,7 +27,7 @@ from coopqp.base.spec import Array, type_name
 from coopqp.base.wording import raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.marker import marks_fault
+from coopqp.model.marker import markers_fault
 from coopqp.model.state import State
 from coopqp.plant import Plant
 from coopqp.signal import Moment
@@ -232,7 +232,7 @@ def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedCh
 
 
 def _check_marks(marks: object) -> None:
-    if wrong := marks_fault(marks):
+    if wrong := markers_fault(marks):
         raise _PromiseError(f"marks() gives {wrong}")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
-from coopqp.base.spec import told
+from coopqp.base.spec import field_docs
 from coopqp.report.terminal import help_lines
 from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.form import file_model
@@ -111,7 +111,7 @@ def values(catalog: Catalog) -> str:
             continue
         done.add(title)
         text += f"\n## {title}\n\n{plain(known[name].get('description'))}\n\n"
-        text += keys(known[name], told(_class_of(name)))
+        text += keys(known[name], field_docs(_class_of(name)))
     return text
 
 
