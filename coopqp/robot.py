@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array, array, near
+from coopqp.base.wording import counted
 
 
 class Robot(ABC):
@@ -154,7 +155,8 @@ class RobotModel:
             numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
-                    f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
+                    f"{key}: found {counted(numbers.size, 'number')}, needs {len(joints)}: "
+                    f"{', '.join(joints)}"
                 ).at(key)
             for joint, number in zip(joints, numbers, strict=True):
                 other, same = by_arm.get(joint, (key, number))

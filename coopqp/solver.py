@@ -34,16 +34,16 @@ class Status(enum.Enum):
     ITERATION_LIMIT = "the solver ran out of iterations"
     SOLVER_ERROR = "the solver reported a numerical error"
     NOT_FINITE = "the state or the answer has NaN or infinite values"
-    EQUALITY_RESIDUAL = "the answer breaks the loop closure"
-    BOUND_RESIDUAL = "the answer breaks a limit"
+    EQUALITY_RESIDUAL = "the answer violates the loop closure"
+    BOUND_RESIDUAL = "the answer violates a limit"
     TASKS_RELAXED = (
         "hard or scaled tasks are not met in full: limits and loops leave no motion that does so",
         True,
         True,
     )
-    ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
+    ACCELERATION_GIVEN_UP = "an acceleration limit was relaxed: no motion keeps it", True, True
     CONTACT_GIVEN_UP = "friction cannot bear it: a hand that presses may slip", True, True
-    DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
+    DRIFT_SLOWED = "the Baumgarte correction was reduced: no motion does all of it", True, True
     SOLVER_FAILED = (
         "the solver failed on the whole problem; a smaller one had an answer",
         True,
@@ -71,7 +71,7 @@ class Status(enum.Enum):
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
     EARLY = "the tick came before its period was over; the last command holds until then", True
-    RECOVERING = "a joint outside its limits is on its way back", True, True
+    RECOVERING = "a joint outside its limits is recovering", True, True
 
 
 HALTS = frozenset({Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED})

@@ -16,6 +16,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array, spec
+from coopqp.base.wording import counted
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Approach
 from coopqp.model.marker import Marker, PostureMarker
@@ -136,7 +137,7 @@ def _given(
 def _counted(key: str, value: JointValues, joints: tuple[str, ...]) -> JointValues:
     if not isinstance(value, Signal) and np.size(value) != len(joints):
         raise InvalidValueError(
-            f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "
+            f"posture.{key}: found {counted(np.size(value), 'number')}, needs {len(joints)}: "
             f"{', '.join(joints)}"
         )
     return value

@@ -20,6 +20,7 @@ from dataclasses import replace
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
+from coopqp.base.wording import counted
 from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
@@ -123,7 +124,8 @@ class SelfCollision(Limit):
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
             found.append(
-                f"{self.name} leaves out {len(joined)} pairs that touch by construction ({shown})"
+                f"{self.name} leaves out {counted(len(joined), 'pair')} that "
+                f"{'touch' if len(joined) > 1 else 'touches'} by construction ({shown})"
             )
         return tuple(found)
 

@@ -16,6 +16,7 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.base.table import read_table
+from coopqp.base.wording import counted
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
 from coopqp.signal import InputValues, Kind, Moment, Reads, Signal, Trajectory
@@ -156,7 +157,7 @@ def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: fl
         found = getattr(settings, key)
         if found is not None and len(found) != kind.numbers:
             needs = f"needs {kind.numbers} for a {kind.name}"
-            raise InvalidValueError(f"{key}: found {len(found)} numbers, {needs}")
+            raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
     if here is None:
         words = f"where is the {kind.name} before anything arrives? Say it where it is used"
         raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")

@@ -24,7 +24,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import raised
+from coopqp.base.wording import counted, raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import markers_fault
@@ -101,32 +101,27 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         names = task.rows(start.chain)
         counts = [part.rows for part in task.parts(start.chain)]
         if sum(counts) != len(names) or not names:
-            raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
+            raise _PromiseError(
+                f"rows() names {counted(len(names), 'row')}, parts() has {sum(counts)}"
+            )
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
         look = _Look(task, names, task.bind(start), columns)
         look.at(start, start.t)
         for t in (0.0, duration):
             _check_marks(task.marks(Moment(t)))
         end = min(task.end, duration) or duration
-        seen = [
-            _Seen(look, place, start.t + share * end)
-            for place, share in zip(places.nearby, SHARES, strict=True)
-        ]
-        _check_kind(task, look, seen, places)
-
-
-def _check_kind(task: Task, look: _Look, seen: Sequence[_Seen], places: Places) -> None:
-    """What is tried of a task of its kind; a force is the derivative of nothing."""
-    if task.joint_space:
-        _check_joint_space(look, seen)
-    elif task.asks_velocity:
-        _check_zero_error(look, seen)
-    elif not task.of_forces and any(s.rows.e.any() or s.rows.rate.any() for s in seen):
-        for i, s in enumerate(seen):
-            if s.disagreement():
-                s = _Seen(look, places.farther[i], s.t)
-            if wrong := s.disagreement():
-                raise _PromiseError(wrong)
+        times = [start.t + share * end for share in SHARES]
+        nearby = zip(places.nearby, times, strict=True)
+        rows = [look.at(place.here, t) for place, t in nearby]
+        if task.joint_space:
+            _check_joint_space(names, rows)
+        elif task.asks_velocity:
+            _check_zero_error(names, rows)
+        elif not task.of_forces and any(r.e.any() or r.rate.any() for r in rows):
+            for i, t in enumerate(times):
+                wrong = look.disagreement(places.nearby[i], t)
+                if wrong and (wrong := look.disagreement(places.farther[i], t)):
+                    raise _PromiseError(wrong)
 
 
 class _Look:
@@ -148,51 +143,43 @@ class _Look:
             _check_finite(key, self.names, getattr(rows, key), state.chain)
         return rows
 
-
-class _Seen:
-    """What a task writes at a place and a time, and how it changes from there."""
-
-    def __init__(self, look: _Look, place: _Nearby, t: float) -> None:
-        self._look, self._place, self.t = look, place, t
-        self.rows = look.at(place.here, t)
-
-    def disagreement(self) -> str:
+    def disagreement(self, place: _Nearby, t: float) -> str:
         """The row in which e_dot is farthest from J v - rate; empty where they agree."""
-        look, place, t = self._look, self._place, self.t
-        moved = look.at(place.ahead, t).e - look.at(place.behind, t).e
-        passed = look.at(place.here, t + STEP).e - look.at(place.here, t - STEP).e
-        return self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
-            "rate", self.rows.rate, -passed / (2.0 * STEP)
+        rows = self.at(place.here, t)
+        moved = self.at(place.ahead, t).e - self.at(place.behind, t).e
+        passed = self.at(place.here, t + STEP).e - self.at(place.here, t - STEP).e
+        return self._compare("J v", rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
+            "rate", rows.rate, -passed / (2.0 * STEP)
         )
 
-    def _compare(self, what: str, said: Array, found: Array) -> str:
-        allowed = RELATIVE * (np.abs(said) + np.abs(found)) + ABSOLUTE
-        excess = np.abs(said - found) - allowed
-        row = int(np.argmax(excess))
-        if excess[row] <= 0.0:
+    def _compare(self, what: str, promised: Array, measured: Array) -> str:
+        allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
+        deviation = np.abs(promised - measured) - allowed
+        row = int(np.argmax(deviation))
+        if deviation[row] <= 0.0:
             return ""
         return (
-            f"row {self._look.names[row]}: {what} is {said[row]:.4g}, finite differences of e say "
-            f"{found[row]:.4g}"
+            f"row {self.names[row]}: {what} is {promised[row]:.4g}, finite differences of e say "
+            f"{measured[row]:.4g}"
         )
 
 
-def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
-    for J in (s.rows.J for s in seen):
+def _check_joint_space(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
+    for J in (r.J for r in rows):
         if len(J) != J.shape[1]:
             raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
         wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
         if wrong.any():
             words = "joint_space needs J to be the identity, or zero where nothing is asked"
-            raise _PromiseError(f"row {look.names[int(np.argmax(wrong))]}: {words}")
+            raise _PromiseError(f"row {names[int(np.argmax(wrong))]}: {words}")
 
 
-def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
-    for e in (s.rows.e for s in seen):
+def _check_zero_error(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
+    for e in (r.e for r in rows):
         if e.any():
             row = int(np.argmax(e != 0.0))
             words = "but a task that asks_velocity has e = 0"
-            raise _PromiseError(f"row {look.names[row]}: e is {e[row]:.4g}, {words}")
+            raise _PromiseError(f"row {names[row]}: e is {e[row]:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
