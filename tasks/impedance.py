@@ -1,18 +1,16 @@
-"""The object gives way to pushes as a mass on springs and dampers: a row for each axis given.
+"""The object yields to wrenches as a mass on springs and dampers: a row for each axis given.
 
     M e_ddot + D e_dot + K e = w
 
-e is how far the object is from its reference, as in :mod:`coopqp.tasks.pose`, and w the wrench of
-the surroundings on it at its origin, along and about the world's axes; for angles that is so to
-first order. In the end a steady force F moves it by F / K. After Caccavale, Chiacchio, Marino and
-Villani 2008 (impedance of the object), with two kinds of M:
+e is how far the object is from its reference, as in :mod:`coopqp.tasks.pose`, and w the external
+wrench on it at its origin, world axes; for angles that is so to first order. A steady force F moves
+it by F / K. After Caccavale, Chiacchio, Marino and Villani 2008, with two kinds of M:
 
-- ``mass`` is left out: that of the object and the arms together, as they are in this pose. No law
-  has to know w then; nobody can feel the arms lighter than they are.
+- ``mass`` is left out: that of object and arms together in this pose; no law has to know w.
 - ``mass`` is given: the law must know w, ``torque_qp: {external_wrench: observed}``.
 
-Where ``damping`` is left out, every mode of these masses and springs has the ``damping_ratio``.
-Only laws that command torques can do this; there is no gain, and no integral brings e back.
+Where ``damping`` is left out, every mode has the ``damping_ratio``. Only laws that command torques
+can do this; there is no gain, and no integral brings e back.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""What two hands shall do to each other through the object: squeeze, shear, twist, bend.
+"""The internal wrench between two hands through the object: squeeze, shear, twist, bend.
 
     C h = wanted
 
 h (6 N,) are the hands' wrenches on the object at their points, and C has a row for each component
-that is given; all others are free. The components are those of the section wrench at the middle
-between the two hands (:mod:`coopqp.closed_loop.section`), with equal shares Walker's internal
-wrench. Between three hands there is the push along their edge, by the virtual linkage, and nothing
-else. The squeeze is the mean of both normal forces; where the object's weight has a part along the
-line between the hands, one presses with more and the other with less.
+given; all others are free. They are those of the section wrench at the middle between the hands
+(:mod:`coopqp.closed_loop.section`), with equal shares Walker's internal wrench; between three hands
+only the push along their edge, by the virtual linkage. The squeeze is the mean of both normal
+forces, which differ by the object's weight along the line between the hands.
 
 ``torque_qp`` brings it about by torques, and ``qp`` a squeeze by admittance
 (:mod:`coopqp.closed_loop.admittance`); others leave it out.

@@ -4,11 +4,9 @@
     e = grad phi = x / ((1 - x^2) range),   J = I
 
 The paper does not say which criterion it takes. The quadratic one of :mod:`joint_centering` has the
-same slope near mid-range, 2 (q - mid) / range^2. It weighs a joint that is far from its limit like
-one that is at it, so that its least sum can lie beyond a limit; that of this one cannot.
-
-Within ``width`` of a limit, and beyond it, the slope stays what it is there: a step is finite, and
-a slope without bound would throw the joint to and fro. Joints without limits ask for nothing.
+same slope near mid-range, but its least sum can lie beyond a limit. Within ``width`` of a limit,
+and beyond it, the slope is constant, so that joints do not chatter. Joints without limits ask for
+nothing.
 """
 
 from __future__ import annotations

@@ -2,15 +2,12 @@
 
 The object's line goes through the point p along the axis a, the one in space through c along the
 unit vector d; that may move, c_dot, and turn about an axis through c, omega. With T = [t_1 t_2] a
-basis of the plane normal to d that turns with the line and h(t) the reference offset, which shrinks
-from the start to 0:
+basis of the plane normal to d that turns with the line, h(t) the reference offset, which shrinks
+from the start to 0, and theta u the angle and way of a from its reference (``geometry.Alignment``):
 
     e = [T'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to d on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the line; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations

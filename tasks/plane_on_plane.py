@@ -3,14 +3,12 @@
 The object's plane goes through the point p with normal a, the one in space through c with unit
 normal n; that may move, c_dot, and turn about an axis through c, omega. The normals point the same
 way; to lay the faces against each other turn one round. With h(t) the reference height, which
-shrinks from the start to 0:
+shrinks from the start to 0, and theta u the angle and way of a from its reference
+(``geometry.Alignment``):
 
     e = [n'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to n on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the plane; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """An axis of the object points along a direction in space: two rows.
 
-The direction d may turn. The wished direction goes from where the axis a points at the start to d
-on the shortest way. With theta the angle between the axis and the wished direction and u the way
-the axis leans from it, in a basis normal to it that turns with it,
+The direction d may turn. The reference direction goes from where the axis a points at the start to
+d on the shortest way. With theta the angle between them and u the way the axis leans, in a basis
+normal to the reference that turns with it (``geometry.Alignment``),
 
     e = theta u,   |e| = theta
-
-J and rate follow from a_dot = omega x a; ``geometry.Alignment`` has them, and says what
-happens where the axis points the opposite way.
 """
 
 from __future__ import annotations

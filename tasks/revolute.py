@@ -2,14 +2,12 @@
 
 The object's point p goes to c and its axis a to the unit vector d; the hinge may move, c_dot, and
 turn about an axis through c, omega. What stays free is a virtual revolute joint. With R the hinge's
-axes, the third along d, and h(t) the reference offset, which shrinks from the start to 0:
+axes, the third along d, h(t) the reference offset, which shrinks from the start to 0, and theta u
+the angle and way of a from its reference (``geometry.Alignment``):
 
     e = [R'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to d on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the hinge; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
     e = 0,   J = the rows of J_O given,   rate = s(t) times the velocity commanded
 
 J_O is the Jacobian of a point of the object, (v; omega), in the world's or the object's own axes.
-The share s grows from 0 to 1 with the profile, so that the object sets off without a jerk. A signal
-commands a velocity that changes, such as that of a joystick: its values are velocities. There is
-no position to come back to, so e is zero and the gain without effect; reports show J v - rate.
+The share s grows from 0 to 1 with the profile. A signal's values are velocities here. No position
+is kept, so the gain is without effect; reports show J v - rate.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The bodies of a robot and what it holds, and which of them can meet.
 
-Neighbours touch by design and are no pair: bodies of one joint or of joints that follow each
-other, hands that hold one object firmly, and the object with the hands and what is before them.
-Neither are bodies of one robot that touch by construction, such as hulls round the bearings of
-links that are two joints apart: those that do so in nearly all of some random configurations, or
-where all joints are at zero, one of them carrying the other.
+Neighbours touch by design and are no pair: bodies of one joint or of joints that follow each other,
+hands that hold one object firmly, and the object with the hands and what is before them. Neither
+are bodies of one robot that touch by construction: those that do so in nearly all of some random
+configurations, or, one carrying the other, where all joints are at zero.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
 """Signed distances of pairs of convex bodies that are fixed to joints, and their nearest points.
 
 With p a nearest point, n the unit normal from the first body to the second and d their signed
-distance, as coal gives them, and J_first, J_second the bodies' Jacobians of a point at p,
+distance, as coal gives them, and J_first, J_second the bodies' Jacobians of a point at p (both
+nearest points lie on one line along n),
 
     -d_dot = n' (J_first - J_second) v
 
-Both nearest points lie on one line along n, so one of them does for both bodies.
-
-Most pairs are far apart. They are told by the box round one body and the ball round the other,
-which takes a few operations on arrays for all pairs; only the others are handed to coal.
+Most pairs are far apart, by the box round one body and the ball round the other, a few operations
+on arrays for all pairs; only the others are handed to coal.
 """
 
 from __future__ import annotations

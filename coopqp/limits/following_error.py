@@ -4,10 +4,8 @@ With the following error f = q - q_measured of each driven joint, as drives defi
 
     (-max - f)/dt <= v <= (max - f)/dt,   both cut so that v = 0 is allowed
 
-so that a command leads its joint by ``max`` at most, and comes back freely where it leads by more.
-Without it the command of an arm that is stopped by a wall, a hand or a motor at its limit goes on
-to its goal, pulls with all its torque, and jumps there when it is let go. Where nothing is measured
-there is no such limit.
+Without it the command of an arm that is stopped by a wall, a hand or a saturated motor goes on to
+its goal, and the arm jumps there when released. Unmeasured joints have no such limit.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Arms and object keep a distance from things in the world: d_dot >= -gain (d - distance).
 
 Things are boxes, balls, cylinders and the convex hulls of meshes that stand still; what is hollow
-is given in parts. Bodies are those of ``self_collision``: the robot's capsules, or the convex
-parts of its file's collision geometry, and the object's box. With n the unit normal from a body to
-a thing at their nearest points and d their signed distance,
+is given in parts. Bodies are those of ``self_collision``. With n the unit normal from a body to a
+thing at their nearest points and d their signed distance,
 
     n' J_body v <= gain (d - distance)
 

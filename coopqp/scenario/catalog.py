@@ -1,18 +1,16 @@
 """From a name to its class: what can be written in a scenario, and where it comes from.
 
 Nothing is registered: a file is found because it is there, in coopqp, in an installed package or in
-a folder of the user's. A folder of plug-ins has the collections' names as subfolders, with one file
-a plug-in. Names that begin with ``_`` are helpers; files of one subfolder import them by ``from
-._helper import x``.
+a folder of the user's, which has the collections' names as subfolders. The YAML name of a plug-in
+is the name of its file, which holds one ``@spec`` class that inherits from its idea and from
+nothing else, with all methods written. Names that begin with ``_`` are helpers; files of one
+subfolder import them by ``from ._helper import x``.
 
 A package brings plug-ins along when an entry point of the group ``coopqp.plugins`` names a package
 of the same shape:
 
     [project.entry-points."coopqp.plugins"]
     my_lab = "my_lab.plugins"           # with my_lab/plugins/tasks/hold_height.py
-
-The YAML name of a plug-in is the name of its file. A file holds one class of its collection's kind,
-an ``@spec`` class that inherits from its idea and from nothing else, with all methods written.
 """
 
 from __future__ import annotations

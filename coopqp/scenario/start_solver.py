@@ -6,17 +6,15 @@ object, L the length that a radian counts as:
     r_i(q) = [p_i - p_WO; L log(R_i R_WO')],   minimise |r|^2 subject to lower <= q <= upper
 
 by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from
-many random configurations. What redundancy leaves is used to come away from the limits: every start
-found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and that
-with the largest margin wins. Where a posture to be near is given, it takes the place of the middle,
-and the start nearest to it wins. Passive joints are variables like all others, and what turns
-without limits is at most half a turn from the middle.
-
-Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
+many random configurations. Every start found is moved to where W |r|^2 + |(q - middle) / half
+range|^2 is least and closed again; that with the largest margin wins. A posture to be near takes
+the place of the middle, and the start nearest to it wins. Passive joints are variables like all
+others; what turns without limits is at most half a turn from the middle. Arms that share a joint (a
+torso) are solved together.
 
 Where the object's pose is not given, a start that nearly closes the loops is closed by Newton's
-method: the object is where that puts it. Arms that reach few poses need this, for nobody can write
-a pose that they reach with all its digits.
+method: the object is where that puts it. Arms that reach few poses need this, since no rounded pose
+is exactly reachable.
 """
 
 from __future__ import annotations

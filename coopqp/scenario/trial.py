@@ -2,13 +2,9 @@
 
 A task promises e_dot = J v - rate. It is tried at its start and at two seeded configurations
 nearby, with the loops closed, along a random v that keeps them closed: central differences of e
-along v at one time must be J v, and over time at one configuration -rate.
-
-Three kinds of tasks have no such derivative, so that only what they declare is tried:
-
-- ``joint_space``: e may be a wish for a joint velocity, such as a gradient, and J is the identity.
-- ``asks_velocity``: e is zero, and the velocity asked for, rate, is the derivative of nothing.
-- tasks that ask for rest, with e and rate always zero: J v itself is their error.
+along v at one time must be J v, and over time at one configuration -rate. Without such a
+derivative, only the declaration is tried: ``joint_space`` (J is the identity), ``asks_velocity`` (e
+is zero), and e and rate always zero (J v itself is the error).
 """
 
 from __future__ import annotations
