@@ -12,17 +12,21 @@ from types import ModuleType
 import coopqp
 from coopqp_site.writing import plain, table
 
-#: The public names of coopqp with their modules, in order.
 STUB = ast.parse(Path(coopqp.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+#: Module of each public name, as the stub imports it.
+HOMES = {
+    alias.name: f"coopqp.{node.module}"
+    for node in STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
 
 
 def pages() -> Iterator[tuple[str, str]]:
     """Name and text of each page: an overview, and one for each module with public names."""
     homes: dict[str, list[str]] = {}
-    for node in STUB.body:
-        if isinstance(node, ast.ImportFrom):
-            names = homes.setdefault(f"coopqp.{node.module}", [])
-            names += [alias.name for alias in node.names]
+    for name, home in HOMES.items():
+        homes.setdefault(home, []).append(name)
     yield "python.md", _overview(homes)
     for home, names in homes.items():
         yield f"python/{_page(home)}", _module(home, names)
