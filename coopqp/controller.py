@@ -25,11 +25,7 @@ from coopqp.trace import TickBatch
 
 
 def not_finite(
-    tasks: Sequence[Task],
-    limits: Sequence[Limit],
-    chain: ClosedChain,
-    state: State,
-    dt: float,
+    tasks: Sequence[Task], limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float
 ) -> str:
     """Which tasks and limits, bound anew, give NaN or infinite values at a state; empty if none."""
     return "; ".join((*_tasks(tasks, chain, state), *_limits(limits, chain, state, dt)))
@@ -84,7 +80,7 @@ class InternalForceControl(Protocol):
     """What a law must remember for it, see ``State.memory``."""
 
     note: str
-    """What else is to be said of the last tick."""
+    """A remark on the last tick."""
 
     def update(self, state: State) -> Status | None:
         """Move the gap along it; what is wrong with the force, None if nothing is."""
@@ -194,7 +190,7 @@ class Command:
             v = 0, or torques only hold.
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
         drift: share of the Baumgarte correction that is done.
-        note: what else is to be said of a tick that stood still, such as what a task raised.
+        note: a remark on a tick that stood still, such as what a task raised.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
@@ -298,13 +294,12 @@ class Law(ABC):
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            asked = self.problem
-            found = not_finite(asked.all_tasks, asked.limits, asked.chain, state, asked.dt)
-            command.note = found
+            of = self.problem
+            command.note = not_finite(of.all_tasks, of.limits, of.chain, state, of.dt)
         if wrong:
             pressed = self.squeezer.note if self.squeezer else ""
-            said = (command.note, pressed, *state.inputs.refused)
-            command.note = "; ".join(note for note in said if note)
+            notes = (command.note, pressed, *state.inputs.refused)
+            command.note = "; ".join(filter(None, notes))
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command

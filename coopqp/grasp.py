@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Pose, spec, unit
 
-#: Friction is counted on over this where nothing else is said.
+#: Default safety factor on friction.
 SAFETY = 1.5
-#: Share of a pad's half-lengths that is counted on where nothing else is said: beyond its edge no
-#: friction holds, and torques are held for a tick in which the arms move on.
+#: Default share of a pad's half-lengths that is counted on: beyond its edge no friction holds, and
+#: torques are held for a tick in which the arms move on.
 REACH = 0.95
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6

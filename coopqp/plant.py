@@ -129,16 +129,16 @@ class PlantModel(ABC):
     @property
     def hand_wrench(self) -> Array | None:
         """What the force sensors say now, ``State.hand_wrench``; None where there are none."""
-        told = self.signals.get("hand_wrench")
-        return None if told is None else told.copy()
+        measured = self.signals.get("hand_wrench")
+        return None if measured is None else measured.copy()
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
         """Carry the command out for one dt: writes t, q, v and what is measured of the state.
 
         After a velocity command q is the commanded configuration and v the commanded velocity,
-        :meth:`State.advance`, and q_measured says where the joints are: limits, damping and the
-        drift correction go by what was asked for, not by what a servo has made of it so far. After
+        :meth:`State.advance`, and q_measured is the measured one: limits, damping and the Baumgarte
+        correction use the commands, not what a servo has made of them so far. After
         a torque command q and v are measured, and q_measured is None. Plants that know what the
         hands do to the object write hand_wrench.
         """

@@ -1,7 +1,7 @@
 """A task as a list of geometric primitives.
 
 A primitive is a few rows of one kind: a point seen from a reference, a distance, an axis that
-leans, a line's angle to a plane, a rotation, a twist, or a wish for the joints. Whatever a task's
+leans, a line's angle to a plane, a rotation, a twist, or a joint objective. Whatever a task's
 reference needs from the start is read from the start state here, once. The compiled kernel
 evaluates all kinds, :func:`evaluated` in numpy those that several tasks share.
 """
@@ -93,7 +93,7 @@ class Primitive:
 
     @property
     def of_joints(self) -> bool:
-        """Whether it is a wish for all joints, which has no rows of its own."""
+        """Whether it is an objective for all joints, without rows of its own."""
         return self.kind in (Kind.CENTERING, Kind.BARRIER, Kind.MANIPULABILITY)
 
     @property

@@ -139,7 +139,7 @@ class Budget:
     equality: Positive = 1e-6
     """Largest residual of a loop row [m/s, rad/s]."""
     bound: Positive = 1e-6
-    """Largest overrun of a bound before it is clipped to the bound [rad/s, m/s]."""
+    """Largest violation of a bound before clipping [rad/s, m/s]."""
     accuracy: Positive = 1e-6
     """Largest estimated distance from the optimum [rad/s]; beyond it a tick is inaccurate."""
     loop_position: Positive = 1e-3
@@ -190,16 +190,16 @@ class Verifier:
         if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
         raised = np.maximum(solution.v, qp.lb)
-        overrun = norm(raised - np.minimum(solution.v, qp.ub))
+        violation = norm(raised - np.minimum(solution.v, qp.ub))
         solution.v[:] = np.minimum(raised, qp.ub)
         slack = qp.h - qp.G.dot(solution.v)
         above = norm(np.minimum(slack, 0.0))
         gap = norm(qp.A.dot(solution.v) - qp.b)
         off = self._distance() + self._idle(slack)
         astray = self._astray(slack, gap)
-        solution.primal_residual = max(overrun, gap, above)
+        solution.primal_residual = max(violation, gap, above)
         solution.dual_residual = off * self.curvature
-        held = overrun <= budget.bound and above <= budget.bound
+        held = violation <= budget.bound and above <= budget.bound
         if held and gap <= budget.equality and max(off, astray) <= budget.accuracy:
             return Status.OPTIMAL
         if not gap + off < math.inf:
@@ -212,7 +212,7 @@ class Verifier:
         return Status.OPTIMAL if near else Status.INACCURATE
 
     def _lacks_numbers(self) -> bool:
-        """Whether a number of the QP is none, whatever the solver has said of it."""
+        """Whether a number of the QP is none, whatever the solver's status."""
         qp = self.qp
         finite = all(np.isfinite(part).all() for part in (qp.P, qp.q, qp.C, qp.b))
         return not finite or any(np.isnan(part).any() for part in (qp.h, qp.lb, qp.ub))

@@ -86,7 +86,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Impedance:
-    """How rows give way to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
+    """How rows yield to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
 
     Attributes:
         axes: which components of w the rows feel, at the object's origin, world axes.

@@ -30,7 +30,7 @@ class TickBatch:
         compiled: whether the kernel decided it, shape (T,).
         scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         memory: what the law remembered when each began, shape (T, .).
-        notes: what else is to be said of a tick that stood still, by tick.
+        notes: remarks on ticks that stood still, by tick.
     """
 
     q: Array
@@ -292,7 +292,7 @@ class Trace:
         supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
-        signals: what the plant told after each tick, by name, shape (T, .): see the plant.
+        signals: the plant's signals after each tick, by name, shape (T, .): see the plant.
         inputs: what arrived from outside, by name.
     """
 

@@ -2,7 +2,7 @@
 
     phi(q) = sum_j ((q_j - mid_j) / range_j)^2,   e = grad phi = 2 (q - mid) / range^2,   J = I
 
-so that the wished joint velocity is Z = -gain grad phi. Joints without limits have no middle and
+so that the desired joint velocity is Z = -gain grad phi. Joints without limits have no middle and
 ask for nothing.
 """
 

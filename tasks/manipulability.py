@@ -7,8 +7,7 @@ motions that keep the loops closed,
 
 so that phi is 1 where the object starts equally able to move in all k directions and 0 where it
 cannot move in one. Beyond phi = ``LARGE``, which a poor start makes possible, its logarithm counts
-instead, with the same slope there: m itself is so curved that climbing it in steps would swing. The
-joints climb it:
+instead, with the same slope there: climbing m itself in steps would oscillate. The joints climb:
 
     e = -grad phi,   grad_j m = m tr(G (dJ/dq_j - J C^+ dC/dq_j)),   G = P J' (J P J')^-1
 

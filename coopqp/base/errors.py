@@ -32,7 +32,7 @@ class CoopqpError(Exception):
     keys: tuple[str | int, ...] = ()
 
     def at(self, *keys: str | int) -> Self:
-        """The same error, with its way told from farther outside."""
+        """The same error, with its keys continued from farther outside."""
         self.keys = (*keys, *self.keys)
         return self
 
@@ -49,7 +49,7 @@ def _as_it_was(cls: type[CoopqpError], args: tuple[object, ...], own: dict[str, 
 
 @contextmanager
 def under(*keys: str | int) -> Iterator[None]:
-    """Tell of an error that it is of what is under these keys."""
+    """Prepend these keys to those of an error."""
     try:
         yield
     except CoopqpError as error:

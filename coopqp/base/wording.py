@@ -21,7 +21,7 @@ from coopqp.base.errors import one_line, short, unknown_name
 Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
-#: What pydantic says, and what is said instead, one after the other.
+#: Pydantic's words and their replacements, applied one after the other.
 WORDS = {
     r"^Input should (be )?": "needs ",
     r"^needs a valid (array|list|tuple)": "needs a list",

@@ -28,7 +28,7 @@ from coopqp.grasp import BEYOND, NO_CONTACT, Contact
 INNER = 1.0 / np.sqrt(2.0)
 #: Edges of each corner's cone where neither square tells; it loses 1 - cos(pi/16) = 1.9 %.
 CORNER_EDGES = 16
-#: To what share the friction that is needed is told.
+#: Relative accuracy of the friction that is needed.
 NEAR = 0.005
 #: Forces sum up to a wrench where no more than this share of the normal force is left.
 SUMS_UP = 1e-6

@@ -153,9 +153,4 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
     corner_list, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corner_list.extend(list(corners))
     triangles.extend([coal.Triangle(*(number[i] for i in t)) for t in hull.simplices.tolist()])
-    return (
-        coal.Convex(corner_list, triangles),
-        middle,
-        np.abs(corners).max(axis=0),
-        corners,
-    )
+    return (coal.Convex(corner_list, triangles), middle, np.abs(corners).max(axis=0), corners)

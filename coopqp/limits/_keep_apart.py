@@ -206,9 +206,9 @@ def nearer_at_start(
     if not found:
         return
     nearest = (int(i) for i in found[:SHOWN])
-    told = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
+    words = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
     more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
-    yield f"{name}: {told}{more}"
+    yield f"{name}: {words}{more}"
 
 
 def _nearer(pair: Pair, d: float, distance: float) -> str:

@@ -103,10 +103,10 @@ class SelfCollision(Limit):
         found = inside(chain, self._pairs(chain))
         if not found:
             return ()
-        told = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
+        depths = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
         pairs = ", ".join(f"[{a.name}, {b.name}]" for a, b, _ in found)
         return (
-            f"{self.name}: bodies start in each other, {told}; move them apart, or if they "
+            f"{self.name}: bodies start in each other, {depths}; move them apart, or if they "
             f"always are, add 'ignore: [{pairs}]'",
         )
 
@@ -157,11 +157,7 @@ def _names(pair: Pair) -> frozenset[str]:
 
 
 def _named(
-    owner: str,
-    key: str,
-    names: Collection[NamePair],
-    bodies: Sequence[Body],
-    faults: Sequence[str],
+    owner: str, key: str, names: Collection[NamePair], bodies: Sequence[Body], faults: Sequence[str]
 ) -> Iterator[Pair]:
     """Pairs of bodies by names and patterns, each once; errors as :func:`named_bodies`."""
     seen = set[frozenset[Body]]()

@@ -217,7 +217,7 @@ def polar(y: Array) -> Polar:
 class Alignment:
     """Two rows that bring an axis of the object into the direction of the reference.
 
-    The wished direction goes from the axis at the start to the reference's third axis on the
+    The reference direction goes from the axis at the start to the reference's third axis on the
     shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
     third axis and its way u from it,
 

@@ -85,11 +85,7 @@ class GraspConfiguration:
         return arm.tip if arm.name in self.released else ends[arm.name]
 
     def handed_over(
-        self,
-        q: Array,
-        released: Collection[str],
-        p_WO: Array,
-        X_WO: Mapping[str, pin.SE3],
+        self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
     ) -> GraspConfiguration:
         """The same with other arms holding the object, X_WO by arm; as :func:`check_released`."""
         check_released(self.robot, released)

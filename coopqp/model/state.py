@@ -78,7 +78,7 @@ class State:
             exactly.
         hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
             hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
-        corrected: share of the drift correction that the last tick did.
+        corrected: share of the Baumgarte correction that the last tick did.
         jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
             are then computed when somebody asks for them.
         inputs: filtered values of what arrived from outside, by name; empty where nothing can.

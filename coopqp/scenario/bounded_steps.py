@@ -114,11 +114,7 @@ class BoundedSteps:
         return np.asarray(np.clip(x + step, *bounds), float)
 
     def _limit(
-        self,
-        x: Array,
-        bounds: tuple[Array, Array],
-        most: float,
-        inequalities: Inequalities | None,
+        self, x: Array, bounds: tuple[Array, Array], most: float, inequalities: Inequalities | None
     ) -> None:
         qp, (lower, upper) = self._qp, bounds
         np.maximum(lower - x, -most, out=qp.lb)

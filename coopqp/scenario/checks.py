@@ -422,7 +422,7 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
     low, high = limits
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
-        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
+        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it recover"
     )
 
 

@@ -113,11 +113,7 @@ class Inputs:
     """All inputs of a run, put into its first state; CoopqpError: not there, or of another kind."""
 
     def __init__(
-        self,
-        settings: Mapping[str, InputSettings],
-        tasks: Sequence[Task],
-        start: State,
-        dt: float,
+        self, settings: Mapping[str, InputSettings], tasks: Sequence[Task], start: State, dt: float
     ) -> None:
         self._now = -math.inf
         self.channels: dict[str, Channel] = {}

@@ -145,7 +145,7 @@ class Scenario:
     inputs: Mapping[str, InputSettings] = field(default_factory=dict)
     """Values that arrive from outside while it runs, by name; tasks follow them by input: NAME."""
     disturbance: Disturbance = field(default_factory=Disturbance)
-    """What the controllers are not told."""
+    """Errors and disturbances unknown to the controllers."""
     solver: Solver = field(default_factory=Daqp)
     """For the QP controllers."""
     solver_name: Annotated[str, NO_KEY] = "daqp"
@@ -156,8 +156,7 @@ class Scenario:
     duration: Annotated[float, Key(form=Positive | None, default=None)] = 0.0
     """Length of the run [s]."""
     kappa: Annotated[float, Key(form=NonNegative | None, default=None)] = math.inf
-    """Drift gain in J_c v = -kappa e [1/s]; at most 1/dt, which it is if omitted; 0 is the paper's
-    law."""
+    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default; 0 is the paper's law."""
     on_infeasible: OnInfeasible = "scale"
     """scale, hold or stop when not all can hold."""
     seed: Annotated[int, Field(ge=0)] = 0

@@ -442,14 +442,14 @@ def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generat
 def _how_far(search: _Search) -> str:
     problem, q = search.problem, search.nearest
     r, _ = problem.residual(q, search.arms)
-    told = []
+    offsets = []
     for arm, part in zip(search.arms, r.reshape(-1, 6), strict=True):
         gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
         of = f"{arm} " if len(search.arms) > 1 else ""
-        told.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
+        offsets.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
     room = np.minimum(q - problem.lower, problem.upper - q)
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:
         held_back += f" (of a gripper, it seems: lock {' and '.join(fingers)})"
-    return f"the nearest of {search.tries} tries is off by {' and '.join(told)}{held_back}"
+    return f"the nearest of {search.tries} tries is off by {' and '.join(offsets)}{held_back}"

@@ -243,7 +243,7 @@ def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]
     """Raise what goes wrong in a plug-in with its file and line; its own CoopqpError as it is."""
     file = str(getattr(type(plugin), method).__code__.co_filename)
     try:
-        with np.errstate(all="ignore"):  # what is not finite is told of anyway
+        with np.errstate(all="ignore"):  # what is not finite is reported anyway
             yield
     except KeyboardInterrupt:
         raise

@@ -184,7 +184,7 @@ class _Builder:
 
     def __init__(self, path: Path, text: str, lines: _Lines) -> None:
         self._path, self._lines, self.line = path, lines, 1
-        self._events = self._told(YAML(typ="safe", pure=True).parse(text))
+        self._events = self._numbered(YAML(typ="safe", pure=True).parse(text))
         self._anchors: dict[str, _Node] = {}
         self._values = 0
 
@@ -199,7 +199,7 @@ class _Builder:
                 root = self._node(event, DEEPEST)
         return root
 
-    def _told(self, events: Iterator[Any]) -> Iterator[Any]:
+    def _numbered(self, events: Iterator[Any]) -> Iterator[Any]:
         for event in events:
             self.line = self._lines.of(event)
             yield event

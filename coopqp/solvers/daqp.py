@@ -38,7 +38,7 @@ class Daqp(Solver):
     kernel_instead: ClassVar[bool] = True
 
     primal_tol: Positive = 1e-9
-    """Largest overrun of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
+    """Largest violation of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
     second_tol: Positive = 1e-7
     """The same for a second try, when the first found no feasible point."""
     last_tol: Positive = 3e-7
