@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,64 +61,124 @@ def check_count(name: str, count: int) -> None:
         )
 
 
-def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
-    """A row a pair, then those of corners of the closest pairs; the distance [m] is kept free."""
-    of_pairs = (
-        replace(
-            place_row(owner, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
-            bodies=(a.name, b.name),
-            kept=distance,
-        )
-        for a, b in pairs
-    )
-    of_corners = (
-        place_row(owner, f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
-        for i in range(1, ROWS + 1)
-    )
-    return (*of_pairs, *of_corners)
+@dataclass(frozen=True)
+class Separation:
+    """Pairs of bodies of a chain that a limit keeps apart.
 
-
-def keep_apart(
-    chain: ClosedChain,
-    pairs: Sequence[Pair],
-    dt: float,
-    *,
-    distance: float,
-    gain: float,
-    within: float,
-) -> Tighten:
-    """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
-
-    Of what a pair is farther apart than ``within`` [m] all may be used up in a tick. It has a row
-    there if it could come closer than ``distance`` [m] before the next (:class:`StepVerification`).
+    Attributes:
+        name: of the limit.
+        distance: kept free [m].
+        gain: of the damper [1/s].
+        within: pairs farther apart than this are not slowed down [m].
     """
-    found, count = Distances(pairs), len(pairs)
-    corners = Corners(pairs, found, distance)
-    rates = _Rates(chain, pairs)
-    gains, free = np.full(count + ROWS, gain), np.array(distance)
-    shallow = max(distance, SHALLOW)
-    room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
-    ahead, beyond = StepVerification(chain, pairs, distance, within, dt), np.zeros(count)
 
-    def tighten(state: State, rows: LimitRows) -> None:
+    name: str
+    chain: ClosedChain
+    pairs: Sequence[Pair]
+    distance: float
+    gain: float
+    within: float
+
+    def rows(self) -> tuple[Row, ...]:
+        """A row a pair, then those of corners of the closest pairs."""
+        of_pairs = (
+            replace(
+                place_row(
+                    self.name, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"
+                ),
+                bodies=(a.name, b.name),
+                kept=self.distance,
+            )
+            for a, b in self.pairs
+        )
+        label = "the distance at corner {} of the closest bodies".format
+        corners = range(1, ROWS + 1)
+        return (*of_pairs, *(place_row(self.name, f".corner[{i}]", label(i)) for i in corners))
+
+    def bind(self, dt: float) -> Tighten:
+        """Fill the rows, whether pairs are near or not.
+
+        Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
+        there if it could come closer than ``distance`` before the next (:class:`StepVerification`).
+        """
+        chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
+        found, count = Distances(pairs), len(pairs)
+        corners = Corners(pairs, found, distance)
+        rates = _Rates(chain, pairs)
+        gains, free = np.full(count + ROWS, gain), np.array(distance)
+        shallow = max(distance, SHALLOW)
+        room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
+        ahead, beyond = StepVerification(chain, pairs, distance, self.within, dt), np.zeros(count)
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            state.place(found.geometry, found.placed)
+            ahead.update(rows)
+            found.update(ahead.far)
+            corners.update()
+            np.subtract(found.d, free, room[:count])
+            room[count:] = corners.room
+            damp(room, gains, deep, rows.h, shallow)
+            np.subtract(found.d, self.within, beyond)
+            np.maximum(beyond, 0.0, out=beyond)
+            np.multiply(beyond, 1.0 / dt - gain, beyond)
+            np.add(rows.h[:count], beyond, rows.h[:count])
+            rates.fill(state, found, corners, rows.G)
+            np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
+            rows.G[:count][deep[:count]] = 0.0
+            for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
+                rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
+
+        return tighten
+
+    def clearance(self) -> Clearance:
+        """What is left of each pair's distance [m], at most of ``within``; corners have none."""
+        found = Distances(self.pairs)
+
+        def left(state: State) -> Array:
+            state.place(found.geometry, found.placed)
+            found.update(self.within)
+            return np.asarray(np.minimum(found.d, self.within) - self.distance, float)
+
+        return left
+
+    def margins(self, q: Array) -> dict[Row, Array]:
+        """Distance of each pair after each tick, less what is kept free [m], however far."""
+        d = distances_along(self.chain, self.pairs, q[1:]) - self.distance
+        return dict(zip(self.rows(), d.T, strict=False))  # without corners
+
+    def at_start(self) -> list[tuple[Body, Body, float]]:
+        """Pairs with their distances where the chain starts [m], the nearest first."""
+        d = distances_along(self.chain, self.pairs, self.chain.q_start[None, :])[0]
+        return [(*self.pairs[i], float(d[i])) for i in np.argsort(d).tolist()]
+
+    def inside(self) -> list[tuple[Body, Body, float]]:
+        """Pairs that start in each other, and how deep [m], the deepest first."""
+        return [(a, b, -d) for a, b, d in self.at_start() if d < -SHALLOW]
+
+    def nearer_at_start(self) -> Iterator[str]:
+        """A sentence on pairs that start nearer than the distance to keep."""
+        limit = self.distance - WORTH_SAYING
+        if near := [self._nearer(*pair) for pair in self.at_start() if pair[2] < limit]:
+            more = f", and {len(near) - SHOWN} pairs more" if len(near) > SHOWN else ""
+            yield f"{self.name}: {', '.join(near[:SHOWN])}{more}"
+
+    def _nearer(self, one: Body, other: Body, d: float) -> str:
+        if d < 0.0:
+            return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
+        lacks = 1e3 * (self.distance - d)
+        nearer = f"{one.name} starts {lacks:.1f} mm nearer to {other.name} than distance"
+        return f"{nearer} ({1e3 * d:.1f} of {1e3 * self.distance:g} mm)"
+
+
+def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
+    """Distance of each pair at each row of q, shape (T, p) [m]."""
+    found = Distances(pairs)
+    d = np.zeros((len(q), len(pairs)))
+    for state, row in zip(states_along(chain, q), d, strict=True):
         state.place(found.geometry, found.placed)
-        ahead.update(rows)
-        found.update(ahead.far)
-        corners.update()
-        np.subtract(found.d, free, room[:count])
-        room[count:] = corners.room
-        damp(room, gains, deep, rows.h, shallow)
-        np.subtract(found.d, within, beyond)
-        np.maximum(beyond, 0.0, out=beyond)
-        np.multiply(beyond, 1.0 / dt - gain, beyond)
-        np.add(rows.h[:count], beyond, rows.h[:count])
-        rates.fill(state, found, corners, rows.G)
-        np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
-        rows.G[:count][deep[:count]] = 0.0
-        for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
-            rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
-
-    return tighten
+        found.update(math.inf)
+        row[:] = found.d
+    return d
 
 
 class _Rates:
@@ -149,74 +209,6 @@ class _Rates:
         if corners.count:
             corners.W.dot(state.J_joints, self._G_corners)
             np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
-
-
-def clearance_of(pairs: Sequence[Pair], *, distance: float, within: float) -> Clearance:
-    """What :func:`keep_apart` leaves each pair [m], at most of ``within``; corners have none."""
-    found = Distances(pairs)
-
-    def left(state: State) -> Array:
-        state.place(found.geometry, found.placed)
-        found.update(within)
-        return np.asarray(np.minimum(found.d, within) - distance, float)
-
-    return left
-
-
-def margins_along(
-    owner: str, chain: ClosedChain, pairs: Sequence[Pair], q: Array, distance: float
-) -> dict[Row, Array]:
-    """Distance of each pair after each tick, less what is kept free [m], however far they are."""
-    d = distances_along(chain, pairs, q[1:]) - distance
-    return dict(zip(pair_rows(owner, pairs, distance), d.T, strict=False))  # without corners
-
-
-def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
-    """Distance of each pair at each row of q, shape (T, p) [m]."""
-    found = Distances(pairs)
-    d = np.zeros((len(q), len(pairs)))
-    for state, row in zip(states_along(chain, q), d, strict=True):
-        state.place(found.geometry, found.placed)
-        found.update(math.inf)
-        row[:] = found.d
-    return d
-
-
-def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, float]]:
-    """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
-    return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
-
-
-def nearest_of_each(chain: ClosedChain, pairs: Sequence[Pair]) -> dict[str, float]:
-    """Where the chain starts, how near the nearest body is to each second one [m]."""
-    found: dict[str, float] = {}
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0].tolist()
-    for (_, second), distance in zip(pairs, d, strict=True):
-        found[second.name] = min(distance, found.get(second.name, math.inf))
-    return found
-
-
-def nearer_at_start(
-    name: str, chain: ClosedChain, pairs: Sequence[Pair], distance: float
-) -> Iterator[str]:
-    """A sentence on pairs that are nearer than asked where the chain starts."""
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
-    found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
-    if not found:
-        return
-    nearest = (int(i) for i in found[:SHOWN])
-    words = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
-    more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
-    yield f"{name}: {words}{more}"
-
-
-def _nearer(pair: Pair, d: float, distance: float) -> str:
-    one, other = pair
-    if d < 0.0:
-        return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
-    nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
-    return f"{nearer} ({1e3 * d:.1f} of {1e3 * distance:g} mm)"
 
 
 class Corners:

@@ -26,17 +26,7 @@ from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import (
-    SHOWN,
-    check_count,
-    clearance_of,
-    inside,
-    keep_apart,
-    margins_along,
-    nearer_at_start,
-    nearest_of_each,
-    pair_rows,
-)
+from coopqp.limits._keep_apart import SHOWN, Separation, check_count
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
 from coopqp.robot import Shape
@@ -121,24 +111,21 @@ class Obstacles(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row for each body and thing, and some for corners of the closest ones."""
-        return pair_rows(self.name, self._pairs(chain), self.distance)
+        return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
-        pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
-        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
+        return self._separation(chain).margins(q)
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
-        return clearance_of(self._pairs(chain), distance=self.distance, within=self.within)
+        return self._separation(chain).clearance()
 
     def relaxed(self, by: float) -> Obstacles | None:
         """A smaller distance; None where bodies would have to sink into each other."""
@@ -147,7 +134,7 @@ class Obstacles(Limit):
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing, a sentence for each thing."""
         by_thing: dict[str, list[tuple[str, float]]] = {}
-        for body, thing, depth in inside(chain, self._pairs(chain)):
+        for body, thing, depth in self._separation(chain).inside():
             by_thing.setdefault(thing.name, []).append((body.name, depth))
         return tuple(
             f"{self.name}: {_inside(thing, found)}; move one of them"
@@ -160,15 +147,17 @@ class Obstacles(Limit):
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies, and bodies that start too near."""
-        pairs = self._pairs(chain)
-        near = nearer_at_start(self.name, chain, pairs, self.distance)
+        separation = self._separation(chain)
+        nearest: dict[str, float] = {}
+        for _, thing, d in separation.at_start():
+            nearest.setdefault(thing.name, d)
         far = (
-            f"{self.name}: {thing} is {d:.3g} m from all bodies, but the arms reach "
+            f"{self.name}: {thing} is {nearest[thing]:.3g} m from all bodies, but the arms reach "
             f"{chain.reach:.2g} m{METRES}"
-            for thing, d in nearest_of_each(chain, pairs).items()
-            if d > FAR * chain.reach
+            for thing in self.shapes
+            if nearest[thing] > FAR * chain.reach
         )
-        return (*self.unseen(chain), *near, *far)
+        return (*self.unseen(chain), *separation.nearer_at_start(), *far)
 
     def marks(self, t: float) -> tuple[Marker, ...]:
         shapes = (thing.shape for thing in self.shapes.values())
@@ -182,6 +171,10 @@ class Obstacles(Limit):
             )
             for shape in shapes
         )
+
+    def _separation(self, chain: ClosedChain) -> Separation:
+        pairs = self._pairs(chain)
+        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
 
     def _pairs(self, chain: ClosedChain) -> list[Pair]:
         """All bodies that move, or those named, with all things."""

@@ -30,15 +30,7 @@ from coopqp.limits._bodies import (
     unseen,
 )
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import (
-    check_count,
-    clearance_of,
-    inside,
-    keep_apart,
-    margins_along,
-    nearer_at_start,
-    pair_rows,
-)
+from coopqp.limits._keep_apart import Separation, check_count
 from coopqp.model.closed_chain import ClosedChain
 
 NamePair = tuple[str, str]
@@ -76,31 +68,28 @@ class SelfCollision(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row a pair, and some for corners of the closest ones."""
-        return pair_rows(self.name, self._pairs(chain), self.distance)
+        return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
-        pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
-        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
+        return self._separation(chain).margins(q)
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each pair less what is kept free, at most of ``within`` [m]."""
-        return clearance_of(self._pairs(chain), distance=self.distance, within=self.within)
+        return self._separation(chain).clearance()
 
     def relaxed(self, by: float) -> SelfCollision | None:
         """A smaller distance; None where bodies would have to sink into each other."""
         return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        found = inside(chain, self._pairs(chain))
+        found = self._separation(chain).inside()
         if not found:
             return ()
         depths = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
@@ -115,11 +104,10 @@ class SelfCollision(Limit):
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
-        pairs = self._pairs(chain)
-        found = [*self.unseen(chain)]
-        if not pairs:
+        separation, found = self._separation(chain), [*self.unseen(chain)]
+        if not separation.pairs:
             found.append(f"{self.name} watches nothing: no two bodies can meet")
-        found += nearer_at_start(self.name, chain, pairs, self.distance)
+        found += separation.nearer_at_start()
         joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
@@ -128,6 +116,10 @@ class SelfCollision(Limit):
                 f"{'touch' if len(joined) > 1 else 'touches'} by construction ({shown})"
             )
         return tuple(found)
+
+    def _separation(self, chain: ClosedChain) -> Separation:
+        pairs = self._pairs(chain)
+        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
 
     def _pairs(self, chain: ClosedChain) -> list[Pair]:
         """Those given, or those that can meet, without those to be ignored."""
