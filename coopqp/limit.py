@@ -26,12 +26,7 @@ SHALLOW = 1e-3
 
 @dataclass(frozen=True)
 class LimitRows:
-    """Where a limit writes; bounds are tightened, never widened.
-
-    Attributes:
-        lb, ub: bounds on v, shape (n,) [rad/s, m/s].
-        G, h: this limit's own inequality rows, shapes (p, n) and (p,).
-    """
+    """Where a limit tightens bounds lb, ub on v (n,), and writes its rows G (p, n), h (p,)."""
 
     lb: Array
     ub: Array
@@ -40,29 +35,19 @@ class LimitRows:
 
 
 class Bounded(IntEnum):
-    """What bounds on joints are of, from which ``kernel/core/shared.hpp`` is made.
+    """What bounds on joints are of, from which ``kernel/core/shared.hpp`` is made."""
 
-    Attributes:
-        VELOCITY: v.
-        POSITION: q after a step.
-        BRAKING: q that a joint can still stop before.
-        LEAD: q - q_measured.
-    """
-
-    VELOCITY = 0
-    POSITION = 1
-    BRAKING = 2
-    LEAD = 3
+    VELOCITY = 0  # v
+    POSITION = 1  # q after a step
+    BRAKING = 2  # q that a joint can still stop before
+    LEAD = 3  # q - q_measured
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointBounds:
-    """Bounds on each joint's velocity, for the kernel.
+    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names.
 
-    Attributes:
-        lower, upper: bounds of what ``of`` names, shape (n,).
-        step: of BRAKING, largest change of v in a tick, shape (n,) [rad/s, m/s].
-        speed: of POSITION, recovery speed from outside [rad/s, m/s].
+    ``step`` is how much v may change in a tick (BRAKING), ``speed`` that of recovery (POSITION).
     """
 
     of: Bounded

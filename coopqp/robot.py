@@ -55,12 +55,9 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """A collision body: all points within a radius [m] of a segment.
+    """A collision body: all points within a radius of a segment, start to end (3,) [m].
 
-    Attributes:
-        name: as used in limits, such as "RForearm".
-        joint: name of the joint that carries it; None for the base.
-        start, end: of the segment, in the joint's frame, shape (3,) [m]; may be one point.
+    It is fixed to a joint's frame, None for the base, and named as used in limits: "RForearm".
     """
 
     name: str

@@ -71,12 +71,7 @@ LENGTHS = ("m", "m/s")
 
 @dataclass(frozen=True)
 class Part:
-    """Rows of a task that share a unit, so that their error is one number.
-
-    Attributes:
-        name: such as "orientation"; empty when the task has one part.
-        tolerance: error at the end that still counts as reached [unit].
-    """
+    """Rows of a task with one unit; an error within the tolerance counts as reached at the end."""
 
     name: str
     rows: int

@@ -22,15 +22,10 @@ from coopqp.solver import Status
 
 @dataclass(frozen=True)
 class TickBatch:
-    """Many ticks at once, T of them.
+    """Many ticks at once, T of them; each field has a row a tick, q [rad, m] one more for the end.
 
-    Attributes:
-        q: before each and at the end, shape (T + 1, n) [rad, m].
-        v: of each command, shape (T, n) [rad/s, m/s].
-        compiled: whether the kernel decided it, shape (T,).
-        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
-        memory: what the law remembered when each began, shape (T, .).
-        notes: remarks on ticks that stood still, by tick.
+    ``scale`` is the least share of its rate at which a hard or scaled task ran, ``memory`` what the
+    law remembered before, ``notes`` remarks on ticks that stood still.
     """
 
     q: Array
@@ -84,13 +79,9 @@ class PhaseInfo:
 
 @dataclass(frozen=True)
 class InputTrace:
-    """What arrived at an input, and its filtered value.
+    """What arrived at an input for each tick, when it was sent [s], and how it was followed.
 
-    Attributes:
-        arrived: what arrived for each tick, NaN where nothing did, shape (T, values).
-        sent: when that was sent, NaN where nothing was, shape (T,) [s].
-        value: what was followed in each tick, shape (T, values).
-        rate: how that moved, shape (T, rates).
+    NaN where nothing arrived; shapes (T, values), (T,), (T, values) and (T, rates).
     """
 
     kind: Kind

@@ -73,13 +73,7 @@ def joint_rows(joints: tuple[str, ...], units: tuple[str, ...]) -> tuple[Row, ..
 
 @dataclass(frozen=True)
 class Rows:
-    """What the QP's variables and rows are.
-
-    Attributes:
-        variables: shape (n,), such as the velocity of RElbowRoll.
-        inequalities: rows of G, shape (p,).
-        equalities: rows of A, shape (m,), such as "loop[left].rot_y".
-    """
+    """What the QP's variables (n), rows of G (p) and rows of A (m) are."""
 
     variables: tuple[Row, ...]
     inequalities: tuple[Row, ...] = ()

@@ -29,13 +29,9 @@ UNIT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A convex body fixed to a joint.
+    """A convex body in the frame of a joint (an id; 0 is the world), named as in limits.
 
-    Attributes:
-        name: as used in limits.
-        joint: id into the model's joints; 0 is the world.
-        convex: in the joint's frame.
-        link: frame of the robot that it is a part of; empty for capsules and what is no robot.
+    ``link`` is the robot's frame that it is a part of; empty for capsules and what is no robot.
     """
 
     name: str

@@ -63,13 +63,9 @@ def check_count(name: str, count: int) -> None:
 
 @dataclass(frozen=True)
 class Separation:
-    """Pairs of bodies of a chain that a limit keeps apart.
+    """Pairs of bodies that a limit keeps at a distance [m], by dampers with a gain [1/s].
 
-    Attributes:
-        name: of the limit.
-        distance: kept free [m].
-        gain: of the damper [1/s].
-        within: pairs farther apart than this are not slowed down [m].
+    Pairs farther apart than ``within`` [m] are not slowed down.
     """
 
     name: str

@@ -170,13 +170,7 @@ def pose_trajectory(given: Pose | Signal, start: Instant, here: Array | None = N
 
 
 class PointInReference:
-    """A point of the object, seen from the reference, which its task updates before this.
-
-    Attributes:
-        x: where it is, in the reference's axes, shape (3,) [m].
-        J: Jacobian of x, shape (3, n) [m/rad].
-        rate: J v that keeps x constant, shape (3,) [m/s].
-    """
+    """A point of the object in the axes of a reference, updated before: x, Jacobian, rate."""
 
     def __init__(self, p_O: ArrayLike, reference: Reference, n: int) -> None:
         self._tracked, self._reference = PointOfObject(p_O, n), reference

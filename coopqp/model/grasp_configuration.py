@@ -281,9 +281,7 @@ def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int
 
 
 def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
-    """Weights of the arms in the absolute variables, in their order, shape (N,).
-
-    An arm that alpha does not name has 0; all are the same when it is omitted.
+    """Weights of the arms in the absolute variables, in their order; alike when alpha is omitted.
 
     Raises:
         UnknownNameError: no such arm.

@@ -338,12 +338,7 @@ def _state(
 
 
 class PointOfObject:
-    """A point of the object, given in the object frame [m], for tasks that steer it.
-
-    Attributes:
-        p: where it is in the world, shape (3,) [m].
-        J: its velocity Jacobian, shape (3, n) [m/rad].
-    """
+    """A point of the object, p_O [m]: its place p in the world and velocity Jacobian J (3, n)."""
 
     def __init__(self, p_O: ArrayLike, n: int) -> None:
         self._p_O = np.array(p_O, float)

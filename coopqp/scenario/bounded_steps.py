@@ -36,13 +36,10 @@ Inequalities = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Stop:
-    """When a search ends.
+    """When a search ends: after so many steps, with a residual small enough, or stuck.
 
-    Attributes:
-        steps: largest number of them.
-        most: farthest that a variable goes in one.
-        enough: whether a residual is small enough.
-        stuck: share of |r|^2 by which a step must change it to go on.
+    No variable goes farther than ``most`` in a step; ``stuck`` is the least share of change of
+    |r|^2.
     """
 
     steps: int
