@@ -116,7 +116,7 @@ class Limit(ABC):
         """Return the function that tightens the bounds each tick of dt [s]."""
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds | TwistBounds | None:
-        """The same as numbers for the kernel; None where it is neither of these."""
+        """The same as numbers for the kernel; None where it has no such form."""
         return None
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:

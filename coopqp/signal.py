@@ -25,10 +25,12 @@ from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.spec import Array, Direction, Pose, Vector3, cross, real, spec, unit
+from coopqp.base.spec import FARTHEST, Array, Direction, Pose, Vector3, cross, real, spec, unit
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3
+#: Nothing that arms hold, and none of their joints, is faster [m/s, rad/s].
+FASTEST = 1e3
 
 
 @dataclass(frozen=True)
@@ -253,6 +255,21 @@ def trajectory_of(
     if isinstance(given, Signal):
         return given.bind(kind, start, here)
     return Trajectory(kind, kind.read(given))
+
+
+def check_places(key: str, numbers: Array) -> None:
+    """InvalidValueError: a number (none of a quaternion) is beyond what any place can be."""
+    most = float(np.abs(numbers).max(initial=0.0))
+    if most > FARTHEST:
+        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
+        raise InvalidValueError(f"{key}: {words}")
+
+
+def check_speed(key: str, speed: float) -> None:
+    """InvalidValueError: a speed [m/s, rad/s, N/s] is beyond that of any arm."""
+    if speed > FASTEST:
+        words = f"goes at {speed:.3g} m/s (rad/s; of forces N/s), needs at most {FASTEST:g}"
+        raise InvalidValueError(f"{key}: {words}; times are seconds")
 
 
 def matrix(quaternion: Array) -> Array:

@@ -317,7 +317,7 @@ class StepVerification:
         self.far = np.full(len(pairs), within)
 
     def update(self, bounds: LimitRows) -> None:
-        """Add the way that pairs can close in a tick within these bounds on v."""
+        """Add how far pairs can close in a tick within these bounds on v to the distance kept."""
         speed = self._speed
         np.abs(bounds.lb, speed)
         np.abs(bounds.ub, self._other)

@@ -87,7 +87,7 @@ class GraspConfiguration:
     def handed_over(
         self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
     ) -> GraspConfiguration:
-        """The same with other arms holding the object, X_WO by arm; as :func:`check_released`."""
+        """With other arms holding the object, X_WO by arm; errors as of :func:`check_released`."""
         check_released(self.robot, released)
         other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))

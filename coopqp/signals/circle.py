@@ -15,8 +15,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along, check_places, check_speed
 
 
 @spec

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.signal import Instant, Kind, Signal, Trajectory
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import Instant, Kind, Signal, Trajectory, check_places, check_speed
 
 
 @spec

@@ -23,8 +23,17 @@ from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Pose, spec
 from coopqp.base.table import read_table
 from coopqp.grasp import pose_matrix
-from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along, matrix, quaternion_of
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import (
+    Instant,
+    Kind,
+    Signal,
+    Trajectory,
+    axes_along,
+    check_places,
+    check_speed,
+    matrix,
+    quaternion_of,
+)
 
 #: How far apart first and last value may be where they have to be the same [unit].
 SAME = 1e-6
