@@ -79,7 +79,6 @@ class TwistBounds:
 
     @property
     def rows(self) -> int:
-        """How many."""
         return 2 * len(self.components) + len(self.points)
 
 

@@ -107,7 +107,6 @@ class Primitive:
         return self.goal is None or not self.goal.moves
 
     def flat(self) -> dict[str, Any]:
-        """As numbers."""
         return {
             "kind": float(self.kind),
             "rows": np.array(self.rows, float),

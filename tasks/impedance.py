@@ -87,7 +87,6 @@ class Impedance(Task):
         return tuple(axis for axis in AXES if axis in self.stiffness)
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The axes that have a stiffness, translation first."""
         return self._axes
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:

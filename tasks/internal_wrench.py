@@ -130,7 +130,6 @@ class InternalWrench(Task):
         return names.index(self.arms[0]), names.index(self.arms[1])
 
     def _check(self, at: Array) -> None:
-        """What hands at these points do not have."""
         if len(at) == 2:
             section(at[0], at[1])
             return

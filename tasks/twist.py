@@ -56,7 +56,6 @@ class Twist(Task):
             raise ValueError("components: needs each of them once")
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The components given, translation first."""
         return tuple(axis for axis in AXES if axis in self._given)
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:

@@ -194,7 +194,6 @@ class _Tree:
         )
 
     def carries(self, a: Body, b: Body) -> bool:
-        """Whether one of two bodies moves the other."""
         supports = self._model.supports
         return a.joint in list(supports[b.joint]) or b.joint in list(supports[a.joint])
 

@@ -153,7 +153,6 @@ class _Bounds:
         self._R_box = np.zeros((pairs, 3, 3))
 
     def update(self, d: Array) -> None:
-        """Write the bounds, shape (p,) [m]."""
         if not len(d):
             return
         np.concatenate(self._p_views, out=self._p)

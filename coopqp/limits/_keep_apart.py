@@ -235,7 +235,6 @@ class Corners:
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
-        """Find the corners of the closest pairs."""
         found = self._found
         if self.count:
             self.room[:], self.W[:], self.count = 1.0, 0.0, 0

@@ -54,7 +54,6 @@ class FollowingError(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """Of the driven joints' lead."""
         most = np.where(_driven(chain), self.max, np.inf)
         return JointBounds(of=Bounded.LEAD, lower=-most, upper=most)
 

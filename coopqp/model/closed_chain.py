@@ -68,7 +68,6 @@ class LoopRows:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all rows."""
         return names_of(self.rows)
 
     @property
@@ -78,7 +77,6 @@ class LoopRows:
 
     @property
     def kept_rows(self) -> tuple[Row, ...]:
-        """The kept rows."""
         return tuple(self.rows[i] for i in self.kept)
 
     @property

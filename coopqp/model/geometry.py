@@ -120,7 +120,6 @@ class Reference:
         return np.concatenate([self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile])
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         if not self.moves:
             return
         if self._origin.moves:
@@ -177,7 +176,6 @@ class PointInReference:
         self.x, self.J, self.rate = np.zeros(3), np.zeros((3, n)), np.zeros(3)
 
     def update(self, state: State) -> None:
-        """Follow the object."""
         tracked, reference = self._tracked, self._reference
         tracked.update(state)
         gap = tracked.p - reference.c

@@ -63,7 +63,6 @@ class PointMarker:
     """A point."""
 
     at: Point
-    """Where it is."""
 
 
 @spec
@@ -71,7 +70,6 @@ class LineMarker:
     """A line without ends."""
 
     direction: UnitVector
-    """Along it."""
     through: Point | None = None
     """A point of it; None where only the direction counts."""
 
@@ -81,9 +79,7 @@ class PlaneMarker:
     """A plane without ends."""
 
     normal: UnitVector
-    """Normal to it."""
     through: Point
-    """A point of it."""
 
 
 @spec
@@ -91,9 +87,7 @@ class CircleMarker:
     """A circle, the line and not the disc."""
 
     center: Point
-    """Its middle."""
     normal: UnitVector
-    """Normal to its plane."""
     radius: Positive
     """[m]"""
 
@@ -103,7 +97,6 @@ class SphereMarker:
     """The surface of a ball."""
 
     center: Point
-    """Its middle."""
     radius: Positive
     """[m]"""
 
@@ -117,19 +110,16 @@ class SolidMarker:
     size: tuple[float, ...]
     """[m], of a mesh the scale."""
     rotation: Rotation
-    """Its axes as columns."""
     position: Point
-    """Its origin."""
     mesh: Path | None = None
     """File of a mesh."""
 
 
 @spec
 class PoseMarker:
-    """Axes of a frame."""
+    """Axes of a frame, the columns of its rotation."""
 
     rotation: Rotation
-    """The axes as columns."""
     position: Point | None = None
     """Its origin; None where only the orientation counts."""
 
@@ -152,7 +142,7 @@ class PostureMarker:
 
 @spec
 class RelativeMarker:
-    """Axes of a frame that moves with the first arm."""
+    """Axes of a frame, the columns of its rotation, that moves with the first arm."""
 
     rotation: Rotation
     """The axes as columns, in that arm's object frame."""

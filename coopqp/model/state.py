@@ -345,7 +345,6 @@ class PointOfObject:
         self.p, self.J = np.zeros(3), np.zeros((3, n))
 
     def update(self, state: State) -> None:
-        """Follow the object."""
         lever = state.R_WO.dot(self._p_O)
         np.add(state.p_WO, lever, self.p)
         state.point_jacobian(lever, self.J)

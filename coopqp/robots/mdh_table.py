@@ -98,7 +98,6 @@ class TableRow:
             raise ValueError("com and inertia need a mass")
 
     def read(self) -> mdh.MdhRow:
-        """As :mod:`coopqp.robot_files.mdh` has it."""
         parameters = mdh.MdhParameters(
             gamma=self._radians("gamma", 0.0), b=self.b, alpha=self._radians("alpha", 0.0),
             d=self.d, theta=self._radians("theta", 0.0), r=self.r,

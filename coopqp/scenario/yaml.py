@@ -208,7 +208,6 @@ class _Builder:
         return _refused(f"{self._path}:{self._lines.of(event)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
-        """The value that begins with an event."""
         if isinstance(event, AliasEvent):
             if event.anchor not in self._anchors:
                 raise self._fault(event, f"alias '*{event.anchor}' has no anchor before it")
@@ -305,7 +304,6 @@ class _Builder:
         return value
 
     def _plain(self, event: Any, text: str) -> Any:
-        """What a word without quotes stands for."""
         if text in _NULLS:
             return None
         if text in _BOOLEANS:
