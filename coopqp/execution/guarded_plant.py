@@ -30,7 +30,7 @@ class GuardedPlant(PlantModel):
         super().__init__()
         self._plant, self.broken, self.why = plant, "", Status.PLANT_FAILED
         self.signals, self.measured = plant.signals, plant.measured
-        self.as_told = plant.as_told
+        self.ideal = plant.ideal
         self._told: State | None = None  # what is true, where that is not the state itself
 
     def step(self, state: State, command: Command) -> None:

@@ -55,7 +55,7 @@ class Instants:
         self._goals = [task.at_goal() for task in problem.tasks]
         self._survey: TrajectoryEvaluation | None = None
         self.points: dict[str, Array] = {}
-        if alone and plant.as_told and not problem.wrenches:
+        if alone and plant.ideal and not problem.wrenches:
             points = itertools.chain.from_iterable(chain.once(joint_points).values())
             tasks = (*problem.tasks, *self._goals)
             self._survey = survey(chain, tasks, self._begin, tuple(points))

@@ -21,7 +21,7 @@ class KinematicModel(PlantModel):
         n: number of joints.
     """
 
-    as_told = True
+    ideal = True
 
     def __init__(self, dt: float, n: int) -> None:
         super().__init__()
