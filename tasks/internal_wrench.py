@@ -4,7 +4,7 @@
 
 h (6 N,) are the hands' wrenches on the object at their points, and C has a row for each component
 that is given; all others are free. The components are those of the section wrench at the middle
-between the two hands (:mod:`coopqp.closed_loop.section`), with equal shares Walker's internal
+between the two hands (:mod:`coopqp.closed_loop.grasp_matrix`), with equal shares Walker's internal
 wrench. Between three hands there is the push along their edge, by the virtual linkage, and nothing
 else. The squeeze is the mean of both normal forces; where the object's weight has a part along the
 line between the hands, one presses with more and the other with less.
@@ -24,8 +24,8 @@ import numpy as np
 from coopqp.base.errors import GraspError, UnknownNameError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import squeeze_rows
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section
 from coopqp.closed_loop.hands import Hand, hands, points
-from coopqp.closed_loop.section import COMPONENTS, UNITS, section
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.signal import Kind, Reads, Signal, course

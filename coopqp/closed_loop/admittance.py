@@ -34,8 +34,7 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
-from coopqp.closed_loop.felt import Felt
-from coopqp.closed_loop.hands import hands, points
+from coopqp.closed_loop.hands import Felt, hands, points
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State

@@ -16,6 +16,7 @@ singular, only N' A N is not), and a singular actuation scheme is noticed by its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,12 +24,12 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.base.rank import independent_rows, null_space
+from coopqp.base.rank import independent_rows, least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
-from coopqp.closed_loop.saddle import Saddle
 from coopqp.model.closed_chain import ClosedChain
 
 _NOTHING = np.zeros(0)
@@ -388,3 +389,43 @@ def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
     if not values.min() >= 0.0 or abs(values.sum() - 1.0) > 1e-9:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
     return values
+
+
+#: Reciprocal condition number below which a system counts as singular.
+SINGULAR = 1e-12
+#: With all pivots above this share of the norm it is far from that; of a singular system the least
+#: one is left by rounding. LAPACK's estimate takes twice as long as all the rest.
+PIVOT = 1e-6
+
+
+class Saddle:
+    """A matrix [top right; left corner], factored by LAPACK without leaving preallocated arrays.
+
+    Args:
+        n: rows of top. m: rows of left.
+
+    Attributes:
+        corner: zero until it is written, shape (m, m), as are the others.
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        self._K = np.zeros((n + m, n + m), order="F")
+        self._flat = self._K.reshape(-1, order="F")
+        self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
+        self.corner = self._K[n:, n:]
+
+    def solve(self, rhs: Array) -> tuple[Array, bool]:
+        """Solution, and whether the matrix is singular, so that it is one of least squares."""
+        if not len(rhs):  # one arm alone has no wrenches to tell; LAPACK minds
+            return rhs, False
+        lu, pivots, info = lapack.dgetrf(self._K)
+        if info == 0 and self._regular(lu):
+            return lapack.dgetrs(lu, pivots, rhs)[0], False
+        return least_squares(self._K, rhs), True
+
+    def _regular(self, lu: Array) -> bool:
+        # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
+        norm = math.sqrt(self._flat.dot(self._flat))
+        if np.abs(lu.diagonal()).min() > PIVOT * norm:
+            return True
+        return bool(lapack.dgecon(lu, norm)[0] > SINGULAR)

@@ -14,10 +14,9 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.carrying import cannot_carry
+from coopqp.closed_loop.grasp_matrix import EDGES, FLAT, flatness, section, virtual_linkage
 from coopqp.closed_loop.hands import Hand, hands
-from coopqp.closed_loop.holding import Bound, StaticHold
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.holding import Bound, StaticHold, cannot_carry
 from coopqp.closed_loop.transmission import (
     COMMANDED,
     LET_GO,
@@ -26,7 +25,6 @@ from coopqp.closed_loop.transmission import (
     Transmission,
     transmission,
 )
-from coopqp.closed_loop.virtual_linkage import EDGES, FLAT, flatness, virtual_linkage
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 

@@ -29,7 +29,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
 
 #: Shares sum to one within this.
@@ -155,3 +155,121 @@ def _each(name: str, values: ArrayLike, hands: int) -> Array:
     if found.shape != (hands,) or not np.isfinite(found).all():
         raise InvalidValueError(f"{name}: found {np.array2string(found)}, needs {hands} numbers")
     return found
+
+
+#: The rows of a section wrench, and their units.
+COMPONENTS = ("squeeze", "shear_up", "shear_side", "twist", "bend_up", "bend_side")
+UNITS = ("N", "N", "N", "N m", "N m", "N m")
+#: Hands that are nearer to each other have no direction between them [m].
+NEAREST = 1e-3
+#: Where "up" has less than this of it across e, x stands for it.
+STEEP = 0.1
+
+
+@dataclass(frozen=True)
+class Section:
+    """The cut through the middle between two hands.
+
+    Attributes:
+        middle: c, shape (3,) [m].
+        axes: rows e, up and e x up, shape (3, 3).
+        length: between the hands [m].
+        rows: from (h_1; h_2), each at its hand, to the components, shape (6, 12).
+    """
+
+    middle: Array
+    axes: Array
+    length: float
+    rows: Array
+
+    def of(self, h: Array) -> Array:
+        """The components of what two hands do.
+
+        Args:
+            h: wrenches of both hands at their points, shape (2, 6) or (12,) [N, N m].
+        """
+        return np.asarray(self.rows @ np.ravel(h), float)
+
+
+def section(p_1: Array, p_2: Array) -> Section:
+    """The section between two hands.
+
+    Args:
+        p_1: the first hand's point in the world, shape (3,) [m].
+        p_2: the other's.
+
+    Raises:
+        GraspError: the hands are in one place.
+    """
+    way = np.asarray(p_2, float) - p_1
+    length = float(np.linalg.norm(way))
+    if not length > NEAREST:
+        raise GraspError(
+            f"two hands are {1e3 * length:.2g} mm apart: there is no direction between them"
+        )
+    axes, middle = across(way / length), np.asarray(p_1 + 0.5 * way, float)
+    turned = np.kron(np.eye(2), axes)
+    at_middle = grasp_matrix([p_1, p_2], middle)
+    rows = np.asarray(0.5 * turned @ np.hstack([at_middle[:, :6], -at_middle[:, 6:]]), float)
+    return Section(middle, axes, length, rows)
+
+
+def across(e: Array) -> Array:
+    """Rows e, up and e x up of a unit direction, shape (3, 3)."""
+    up = np.array([0.0, 0.0, 1.0]) - e[2] * e
+    if np.linalg.norm(up) < STEEP:
+        up = np.array([1.0, 0.0, 0.0]) - e[0] * e
+    up /= np.linalg.norm(up)
+    return np.array([e, up, np.cross(e, up)])
+
+
+#: The edges, by hands.
+EDGES = ((0, 1), (0, 2), (1, 2))
+#: Three hands are on one line where the triangle is flatter than this, as height over length.
+FLAT = 1e-3
+
+
+@dataclass(frozen=True)
+class VirtualLinkage:
+    """The edges between three hands.
+
+    Attributes:
+        E: forces at the hands for pushes along the edges, shape (9, 3).
+        rows: from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
+    """
+
+    E: Array
+    rows: Array
+
+
+def virtual_linkage(points: Array) -> VirtualLinkage:
+    """The linkage of three hands.
+
+    Args:
+        points: of the hands in the world, shape (3, 3) [m].
+
+    Raises:
+        GraspError: the hands are on one line, or not three.
+    """
+    p = np.asarray(points, float)
+    if p.shape != (3, 3):
+        raise GraspError(f"the virtual linkage is of 3 hands; found {len(p)}")
+    if (flat := flatness(p)) < FLAT:
+        raise GraspError(
+            f"three hands are on one line (height {flat:.1g} of the length between them): pushes "
+            "along their edges are not independent; move one hand off the line, or ask for the "
+            "internal wrench of a pair of two arms"
+        )
+    E = np.zeros((9, 3))
+    for k, (i, j) in enumerate(EDGES):
+        e = (p[j] - p[i]) / np.linalg.norm(p[j] - p[i])
+        E[3 * i : 3 * i + 3, k], E[3 * j : 3 * j + 3, k] = e, -e
+    return VirtualLinkage(E, np.asarray(np.linalg.pinv(E), float))
+
+
+def flatness(points: Array) -> float:
+    """Height of a triangle over its longest side; zero on one line."""
+    p = np.asarray(points, float)
+    longest = max(float(np.linalg.norm(p[j] - p[i])) for i, j in EDGES)
+    area = float(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0])))
+    return area / longest**2 if longest else 0.0

@@ -9,13 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, real
+from coopqp.base.wording import said
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
+
+#: Larger measured values are refused [N, N m].
+MAX_WRENCH = 1e6
+NEEDS = "force and torque of each of the robot's arms [N, N m]"
 
 
 @dataclass(frozen=True)
@@ -69,3 +75,41 @@ def in_axes(wrench: Array, R: Array) -> Array:
         R: from its axes into the others, shape (3, 3).
     """
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+
+
+class Felt:
+    """The last reading that was looked at.
+
+    Args:
+        arms: how many the robot has, N.
+
+    Attributes:
+        fault: why it cannot be used; empty if it can.
+    """
+
+    def __init__(self, arms: int) -> None:
+        self._size, self.fault = 6 * arms, ""
+
+    def read(self, found: Any) -> Array | None:
+        """The wrenches by arm, shape (N, 6); None where they cannot be used.
+
+        Args:
+            found: ``State.hand_wrench``; anything can come from a driver.
+        """
+        self.fault = self._wrong(found)
+        return None if self.fault else real(found).reshape(-1, 6)
+
+    def _wrong(self, found: Any) -> str:
+        if found is None:
+            return f"no hand_wrench has come; needs {self._size} numbers: {NEEDS}"
+        try:
+            given = real(found)
+        except Exception as error:  # noqa: BLE001 - anything can come from a driver
+            return f"hand_wrench: {said(error) or f'found {type(found).__name__}, needs numbers'}"
+        if given.shape != (self._size,):
+            return f"hand_wrench: found shape {given.shape}, needs {(self._size,)}: {NEEDS}"
+        bad = np.flatnonzero(~np.isfinite(given))
+        if len(bad):
+            return f"hand_wrench: found no finite number at {', '.join(map(str, bad[:6]))}"
+        most = float(np.abs(given).max())
+        return "" if most < MAX_WRENCH else f"hand_wrench: found {most:.3g}, which no hand does"

@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
-from coopqp.closed_loop.grasp_matrix import grasp_matrix
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, grasp_matrix, section
 from coopqp.closed_loop.hands import hands
 from coopqp.closed_loop.screw import LENGTH, Screw, axis_words, numbers, screw_of
-from coopqp.closed_loop.section import COMPONENTS, section
 from coopqp.model.closed_chain import ClosedChain
 
 #: Singular values below count as zero: starts are typed with four digits [m or rad for a joint].

@@ -42,13 +42,14 @@ from coopqp.solver import Status
 from coopqp.task import TaskStack
 from coopqp.torque_law.margins import (
     LEAST_DAMPING,
+    ReferenceModel,
     TorqueLoop,
     VelocityLoop,
     damped,
     largest,
+    memory_of,
     require_damped_models,
 )
-from coopqp.torque_law.reference_model import ReferenceModel, memory_of
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]

@@ -34,7 +34,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares, matrix_rank, null_space
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Status

@@ -35,21 +35,25 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import QP
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.hand_sensors import HandSensors
-from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
+from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
 from coopqp.torque_law.force_checks import require_forces
 from coopqp.torque_law.hand_wrenches import HandWrenches, SplitName
 from coopqp.torque_law.held_torques import HeldTorques
 from coopqp.torque_law.impedances import Impedances, require_impedances
-from coopqp.torque_law.margins import damped, largest, require_damped_models, row_loop
+from coopqp.torque_law.margins import (
+    ReferenceModel,
+    damped,
+    largest,
+    require_damped_models,
+    row_loop,
+)
 from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
-from coopqp.torque_law.reference_model import ReferenceModel
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.

@@ -21,7 +21,7 @@ from coopqp.base.rank import independent_rows, least_squares, null_space
 from coopqp.base.spec import spec
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.solver import Status

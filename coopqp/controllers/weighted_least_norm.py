@@ -22,7 +22,7 @@ import numpy as np
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.state import State
 from coopqp.solver import Status
 

@@ -18,8 +18,7 @@ import numpy as np
 from coopqp.base.errors import GraspError
 from coopqp.base.rank import least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
-from coopqp.closed_loop.grasp_matrix import Split, virtual_inertia, walker
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import Split, section, virtual_inertia, walker
 from coopqp.controller import NO_FEATURES, Command, Controller, ControlProblem, Features, Law
 from coopqp.model.state import State
 from coopqp.solver import Status

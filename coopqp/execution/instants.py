@@ -8,22 +8,24 @@ plant's truth is looked at in every instant.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
-from coopqp.execution.directional_manipulability import leverage
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.task import Task, TaskStack
 from coopqp.trace import TaskInfo
+
+NOTHING = 1e-12  # missed, or possible [m, rad; m/rad]
 
 
 class Instants:
@@ -216,6 +218,37 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
     asked = task.impedance
     pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
     return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
+
+
+def leverage(
+    tasks: TaskStack, parts: Sequence[slice], velocities: Collection[int], start: State, end: State
+) -> Array:
+    """Of what is missed of each part, what can be brought about at the end over that at the start.
+
+    Args:
+        tasks: evaluated here; as of the end when it returns.
+        parts: rows of each part.
+        velocities: which of the parts ask for a velocity, so that its error is what is missed.
+        start: of the run, but with the time of its end.
+        end: of the run.
+
+    Returns:
+        Shape (len(parts),); 1 where nothing is missed or nothing could be done at the start.
+    """
+    ratios = np.ones(len(parts))
+    if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
+        return ratios
+    tasks.update(start)
+    before = tasks.J @ null_space(start.J_loop)
+    tasks.update(end)
+    now = tasks.J @ null_space(end.J_loop)
+    for i, part in enumerate(parts):
+        slow = i in velocities
+        missed = tasks.rate[part] - tasks.J[part] @ end.v if slow else tasks.e[part]
+        could = float(np.linalg.norm(missed @ before[part]))
+        if could > NOTHING:
+            ratios[i] = float(np.linalg.norm(missed @ now[part])) / could
+    return ratios
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.errors import GraspError, InvalidValueError
-from coopqp.closed_loop.carrying import cannot_carry
-from coopqp.closed_loop.holding import Bound, StaticHold
+from coopqp.closed_loop.holding import Bound, StaticHold, cannot_carry
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State

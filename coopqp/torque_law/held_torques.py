@@ -19,8 +19,7 @@ import numpy as np
 from coopqp.base.qp import QP
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
-from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.saddle import Saddle
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Saddle
 from coopqp.model.state import State
 from coopqp.torque_law.hand_wrenches import HandWrenches
 from coopqp.torque_law.program import Layout

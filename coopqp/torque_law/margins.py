@@ -20,7 +20,6 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import Memory
-from coopqp.torque_law.reference_model import ReferenceModel, memory_of
 
 #: Least damping ratio of a pole: a swing is half as high as the one before, ln 2 / hypot(ln 2, pi).
 LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
@@ -28,6 +27,49 @@ LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
 DELAY = 1
 #: Poles slower than this in a tick are what nothing moves: rows without an integral [-].
 STILL = 1e-4
+
+
+def memory_of(k: int) -> dict[str, int]:
+    """What a law with a model of k rows remembers: "integral" of the deviation, and e_m_dot."""
+    return {"integral": k, "deviation": k, "model_rate": k}
+
+
+class ReferenceModel:
+    """The model of all task rows; what it remembers is in the law's memory.
+
+    Args:
+        gains: of the rows, shape (k,) [1/s].
+        dt: control period [s].
+
+    Attributes:
+        memory_sizes: see :func:`memory_of`.
+        e_ddot: e_m_ddot as of the last :meth:`update`, shape (k,).
+    """
+
+    def __init__(self, gains: Array, dt: float) -> None:
+        self.memory_sizes = memory_of(len(gains))
+        self.e_ddot = np.zeros(len(gains))
+        self._gains, self._dt = gains, dt
+
+    def update(self, memory: Memory, e: Array) -> None:
+        """What the model's error does now, given the error, shape (k,)."""
+        g, model_error = self._gains, e - memory["deviation"]
+        self.e_ddot[:] = -g * (2.0 * memory["model_rate"] + g * model_error)
+
+    def advance(self, memory: Memory, e_dot: Array, *, integrate: bool) -> None:
+        """Carry the memory to the next tick, after :meth:`update`.
+
+        Args:
+            memory: written.
+            e_dot: of the measured error, shape (k,).
+            integrate: False while motors are at their limits: more would not help.
+        """
+        dt, deviation, model_rate = self._dt, memory["deviation"], memory["model_rate"]
+        if integrate:
+            integral = memory["integral"]
+            integral += dt * deviation
+        deviation += dt * (e_dot - model_rate)
+        model_rate += dt * self.e_ddot
 
 
 def damping_ratio(step: Callable[[Array], Array], size: int) -> float:

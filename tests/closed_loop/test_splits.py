@@ -7,9 +7,17 @@ import pytest
 
 from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.grasp_matrix import Split, grasp_matrix, moved, virtual_inertia, walker
-from coopqp.closed_loop.section import COMPONENTS, across, section
-from coopqp.closed_loop.virtual_linkage import virtual_linkage
+from coopqp.closed_loop.grasp_matrix import (
+    COMPONENTS,
+    Split,
+    across,
+    grasp_matrix,
+    moved,
+    section,
+    virtual_inertia,
+    virtual_linkage,
+    walker,
+)
 
 GRASPS = 500
 A = 0.15  # half the distance between two hands [m]

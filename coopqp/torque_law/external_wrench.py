@@ -1,22 +1,25 @@
-"""The wrench of the surroundings on the object, from joints and torques alone.
+"""The wrench of the surroundings on the object: observed from joint torques, or measured.
 
-The generalised momentum p = A v of the tree changes by what motors, gravity, loops and surroundings
-do (De Luca and Mattone 2005):
+:class:`MomentumObserver` needs joints and torques alone. The generalised momentum p = A v of the
+tree changes by motors, gravity, loops and surroundings (De Luca and Mattone 2005):
 
     p_dot = S' tau + C' v - g + J_c' lambda + J_o' w
     r = K (p - p_0 - integral of (S' tau + C' v - g + r) dt)
 
-so that r follows J_c' lambda + J_o' w with the time constant 1/K. With N a basis of the null space
-of J_c the loops drop out, N' r = N' J_o' w, and w follows in least squares. Where the object has
-fewer than six motions the rest of w is the structure's and is told as zero.
+so r follows J_c' lambda + J_o' w with the time constant 1/K. With N a basis of the null space of
+J_c the loops drop out, N' r = N' J_o' w, solved for w in least squares; what the structure bears
+is zero in w. As N moves, a change of J_c' lambda within 1/K would show as a push, so the modelled
+lambda of tau and the last w is subtracted before the integration. The estimate is as good as the
+model: an object that is lighter than modelled by a fifth of 10 N shows as 2 N.
 
-As N moves, what r remembers of J_c' lambda is seen as a push, by as much as it changes in 1/K. So
-the lambda that the model says goes with tau and the last w is taken out of r beforehand.
-
-What it tells is as good as the model: an object that is lighter by a fifth of 10 N shows as 2 N.
+:class:`HandSensors` uses force sensors in the hands, which measure h: w = M a_o + b - G h, with a_o
+from the difference of the object's velocity over a tick, after a first-order low-pass filter. Only
+the object's mass has to be known, not the arms'.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +28,9 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.model.state import Memory
+from coopqp.closed_loop.grasp_matrix import grasp_matrix
+from coopqp.closed_loop.hands import Felt, hands, points
+from coopqp.model.state import Memory, State
 
 
 class MomentumObserver:
@@ -95,3 +100,56 @@ class MomentumObserver:
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
         g = pin.computeGeneralizedGravity(self._model, self._data, q)
         return np.asarray(C.T @ v - g, float)
+
+
+class HandSensors:
+    """Of one chain; what it remembers from tick to tick is in the law's memory.
+
+    Args:
+        dynamics: of arms and modelled object, up to date whenever this is updated.
+        gain: one over the low pass's time constant [1/s].
+        dt: time between updates [s].
+
+    Attributes:
+        wrench: force and torque on the object at its origin, world axes, as of the last
+            update, shape (6,) [N, N m].
+        memory_sizes: what to remember.
+    """
+
+    def __init__(self, dynamics: ClosedLoopDynamics, *, gain: float, dt: float) -> None:
+        chain = dynamics.chain
+        robot = [arm.name for arm in chain.robot.arms]
+        self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
+        self._hands = hands(chain)
+        self._at = [robot.index(hand.arm) for hand in self._hands]
+        self._felt = Felt(len(robot))
+        self.wrench = np.zeros(6)
+        self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
+
+    @property
+    def fault(self) -> str:
+        """Why what was measured last cannot be used; empty if it can."""
+        return self._felt.fault
+
+    def update(self, memory: Memory, state: State) -> Array:
+        """The wrench at the end of a period; zero at first, the last where nothing is measured.
+
+        Args:
+            memory: written.
+            state: up to date, with ``hand_wrench``.
+
+        Returns:
+            ``wrench``.
+        """
+        dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
+        kept = memory["sensors.wrench"]
+        found = self._felt.read(state.hand_wrench)
+        if memory["sensors.begun"][0] and found is not None:
+            M, b, _ = dynamics.object_inertia()
+            G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
+            h = found[self._at].ravel()
+            a = (twist - memory["sensors.twist"]) / self._dt
+            kept += self._share * (M.dot(a) + b - G.dot(h) - kept)
+        memory["sensors.begun"][0], memory["sensors.twist"][:] = 1.0, twist
+        self.wrench[:] = kept
+        return self.wrench
