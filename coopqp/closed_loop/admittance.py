@@ -1,26 +1,26 @@
-"""Squeeze of arms that take positions or velocities, by admittance on their relative motion.
+"""Internal force control of arms that take positions or velocities, by admittance.
 
 With e the direction from one hand to the other, the hands approach each other along it at
 
     v = g (F_wanted - F),   |v| <= most_speed
 
-F is the measured squeeze. Force follows way, so that this integrates the force's error: none is
-left at rest, whatever the stiffness is. It enters through the loop correction, J_c v = -kappa (e_c
-- gap): along e the gap is where the hands have been told to go, gap' = v, and in all other
-directions it is the model's error (``model.loop_observer``), which is blind along e. It would
-take the squeeze away otherwise.
+where F is the measured squeeze. The force is proportional to the relative displacement, so this
+integrates the force error: none remains at rest, whatever the stiffness. It enters through the
+loop correction, J_c v = -kappa (e_c - gap): along e the gap is the commanded relative
+displacement, gap' = v, and in all other directions it is the estimated model bias
+(``model.loop_observer``), which leaves e out, since it would cancel the squeeze.
 
 With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
 that are d ticks late, F' = k v is stable where
 
     g k dt < 2 sin(pi / (2 (2 d + 1)))      2, 1, 0.618, 0.445 for d = 0, 1, 2, 3
 
-and rings below that. The default gain is
+and oscillates already below that. The default gain, with the servos' lag T, is
 
-    g = c / (k_most (T + (d + 1) dt + 1/kappa - dt)),   c = 0.2
+    g = c / (k_max (T + (d + 1) dt + 1/kappa - dt)),   c = 0.2
 
-with the servos' lag T. It does not overshoot from the stiffest hands down to any softer ones, which
-are only slower; hands that are nine times as stiff as stated are still stable.
+It does not overshoot at the stated stiffness nor below, where it is only slower; hands up to nine
+times as stiff are still stable.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ ROUNDING = 1e-6
 
 @spec
 class Admittance:
-    """How arms that take positions come to the squeeze that is wanted, by measured forces."""
+    """Settings of internal force control for arms that take positions, by measured forces."""
 
     stiffness: Positive
     """Of both hands and their servos in series, at most [N/m]; what yields least counts."""
@@ -67,42 +67,29 @@ class Admittance:
     """How far they may be told to approach each other beyond what the model says [m]."""
 
     def gain_of(self, dt: float, kappa: float) -> float:
-        """The gain [m/(s N)], as given or by default.
-
-        Args:
-            dt: control period [s].
-            kappa: gain of the drift correction, through which it enters [1/s].
-        """
+        """The gain [m/(s N)], given or by default, from dt [s] and the loop correction's kappa."""
         if self.gain is not None:
             return self.gain
         return CAUTION / (self.stiffness * (self.lag + self.delay * dt + 1.0 / kappa))
 
 
 def stability_limit(delay: int) -> float:
-    """Least g k dt with which F[n+1] = F[n] + g k dt (F_wanted - F[n - delay]) swings for ever.
-
-    Args:
-        delay: d [ticks].
-    """
+    """Smallest g k dt at which F[n+1] = F[n] + g k dt (F_wanted - F[n - delay]) oscillates."""
     return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
 
 
 class InternalForceControl:
-    """Moves the gap of a loop so that two hands squeeze as they are asked to.
-
-    Args:
-        problem: of which ``wrenches`` is one task that asks for a squeeze.
-        settings: of the admittance.
+    """Moves the gap of a loop so that two hands squeeze with the wanted force.
 
     Attributes:
         along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
         gain: g [m/(s N)].
         memory_sizes: what a law must remember for it.
-        note: what else is to be said of the last tick.
+        note: details of the last tick's status.
 
     Raises:
-        InvalidValueError: what is asked for cannot be done by admittance, or the gain is beyond
-            what is stable with the stated stiffness.
+        InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or
+            the gain is unstable with the stated stiffness.
     """
 
     def __init__(self, problem: ControlProblem, settings: Admittance) -> None:
@@ -129,14 +116,13 @@ class InternalForceControl:
         self.memory_sizes: Mapping[str, int] = {ALONG: 3}
 
     def update(self, state: State) -> Status | None:
-        """Move the gap by what the hands are to approach each other in this tick.
+        """Move the gap by how far the hands are to approach each other in this tick.
 
-        Args:
-            state: with its kinematics up to date; ``gap`` and memory are written.
+        ``state`` has up-to-date kinematics; its ``gap`` and memory are written.
 
         Returns:
-            What is wrong: the force was not measured, so that the hands stay as they are, or they
-            stand at ``most_way`` and more is missing than the task's tolerance.
+            The fault, if any: the force was not measured, so the hands stay as they are, or the
+                hands are at ``most_way`` and the force error exceeds the task's tolerance.
         """
         p = points(self._hands, state.p_WO, state.R_WO)
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
@@ -158,12 +144,7 @@ class InternalForceControl:
         return self._judged(missing, -float(e.dot(gap)))
 
     def _judged(self, missing: float, way: float) -> Status | None:
-        """What is wrong with a tick, and the note for it.
-
-        Args:
-            missing: F_wanted - F [N]; NaN where it was not measured.
-            way: how much closer the hands are told to be than the model says [m].
-        """
+        """Status and note of a tick from the force error [N] and the displacement [m]."""
         self.note, most = self._felt.fault, self._settings.most_way
         if not math.isfinite(missing):
             return Status.FORCE_NOT_MEASURED
@@ -179,21 +160,17 @@ class InternalForceControl:
         return Status.SQUEEZE_GIVEN_UP
 
     def _missing(self, state: State) -> float:
-        """F_wanted - F [N]; NaN where nobody says what the force is."""
+        """F_wanted - F [N]; NaN where the force is not known."""
         self._asked.update(state)
         found = self._felt.read(state.hand_wrench)
         return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
 
 
 def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalForceControl | None:
-    """What squeezes; None where no force is asked for.
-
-    Args:
-        problem: to be controlled.
-        settings: None where nobody has stated a stiffness.
+    """The internal force control of a problem; None where no task asks for a force.
 
     Raises:
-        InvalidValueError: a force is asked for, and no stiffness is stated; as below.
+        InvalidValueError: a force is asked for without a stated stiffness; as the control itself.
     """
     if not problem.wrenches:
         return None
@@ -203,11 +180,7 @@ def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalFo
 
 
 def unstated(task: str) -> str:
-    """What to do where a force is asked for and nobody has stated a stiffness.
-
-    Args:
-        task: its name.
-    """
+    """The message where a task asks for a force and no stiffness is stated."""
     return (
         f"'{task}' asks arms that take velocities for a force; state how stiff hands and servos "
         "are together at most [N/m], such as qp: {admittance: {stiffness: 10000}}, or leave the "
@@ -216,11 +189,7 @@ def unstated(task: str) -> str:
 
 
 def _check_tasks(tasks: Sequence[Task]) -> None:
-    """Refuse what is no squeeze.
-
-    Raises:
-        InvalidValueError: that is so.
-    """
+    """Raise InvalidValueError for anything but one soft squeeze."""
     if len(tasks) != 1:
         names = ", ".join(f"'{task.name}'" for task in tasks)
         raise InvalidValueError(f"admittance: brings about one squeeze, and {names} ask for forces")

@@ -67,14 +67,11 @@ def constraint_equations(
     actuated: Sequence[str],
     cut: Sequence[str] = (),
 ) -> ConstraintEquations:
-    """Equations (8)-(13) and (17)-(19) at a state.
+    """Equations (8)-(13) and (17)-(19) at a state with closed loops, q and v of shape (n,).
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-        v: velocity with J_c v = 0, shape (n,); zero will do when ``drift`` is not needed.
-        actuated: names of the independent joints, as many as there are degrees of freedom.
-        cut: the joint at which each loop is cut; the last of each arm but the first if omitted.
+    v may be zero where ``drift`` is not needed. ``actuated`` names the independent joints, as many
+    as there are degrees of freedom, and ``cut`` the joint at which each loop is cut: the last of
+    each arm but the first if omitted.
 
     Raises:
         UnknownNameError, InvalidValueError: the choice is no scheme of this chain.

@@ -9,9 +9,9 @@ gravity and friction forces, S the rows of the actuated joints, lambda (m,) the 
 With N (n, f) a basis of the null space of J_c the loops drop out, N' A a + N' H = N' S' tau; that
 is eq. (24), whose [I; G] is one such basis.
 
-Both models are solved as one saddle-point system, so that no independent coordinates have to be
-chosen, no inertia matrix has to be inverted (with a massless link behind a passive joint A is
-singular, only N' A N is not), and a singular actuation scheme is noticed by its condition.
+Both models are solved as one saddle-point system: no independent coordinates are chosen, no inertia
+matrix is inverted (with a massless link behind a passive joint A is singular, only N' A N is not),
+and a singular actuation scheme is noticed by its condition.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class Friction:
 
 
 class DirectResult(NamedTuple):  # made at every step of a plant, in a third of a dataclass's time
-    """Answer of the direct model; arrays are reused by the next call.
+    """Result of the direct model; arrays are reused by the next call.
 
     Attributes:
         a: joint accelerations, shape (n,) [rad/s2].
         wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
             of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
-        singular: whether the loops were singular, so that a least-squares answer was given.
+        singular: whether the loops were singular, so that this is a least-squares solution.
     """
 
     a: Array
@@ -64,13 +64,13 @@ class DirectResult(NamedTuple):  # made at every step of a plant, in a third of 
 
 @dataclass(frozen=True)
 class InverseResult:
-    """Answer of the inverse model; arrays are reused by the next call.
+    """Result of the inverse model; arrays are reused by the next call.
 
     Attributes:
         tau: torques of all joints, zero where a joint is not actuated, shape (n,) [N m].
         wrench: as in :class:`DirectResult`.
-        singular: whether the actuation scheme cannot produce every motion here. tau is then the
-            least-squares answer and ``residual`` tells what it leaves undone.
+        singular: whether the actuation scheme cannot produce every motion here; tau is then the
+            least-squares solution.
         residual: largest generalised force that tau does not produce [N m].
     """
 
@@ -85,17 +85,17 @@ class ClosedLoopDynamics:
 
     Args:
         chain: arms and object.
-        shares: which share of the object's mass each arm's last body carries, by arm; all on the
-            first arm when omitted. It changes the wrench at the cut, nothing else.
+        shares: share of the object's mass on each arm's last body, by arm; all on the first arm if
+            omitted. It changes the wrench at the cut, nothing else.
         friction: of every joint.
-        actuated: names of the actuated joints; all but the passive ones when omitted.
-        mass_scale: of the object's mass and inertia over what the chain says.
+        actuated: names of the actuated joints; all but the passive ones if omitted.
+        mass_scale: of the object's mass and inertia over the chain's.
 
     Attributes:
         model: the tree with the object's mass.
         A, H, J, drift: the terms above as of the last :meth:`update`; drift is Jdot_c v, (m,).
         J_arms: Jacobian of the object as carried by each arm, shape (6 N, n).
-        drift_arms: how the object accelerates at a = 0 by each arm, shape (6 N,).
+        drift_arms: the object's acceleration at a = 0 by each arm, shape (6 N,).
         J_object: the first six rows of J_arms.
         kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
@@ -104,7 +104,7 @@ class ClosedLoopDynamics:
         InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
             a passive joint among them.
         UnknownNameError: an unknown joint or arm.
-        GraspError: a released arm has passive joints: nothing would hold them.
+        GraspError: a released arm has passive joints, which nothing would hold.
     """
 
     def __init__(
@@ -163,12 +163,7 @@ class ClosedLoopDynamics:
         self._wrench = np.zeros(rows)
 
     def update(self, q: Array, v: Array) -> None:
-        """Compute every term for a state with the loops closed.
-
-        Args:
-            q: configuration, shape (n,) [rad].
-            v: velocity with J_c v = 0, shape (n,) [rad/s].
-        """
+        """Compute every term at q, v of shape (n,) with the loops closed, J_c v = 0."""
         model, data = self.model, self._data
         self.A[:] = pin.crba(model, data, q)
         self.H[:] = pin.nonLinearEffects(model, data, q, v)
@@ -200,12 +195,9 @@ class ClosedLoopDynamics:
             self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
 
     def direct(self, tau: Array) -> DirectResult:
-        """Accelerations from torques: the DDM of section 4.3, after :meth:`update`.
+        """Accelerations from torques, shape (n,) [N m]: the DDM of section 4.3.
 
-        Solves [A J'; J 0] [a; -lambda] = [tau - H; -Jdot v].
-
-        Args:
-            tau: torques of all joints, shape (n,); entries of passive joints should be 0 [N m].
+        Solves [A J'; J 0] [a; -lambda] = [tau - H; -Jdot v]; tau of passive joints should be 0.
         """
         n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
@@ -221,12 +213,9 @@ class ClosedLoopDynamics:
         return DirectResult(self._a, self._wrench, singular)
 
     def impact(self, v: Array) -> Array:
-        """Velocity after loops have closed at once, without a bounce, after :meth:`update`.
+        """Velocity, shape (n,), after loops have closed inelastically on a velocity v.
 
         Solves [A J'; J 0] [v+; -impulse] = [A v; 0]: the nearest motion in kinetic energy.
-
-        Args:
-            v: before, shape (n,).
         """
         n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
@@ -236,25 +225,18 @@ class ClosedLoopDynamics:
         return np.array(x[:n])
 
     def inverse(self, a: Array) -> InverseResult:
-        """Torques for accelerations: the CLIDM of eq. (21)-(24), after :meth:`update`.
+        """Torques for accelerations a with J_c a = -Jdot_c v: the CLIDM, eq. (21)-(24).
 
         With more actuators than degrees of freedom the torques of least norm, eq. (25)-(27). The
         Gamma of the tree is A a + H; the cut wrench lambda makes the passive rows free of torque,
-        J_p' lambda = Gamma_p, and what it leaves, tau = Gamma_a - J_a' lambda, as small as it can.
-
-        Args:
-            a: joint accelerations with J_c a = -Jdot_c v, shape (n,) [rad/s2].
+        J_p' lambda = Gamma_p, and minimises the remaining tau = Gamma_a - J_a' lambda.
         """
         self.A.dot(a, self._Gamma)
         np.add(self._Gamma, self.H, self._Gamma)
         return self.distribute(self._Gamma)
 
     def distribute(self, Gamma: Array) -> InverseResult:
-        """Motor torques with the effect of the tree's torques Gamma, eq. (23) and (27).
-
-        Args:
-            Gamma: torques of all joints of the tree, shape (n,) [N m].
-        """
+        """Motor torques equivalent to the tree's torques Gamma, shape (n,), eq. (23), (27)."""
         m, act, pas = len(self.drift), self.actuated, self.passive
         J_a, J_p = self._J_a, self._J_p
         Gamma_a, Gamma_p = Gamma[act], Gamma[pas]
@@ -282,13 +264,13 @@ class ClosedLoopDynamics:
         return np.asarray(pin.computeGeneralizedGravity(self.model, self._data, q), float)
 
     def object_wrenches(self, a: Array, wrench: Array, push: Array | None = None) -> ObjectWrenches:
-        """Split what the hands do to the object into what moves it and what only squeezes it.
+        """Split the hands' wrenches on the object into what moves it and what is internal.
 
         Args:
             a: joint accelerations, shape (n,).
             wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
-            push: on the object from outside, shape (6,); the hands need not bring it. The tree
-                must feel it through arm 0, as ``J_object' push``.
+            push: external wrench on the object, shape (6,), which acts on the tree through arm 0 as
+                ``J_object' push``.
         """
         carried, R = self._object_wrench(a)
         needed = carried if push is None else carried - push
@@ -305,7 +287,7 @@ class ClosedLoopDynamics:
         return M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b, R
 
     def object_inertia(self) -> tuple[Array, Array, Array]:
-        """What the object's motion and weight need, w = M a_o + b at its origin in world axes.
+        """The wrench at the object's origin for its motion and weight, w = M a_o + b, world axes.
 
         Returns:
             M, shape (6, 6), b, shape (6,), and its rotation R, as of the last update.
@@ -339,10 +321,9 @@ class ObjectWrenches:
     """Wrenches on the object: force [N] and torque [N m] at its origin, world axes.
 
     Attributes:
-        needed: what its motion and weight need, shape (6,).
-        by_arm: what each hand does to it, shape (N, 6); they sum to ``needed``.
+        needed: by its motion and weight, shape (6,).
+        by_arm: of each hand, shape (N, 6); they sum to ``needed``.
         internal: the part that cancels between the hands, shape (N, 6); sums to zero.
-        rotation: of the object, shape (3, 3).
     """
 
     needed: Array
@@ -352,7 +333,7 @@ class ObjectWrenches:
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
-    """Indices of actuated joints by name; all but the passive ones when omitted.
+    """Indices of actuated joints by name; all but the passive ones if omitted.
 
     Raises:
         UnknownNameError: an unknown joint.
@@ -399,13 +380,9 @@ PIVOT = 1e-6
 
 
 class Saddle:
-    """A matrix [top right; left corner], factored by LAPACK without leaving preallocated arrays.
+    """A saddle-point matrix [top right; left corner], factored by LAPACK in preallocated arrays.
 
-    Args:
-        n: rows of top. m: rows of left.
-
-    Attributes:
-        corner: zero until it is written, shape (m, m), as are the others.
+    top is (n, n), corner (m, m); all blocks are zero until written.
     """
 
     def __init__(self, n: int, m: int) -> None:

@@ -1,6 +1,6 @@
-"""What several hands do to one object: the grasp matrix, and splits of what moves it from the rest.
+"""The grasp matrix, and splits and coordinates of internal wrenches.
 
-Hand i does h_i = (f_i; m_i), force and torque on the object at p_i, world axes [N, N m]. With
+Hand i exerts h_i = (f_i; m_i), force and torque on the object at p_i, world axes [N, N m]. With
 r_i = p_i - o and o the object's origin,
 
     G = [G_1 ... G_N],  G_i = [1 0; [r_i]x 1],      w = G h      (Uchiyama and Dauchez 1988)
@@ -9,16 +9,18 @@ is the wrench at o, shape (6,), and G_i' V the twist of hand i. Any X with G X =
 
     h = X w + h_int,   h_int = (1 - X G) h,   G h_int = 0
 
-h_int does no work on the object, for every X; so that says nothing about which X is right. Two are
-in use, and they are different:
+h_int does no work on the object for any X, so work alone does not decide which X is right:
 
     Walker, Freeman, Marcus 1991   f_i = a_i F,  m_i = a_i (M - r_i x F), shares a_i of sum 1
     Erhart, Hirche 2015            X = W G' (G W G')^-1,  W = diag(m_i 1, j_i 1)
 
-The second is what hands would do that were free bodies of mass m_i and inertia j_i; m = 1 kg and
-j = 1 kg m2 is the pseudoinverse, whose answer depends on the unit of length. Walker's hands bear
-torques that a contact may not be able to bear; there take the second with a small j. About the
-line through two hands somebody has to bear a torque, so that j cannot be zero.
+The second treats hands as free bodies of mass m_i and inertia j_i; m = 1 kg and j = 1 kg m2 is the
+pseudoinverse, whose result depends on the unit of length. Walker's hands exert torques that a
+contact may not transmit; there take the second with a small j. About the line through two hands a
+hand has to exert a torque, so j cannot be zero.
+
+Two hands have a section wrench, :func:`section`, and three a virtual linkage,
+:func:`virtual_linkage`.
 """
 
 from __future__ import annotations
@@ -39,12 +41,7 @@ _UNMOVED = np.eye(6)
 
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
-    """G with w = G h, shape (6, 6 N).
-
-    Args:
-        points: of the hands in the world, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-    """
+    """G with w = G h, shape (6, 6 N), from the hands' points (N, 3) and the object's origin [m]."""
     levers = np.asarray(points, float) - np.asarray(origin, float)
     G = np.empty((6, 6 * len(levers)))
     for i, lever in enumerate(levers):
@@ -54,13 +51,7 @@ def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
 
 
 def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
-    """A wrench at a point as one at another, shape (6,).
-
-    Args:
-        wrench: force and torque, shape (6,).
-        point: where it is given, shape (3,) [m].
-        to: where it is wanted, shape (3,) [m].
-    """
+    """A wrench, shape (6,), given at a point [m], expressed at another."""
     found = np.array(wrench, float)
     found[3:] += pin.skew(np.asarray(point, float) - np.asarray(to, float)) @ found[:3]
     return found
@@ -79,7 +70,7 @@ class Split:
     Attributes:
         name: of the split.
         G: grasp matrix, shape (6, 6 N).
-        X: what the hands do for a wrench on the object, G X = 1, shape (6 N, 6).
+        X: hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6).
     """
 
     name: str
@@ -87,11 +78,7 @@ class Split:
     X: Array
 
     def moving(self, h: Array) -> Array:
-        """The part of the hands' wrenches that moves the object, X w.
-
-        Args:
-            h: of all hands at their points, shape (N, 6) or (6 N,) [N, N m].
-        """
+        """The part X w of wrenches h, shape (N, 6) or (6 N,) [N, N m], that moves the object."""
         return np.asarray((self.X @ (self.G @ np.ravel(h))).reshape(np.shape(h)), float)
 
     def internal(self, h: Array) -> Array:
@@ -105,14 +92,10 @@ class Split:
 
 
 def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
-    """Walker's split: every hand does its share of force and of torque.
+    """Walker's split: every hand exerts its share of force and of torque.
 
-    The same for any origin of the object, any point of the hands and any unit.
-
-    Args:
-        points: of the hands, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-        shares: a_i, at least 0 and with sum 1, shape (N,).
+    It is invariant to the object's origin, the hands' points and the units. ``shares`` a_i, shape
+    (N,), are at least 0 and sum to 1.
 
     Raises:
         InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
@@ -128,13 +111,10 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
 def virtual_inertia(
     points: ArrayLike, origin: ArrayLike, masses: ArrayLike, inertias: ArrayLike
 ) -> Split:
-    """Erhart and Hirche's split: what the hands would do that were free bodies.
+    """Erhart and Hirche's split: hands as free bodies of virtual mass [kg] and inertia [kg m2].
 
-    Args:
-        points: of the hands, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-        masses: virtual, shape (N,) [kg]; their ratio alone counts where the inertias go with them.
-        inertias: virtual, about the hand's own point, shape (N,) [kg m2].
+    Of masses and inertias, each of shape (N,), only ratios count; inertias are about the hand's own
+    point.
 
     Raises:
         InvalidValueError: masses or inertias that are not positive, or not one a hand.
@@ -168,7 +148,25 @@ STEEP = 0.1
 
 @dataclass(frozen=True)
 class Section:
-    """The cut through the middle between two hands.
+    """The section through the middle between two hands at p_1 and p_2: squeeze, shear, twist, bend.
+
+    With c the middle and e the direction from hand 1 to hand 2, the section transmits the wrench
+    (Uchiyama and Dauchez 1988)
+
+        s = (h_1 at c - h_2 at c) / 2
+
+        squeeze   s_f . e      [N]      > 0 presses the object
+        shear     s_f across e [N]      the hands slide past each other
+        twist     s_m . e      [N m]    they turn against each other about e
+        bend      s_m across e [N m]    they tilt against each other
+
+    It is dual to the relative twist V_1 - V_2: the hands' power is w . (V_1 + V_2)/2 + s . (V_1 -
+    V_2). With equal shares it is Walker's internal wrench. With h_1 + h_2 = 0 at c,
+
+        m_1 + m_2 = (p_2 - p_1) x s_f,   (m_1 - m_2)/2 = s_m
+
+    The two directions across e are up, the world's z less its part along e, and e x up. Where e is
+    within some degrees of the vertical, the world's x replaces z.
 
     Attributes:
         middle: c, shape (3,) [m].
@@ -183,20 +181,12 @@ class Section:
     rows: Array
 
     def of(self, h: Array) -> Array:
-        """The components of what two hands do.
-
-        Args:
-            h: wrenches of both hands at their points, shape (2, 6) or (12,) [N, N m].
-        """
+        """Components of both hands' wrenches at their points, shape (2, 6) or (12,) [N, N m]."""
         return np.asarray(self.rows @ np.ravel(h), float)
 
 
 def section(p_1: Array, p_2: Array) -> Section:
-    """The section between two hands.
-
-    Args:
-        p_1: the first hand's point in the world, shape (3,) [m].
-        p_2: the other's.
+    """The section between two hands at points of shape (3,) [m].
 
     Raises:
         GraspError: the hands are in one place.
@@ -231,7 +221,15 @@ FLAT = 1e-3
 
 @dataclass(frozen=True)
 class VirtualLinkage:
-    """The edges between three hands.
+    """The virtual linkage of three hands (Williams and Khatib 1993): forces along the edges.
+
+    E (9, 3) has a column an edge, the unit vector e_ij at hand i and its opposite at hand j, so
+    that t > 0 presses hands i and j towards each other. Forces f = (f_1; f_2; f_3) split into
+
+        f = W_f^+ F + E t,   t = E^+ f
+
+    with W_f the grasp matrix of forces alone, whose null space is the range of E. Torques of the
+    hands, all nine, count as internal. On one line E has rank 2 and the split does not exist.
 
     Attributes:
         E: forces at the hands for pushes along the edges, shape (9, 3).
@@ -243,10 +241,7 @@ class VirtualLinkage:
 
 
 def virtual_linkage(points: Array) -> VirtualLinkage:
-    """The linkage of three hands.
-
-    Args:
-        points: of the hands in the world, shape (3, 3) [m].
+    """The linkage of three hands at points of shape (3, 3) [m].
 
     Raises:
         GraspError: the hands are on one line, or not three.

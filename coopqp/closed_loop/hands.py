@@ -1,8 +1,8 @@
-"""Where the hands that hold an object touch it: their points and, by contact, their normals.
+"""Hands that hold an object: contact points and normals, and checks of their measured wrenches.
 
-C is the contact frame of a hand. It is fixed to the object: a pad moves with it, and a fingertip
-stays at its place while the object turns. Where a hand is fastened, C is where its tip is at the
-start; behind a hinge the tip moves on, and C stays.
+C is the contact frame of a hand, fixed to the object: a pad moves with it, and a fingertip stays at
+its place while the object turns. Where a hand is fastened, C is where its tip is at the start;
+behind a hinge the tip moves on, and C stays.
 """
 
 from __future__ import annotations
@@ -52,13 +52,7 @@ def hands(chain: ClosedChain) -> tuple[Hand, ...]:
 
 
 def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
-    """Where the hands are in the world, shape (N, 3) [m].
-
-    Args:
-        hands: of :func:`hands`.
-        p_WO: where the object is, shape (3,) [m].
-        R_WO: how it is turned, shape (3, 3).
-    """
+    """Contact points in the world for the object's position and rotation, shape (N, 3) [m]."""
     return np.array([p_WO + R_WO @ hand.X_OC.translation for hand in hands])
 
 
@@ -68,34 +62,22 @@ def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
 
 
 def in_axes(wrench: Array, R: Array) -> Array:
-    """A wrench in other axes, at the same point, shape (6,).
-
-    Args:
-        wrench: force and torque, shape (6,).
-        R: from its axes into the others, shape (3, 3).
-    """
+    """A wrench, shape (6,), in other axes at the same point, R from its axes into these."""
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
 
 
 class Felt:
-    """The last reading that was looked at.
-
-    Args:
-        arms: how many the robot has, N.
+    """Checks what force sensors in the hands send before it is used, for a robot of N arms.
 
     Attributes:
-        fault: why it cannot be used; empty if it can.
+        fault: why the last reading cannot be used; empty if it can.
     """
 
     def __init__(self, arms: int) -> None:
         self._size, self.fault = 6 * arms, ""
 
     def read(self, found: Any) -> Array | None:
-        """The wrenches by arm, shape (N, 6); None where they cannot be used.
-
-        Args:
-            found: ``State.hand_wrench``; anything can come from a driver.
-        """
+        """Wrenches by arm, shape (N, 6), of ``State.hand_wrench``; None where not usable."""
         self.fault = self._wrong(found)
         return None if self.fault else real(found).reshape(-1, 6)
 

@@ -1,13 +1,13 @@
-"""Freedoms of over-constrained loops that the digits of a file hide.
+"""Degrees of freedom of over-constrained loops that rounded numbers hide.
 
 A linkage such as Bennett's moves because its loop rows depend on each other wherever the loops are
-closed. Where they are closed to rounding only, the least singular value of J_c is about as large as
-the rounding, and counts as a constraint: rank(J_c) is too large and l - rank too small.
+closed. Where they are closed to rounding only, the smallest singular value of J_c is about as large
+as the rounding, and counts as a constraint: rank(J_c) is too large and l - rank too small.
 
-Found by a walk: rows that resist less than ``SLACK`` count as none, and the joints go along what
-the others leave. A freedom is hidden where the whole walk opens the loops by no more than counts as
-closed (``model.hold``) and fewer rows resist than J_c has rank. At a singular pose the walk
-comes to poses where all rows resist, opens the loops by the square of its length, or comes back.
+Found by a walk: rows with a singular value below ``SLACK`` count as none, and the joints move in
+the null space of the others. A freedom is hidden where the loops stay closed (``model.hold``) on
+the whole walk and fewer rows constrain it than J_c has rank. At a singular pose the walk comes to
+poses where all rows constrain, opens the loops by the square of its length, or returns.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class HiddenFreedom:
     """A motion that the loop rows forbid and the loops allow.
 
     Attributes:
-        position, orientation: how far the start closes the loops [m, rad].
-        open_position, open_orientation: largest error of the loops on the walk [m, rad].
+        position, orientation: loop error at the start [m, rad].
+        open_position, open_orientation: largest loop error on the walk [m, rad].
         rank: of the loop rows, by the tolerance of all coopqp.
-        resisting: rows that resist on the walk.
+        resisting: rows that constrain the walk.
         joint: the joint that moves most on it.
         way: how far that joint goes [rad or m].
         unit: of ``way``.
-        taken: arms whose grasp has no object_in_hand: they hold the object where the start says.
+        taken: arms whose grasp has no object_in_hand, so that the start decides it.
         placed: whether the object's pose is given.
     """
 
@@ -67,7 +67,7 @@ class HiddenFreedom:
         return not self.taken and max(self.open_position, self.open_orientation) < 10.0 * EXACT
 
     def words(self) -> str:
-        """What is so, and what helps."""
+        """The fault and its remedy in words."""
         closes = f"the start closes the loops only to {_sizes(self.position, self.orientation)}"
         if self.taken:
             closes = "the hands hold the object where a rounded start puts them"
@@ -96,11 +96,7 @@ class HiddenFreedom:
 
 
 def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
-    """The freedom that rounded values hide at a chain's start; None where there is none.
-
-    Args:
-        chain: at its start.
-    """
+    """The freedom that rounded values hide at a chain's start; None where there is none."""
     if not chain.loops.rank or _resisting(chain, chain.q_start) >= chain.loops.rank:
         return None
     poses = list(_walk(chain))
@@ -130,12 +126,7 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
 
 
 def closed_near(chain: ClosedChain, q: Array) -> Array:
-    """The configuration near q that closes the loops best, by Newton's method.
-
-    Args:
-        chain: whose loops.
-        q: configuration, shape (n,).
-    """
+    """The configuration near q, shape (n,), that closes the loops best, by Newton's method."""
     for _ in range(NEWTON):
         gap = _scaled(chain.loop_error(q)[:, None])[:, 0]
         U, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(q)), full_matrices=False)
@@ -148,7 +139,7 @@ def closed_near(chain: ClosedChain, q: Array) -> Array:
 
 
 def _walk(chain: ClosedChain) -> Iterator[Array]:
-    """The pose near the start that closes the loops best, and others on the way from it."""
+    """The pose near the start that closes the loops best, and the further steps of the walk."""
     q = closed_near(chain, chain.q_start)
     _, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(chain.q_start)))
     resisted = np.append(values, np.zeros(chain.n))[: chain.n]
@@ -165,7 +156,7 @@ def _walk(chain: ClosedChain) -> Iterator[Array]:
 
 
 def _resisting(chain: ClosedChain, q: Array) -> int:
-    """How many rows resist motions."""
+    """How many rows constrain motions."""
     values = np.linalg.svd(_scaled(chain.loop_jacobian(q)), compute_uv=False)
     return int(np.sum(values > SLACK))
 

@@ -1,13 +1,13 @@
-"""What the hands can do to an object at rest: linear programs over their wrenches.
+"""Wrenches that hands can apply to an object at rest: linear programs, and why they fail in words.
 
 With h the hands' wrenches at their points, at rest, and the arms' own weight g(q),
 
-    G h = s w                          s = 1 carries the object, w what holds its weight
+    G h = s w                          s = 1 carries the object, w balances its weight
     |g + sum_i J_i' h_i| <= effort     motors; equal to 0 at passive joints
     C_i h_i <= 0                       friction of hands that press, with a safety factor
 
-The largest s says whether the object can be held, and the least and the largest squeeze with s = 1
-how hard. The rows that a program's optimum rests on name what is missing.
+The largest s says whether the object can be held, and the smallest and largest squeeze with s = 1
+how hard. The active rows of a program's optimum name what limits it.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ OWN_WEIGHT = "the arms' own weight"
 
 @dataclass(frozen=True)
 class Bound:
-    """An extreme value and what it rests on.
+    """An extreme value and its active constraints.
 
     Attributes:
-        value: of what was asked for.
-        by: what holds it back, such as "motor joint6" or "friction of left".
+        value: the extreme value.
+        by: active constraints, such as "motor joint6" or "friction of left".
         h: the wrenches with which it is reached, shape (N, 6) [N, N m].
     """
 
@@ -63,28 +63,25 @@ class Bound:
 
     @property
     def words(self) -> str:
-        """What it rests on, such as "motor a and friction of b"."""
+        """The active constraints in words, such as "motor a and friction of b"."""
         *before, last = self.by or ("nothing",)
         return f"{', '.join(before)} and {last}" if before else last
 
     @property
     def holds(self) -> str:
-        """That with its verb, such as "motor a and friction of b hold it"."""
+        """These with their verb, such as "motor a and friction of b hold it"."""
         return f"{self.words} {'hold' if len(self.by) > 1 else 'holds'} it"
 
 
 class StaticHold:
-    """The programs of one pose.
+    """The linear programs of one pose: q with closed loops, the start if omitted.
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,); the start when omitted.
-        safety: friction is counted on over this.
+    Friction is divided by ``safety``.
 
     Attributes:
         hands: those that hold.
-        points: where they are, shape (N, 3) [m].
-        weight: the wrench at the object's origin that carries it, shape (6,).
+        points: their contact points, shape (N, 3) [m].
+        weight: wrench at the object's origin that carries it, shape (6,).
     """
 
     def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:
@@ -143,7 +140,7 @@ class StaticHold:
         return replace(found, value=max(0.0, found.value))
 
     def in_the_way(self) -> str:
-        """What is asked for in vain, even without the object's weight; empty where nothing is."""
+        """What is infeasible even without the object's weight; empty where nothing is."""
         for kind, rows, why in IN_VAIN:
             names = dict.fromkeys(name for name in self._names if name.startswith(kind))
             if names and self._load(without=rows):
@@ -165,15 +162,11 @@ class StaticHold:
     def extreme(
         self, row: Array, sign: float, equal: tuple[Array, Array] | None = None
     ) -> Bound | None:
-        """The largest (sign 1) or least (sign -1) value of row @ h with the object carried.
+        """Largest (sign 1) or smallest (sign -1) row @ h with the object carried.
 
-        Args:
-            row: shape (6 N,), on the wrenches at the hands' points in world axes.
-            sign: which of the two.
-            equal: rows, shape (r, 6 N), and the values that they must have, shape (r,).
-
-        Returns:
-            None where the object cannot be carried so.
+        ``row``, shape (6 N,), acts on the wrenches at the hands' points in world axes; ``equal``
+        are further rows, shape (r, 6 N), and their values, shape (r,). None where the object cannot
+        be carried so.
         """
         rows, values = equal or (np.zeros((0, len(row))), np.zeros(0))
         found = self._solve(
@@ -217,13 +210,7 @@ class StaticHold:
 
 
 def cannot_carry(chain: ClosedChain, hold: StaticHold, load: Bound) -> str:
-    """Why the hands do not carry the object.
-
-    Args:
-        chain: at whose start that is.
-        hold: its programs.
-        load: what they carry, less than the weight.
-    """
+    """Why the hands do not carry the object at the chain's start, given ``hold.load()`` below 1."""
     if tilted := _tilted(chain, hold):
         return tilted
     if not load.by:
@@ -237,7 +224,7 @@ def cannot_carry(chain: ClosedChain, hold: StaticHold, load: Bound) -> str:
 
 
 def _tilted(chain: ClosedChain, hold: StaticHold) -> str:
-    """Of two fingertips or a fingertip and a pad: one whose cone the line between does not meet."""
+    """For two hands: which fingertip's friction cone does not contain the line between them."""
     if len(hold.hands) != 2:
         return ""
     e = hold.points[1] - hold.points[0]
@@ -259,7 +246,7 @@ def _tilted(chain: ClosedChain, hold: StaticHold) -> str:
 
 
 def _nothing(chain: ClosedChain, hold: StaticHold) -> str:
-    """Where neither motors nor contacts are at their limits."""
+    """The reason where neither motors nor contacts are at their limits."""
     if len(hold.hands) == 2 and all(_is_tip(hand) for hand in hold.hands):
         a, b = hold.points
         mass = chain.object_pose(chain.q_start).act(np.array(chain.held.body().lever))

@@ -1,9 +1,9 @@
-"""What a grasp allows, before anything moves: section 3.2 of the paper and what follows from it.
+"""Mobility of a closed chain at rest: section 3.2 of the paper and what follows from it.
 
 Letters: l joints before the loops close (n in the rest of the code), m rows of J_c, f = l - rank
 degrees of freedom, N (l, f) a basis of the null space of J_c, J_o (6, l) the object's twist.
 
-Generic poses are random configurations inside the limits at which the object is grasped anew, so
+Generic poses are random configurations within the limits at which the object is grasped anew, so
 that the loops are closed in each; the start can be less or more mobile than they are.
 """
 
@@ -57,13 +57,13 @@ class Scheme:
 
 @dataclass(frozen=True)
 class TaskMobility:
-    """What the grasp allows of a task.
+    """The freely assignable rows of a task.
 
     Attributes:
         name: of the task.
         rows: its dimension.
         rank: how many of its rows can be chosen freely at the start.
-        weakest: least singular value of these [m or rad for a unit of joint motion].
+        weakest: smallest singular value of these [m or rad for a unit of joint motion].
     """
 
     name: str
@@ -91,8 +91,7 @@ class Mobility:
         tasks_rows, tasks_rank, tasks_weakest: of all tasks together.
         schemes_total: number of choices of f among the actuated joints.
         schemes: those that were tried, best first; all when ``schemes_complete``.
-        schemes_complete: whether all were tried.
-        asked: the scheme the user asked about.
+        asked: the scheme that the user asked about.
         hidden: the freedom that rounded values hide; None where they hide none.
     """
 
@@ -157,10 +156,10 @@ def mobility(
     samples: int = 24,
     seed: int = 0,
 ) -> Mobility:
-    """Analyse what a closed chain can do.
+    """Analyse the mobility of arms that hold an object.
 
     Args:
-        chain: arms that hold an object.
+        chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
         asked: an actuation scheme to report on.
         samples: number of generic poses.
@@ -216,12 +215,9 @@ def mobility(
 
 
 def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
-    """Yoshikawa's measure of the tasks within what the loops allow, sqrt(det(M M')), M = J N.
+    """Yoshikawa's measure within the closed loops, sqrt(det(M M')), M = J N.
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-        task_rows: Jacobian of the tasks there, shape (k, n).
+    ``task_rows`` J, shape (k, n), are at the configuration q, with closed loops.
     """
     values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
     return float(np.prod(values)) if len(values) == len(task_rows) else 0.0
@@ -235,7 +231,7 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
 
 
 def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
-    """Where the object is grasped anew; on a walk along closed loops where fewer rows count there.
+    """Poses with the object grasped anew; of a walk along closed loops where these have lower rank.
 
     Links of a paradoxical linkage are as long as it needs only where it is not grasped anew.
     """
@@ -246,14 +242,13 @@ def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
 
 
 def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
-    """Of its Jacobian, shape (k, n)."""
     values = np.linalg.svd(J @ start.N, compute_uv=False)
     possible = values[values > MOTION_TOLERANCE]
     return TaskMobility(name, len(J), len(possible), float(possible.min(initial=np.inf)))
 
 
 def _scaled(twists: Array) -> Array:
-    """Rotations weighed as lengths, so that one tolerance serves all six rows."""
+    """Rotations scaled to lengths, so that one tolerance serves all six rows."""
     scaled: Array = twists * np.array([[1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH]]).T
     return scaled
 

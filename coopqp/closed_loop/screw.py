@@ -25,8 +25,7 @@ class Screw:
     Attributes:
         twist: (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s].
         axis: unit direction of the screw's axis.
-        point: of the axis nearest to the object's origin, in the world [m]; the origin itself for
-            a translation.
+        point: of the axis nearest to the object's origin [m]; the origin for a translation.
         pitch: translation per turn [m/rad]; infinite for a translation.
     """
 
@@ -68,7 +67,7 @@ def screw_of(twist: Array, origin: Array) -> Screw:
 
 
 def axis_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
-    """The axis that it goes along, if its part along it is at least so large, or its numbers."""
+    """The axis along which a direction has at least this part, or its numbers."""
     for i, name in enumerate(("x", "y", "z")):
         if abs(direction[i]) >= least:
             return name

@@ -1,15 +1,14 @@
-"""Which internal wrenches the motors command, which the structure bears, which a hinge lets go.
+"""Transmission of internal wrenches: commanded by motors, borne by the structure, or released.
 
-Wrenches that the hands do against each other through the object have 6 (N - 1) dimensions. At rest
-a motor row reads tau = J_c' lambda, and a passive one 0 = J_cp' lambda. So the dimensions are
+Wrenches of the hands against each other through the object have 6 (N - 1) dimensions. At rest
+motor rows read tau = J_c' lambda, and passive ones 0 = J_cp' lambda, so the dimensions are
 
-    not transmitted    rank J_cp             a hinge gives way to it
-    commanded          rank J_c - rank J_cp  motors bring it about
-    structure          6 (N - 1) - rank J_c  no motor sees it: the links bear what comes
+    not transmitted    rank J_cp             a hinge yields to it
+    commanded          rank J_c - rank J_cp  motors generate it
+    structure          6 (N - 1) - rank J_c  in the left null space: the links bear it
 
-The same ranks of one arm's Jacobian J_i, six dimensions, say what that arm's motors can do against
-whatever holds the object, and of J_j - J_i what a pair of hands can do to each other. Torques count
-as forces at LENGTH.
+The same ranks of one arm's Jacobian J_i, six dimensions, hold for that arm against a fixed object,
+and of J_j - J_i for a pair of hands. Torques count as forces at LENGTH.
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted
 
 @dataclass(frozen=True)
 class Counts:
-    """Dimensions of a space of wrenches, by who decides them.
+    """Dimensions of a space of wrenches.
 
     Attributes:
         commanded, structure, let_go: see the module.
-        weakest: least singular value that is not zero [m or rad for a unit of joint motion].
+        weakest: smallest singular value that is not zero [m or rad for a unit of joint motion].
     """
 
     commanded: int
@@ -62,7 +61,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ArmTransmission:
-    """What one arm's motors can do to an object that is held fast.
+    """One arm's wrenches on an object that is held fast.
 
     Attributes:
         arm: its name.
@@ -77,7 +76,7 @@ class ArmTransmission:
 
 @dataclass(frozen=True)
 class PairTransmission:
-    """What two hands can do to each other.
+    """Wrenches of two hands against each other.
 
     Attributes:
         arms: their names.
@@ -109,12 +108,7 @@ class Transmission:
 
 
 def transmission(chain: ClosedChain, q: Array) -> Transmission:
-    """What becomes of wrenches between the hands.
-
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-    """
+    """Classify the wrenches between the hands at q, shape (n,), with the loops closed."""
     J, passive = chain.object_jacobians(q)[: chain.holding], chain.passive
     X_WO = chain.object_pose(q)
     origin = X_WO.translation
@@ -138,12 +132,7 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
 
 
 def counts(rows: Array, passive: NDArray[np.int_] | Sequence[int]) -> Counts:
-    """The three numbers of rows with which joint motion meets wrenches.
-
-    Args:
-        rows: Jacobian, rotations scaled to lengths, shape (r, n).
-        passive: indices of the joints without a motor.
-    """
+    """The three ranks for a Jacobian, shape (r, n), with rotations scaled to lengths."""
     values = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
     felt = values[values > TOLERANCE]
     let_go = _rank(rows[:, list(passive)])
@@ -152,7 +141,7 @@ def counts(rows: Array, passive: NDArray[np.int_] | Sequence[int]) -> Counts:
 
 
 def _components(rows: Array, units: Array, passive: NDArray[np.int_]) -> dict[str, str]:
-    """What becomes of a unit of each component alone."""
+    """Class of a unit of each component alone."""
     found = {}
     for name, unit in zip(COMPONENTS, units.T, strict=True):
         unit = unit / np.linalg.norm(unit)
@@ -173,7 +162,7 @@ def _rank(rows: Array) -> int:
 
 
 def null_space_of(rows: Array) -> Array:
-    """Basis of what rows do not see, by the same tolerance."""
+    """Basis of the null space of rows, by the same tolerance."""
     if not rows.size:
         return null_space(rows)
     _, values, Vt = np.linalg.svd(rows)

@@ -1,9 +1,9 @@
-"""The classical resolved-rate law of the paper, eq. (33)-(34), shared by three controllers.
+"""The classical resolved-rate law of the paper, eq. (32)-(34), shared by three controllers.
 
     v = (H J_ext)^+ [h_dot; V_rel] + P Z,   P = I_n - (H J_ext)^+ (H J_ext)
 
 H J_ext is the stack of the task rows and the loop rows, V_rel = -kappa e (0 in the paper). The
-identity is n x n, in joint space. It knows no limits; nothing here adds any.
+identity is n x n, in joint space. It knows no limits.
 """
 
 from __future__ import annotations
@@ -25,10 +25,7 @@ Invert = Callable[[Array], NDArray[np.floating[Any]]]
 
 
 class StackedRows:
-    """Task rows above loop rows, V_rel = -kappa e (0 in the paper).
-
-    Args:
-        problem: tasks and closed chain.
+    """Task rows above loop rows, eq. (32).
 
     Attributes:
         tasks: the task rows alone.
@@ -60,12 +57,9 @@ class StackedRows:
 
 
 class ResolvedRateLaw(Law):
-    """Eq. (33) with a chosen inverse.
+    """Eq. (33); ``invert`` maps H J_ext, shape (k + m, n), to its inverse, (n, k + m).
 
-    Args:
-        problem: tasks and closed chain.
-        invert: (k + m, n) -> (n, k + m), the inverse of H J_ext.
-        null_space: whether the secondary objectives enter as Z.
+    Secondary objectives enter as Z where ``null_space`` is true.
     """
 
     def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:
@@ -104,7 +98,7 @@ class ResolvedRateLaw(Law):
 
 
 def _alone(task: Task, J: Array, wanted: Array) -> Array:
-    """The joint velocity of least norm that an objective asks for by itself, shape (n,)."""
+    """The least-norm joint velocity that an objective asks for by itself, shape (n,)."""
     if task.joint_space:
         return wanted
     return least_squares(J, wanted)

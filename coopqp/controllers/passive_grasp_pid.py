@@ -1,7 +1,7 @@
-"""One PID in task space for the whole closed chain: section 5.3 and Fig. 10 of the paper.
+"""PID in task space for the whole closed chain: section 5.3 and Fig. 10 of the paper.
 
 With e the task error (six rows for a pose), e_dot = J v - rate measured, not differentiated, e_m
-a model of how e should decay after a step of the reference, and w = e - e_m:
+a reference model of the decay of e after a step of the reference, and w = e - e_m:
 
     u = kp w + ki int w dt + kd w_dot
 
@@ -15,13 +15,13 @@ independent joints. e_m_dot = -kp e_m.
     Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference and e_m)
 
 and from there to the motors by eq. (23), with redundant motors by eq. (27). e_m decays with the
-task's gain (``_reference_model``). While a motor is at its limit the integral stands still
+task's gain (:mod:`coopqp.torque_law.margins`). While a motor is at its limit the integral is held
 (anti-windup).
 
-Gains that ring in the start's pose with commands one tick late are refused (``_margins``). The
-highest stiffness that holds goes with 1/dt^2, so the torque level's default gains grow weaker from
-4 ms on, those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps
-the shape of the motion and the margin in ticks. A rate is not refused for being low.
+Gains that oscillate at the start with commands one tick late are refused. The highest stable
+stiffness is proportional to 1/dt^2, so the torque level's default gains decrease from 4 ms on,
+those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps the shape
+of the motion and the margin in ticks. A low rate alone is not refused.
 """
 
 from __future__ import annotations
@@ -68,7 +68,6 @@ class KinematicPid(Law):
         settings.require_damping(problem, self._loop)
 
     def decide(self, state: State) -> Command:
-        """One evaluation; the integral is carried in ``state.memory``."""
         tasks, command = self._tasks, self.command
         tasks.update(state)
         e_dot = tasks.J.dot(state.v) - tasks.rate
@@ -83,7 +82,7 @@ class TorquePid(Law):
     """PID on the object's wrench; memory as in :func:`memory_of`.
 
     Attributes:
-        loop: what it does at the start, linear; from it the margins.
+        loop: its linearisation at the start, for the margins.
     """
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
@@ -103,7 +102,6 @@ class TorquePid(Law):
         self._effort = problem.chain.model.effortLimit
 
     def decide(self, state: State) -> Command:
-        """One evaluation; the integral is carried in ``state.memory``."""
         level, command = self._level, self.command
         level.update(state)
         kp, ki, kd = self._gains
@@ -124,7 +122,6 @@ class TorquePid(Law):
         return command
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, BRAKE_TIME)
@@ -184,7 +181,6 @@ class PassiveGraspPid(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """At the torque level."""
         return self.level == "torque"
 
     def build(self, problem: ControlProblem) -> Law:
@@ -218,7 +214,7 @@ class PassiveGraspPid(Controller):
         return found[0], found[1], found[2]
 
     def require_damping(self, problem: ControlProblem, loop: TorqueLoop | VelocityLoop) -> None:
-        """Refuse gains that ring at the start with commands one tick late.
+        """Refuse gains that oscillate at the start with commands one tick late.
 
         Raises:
             InvalidValueError: with the gains to lower, and by how much.

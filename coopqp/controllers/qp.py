@@ -33,8 +33,8 @@ class QPController(Controller):
         """Preallocate the QPs and open the solver, or the kernel, on them.
 
         Raises:
-            InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
-                for that admittance cannot bring about, or without a stated stiffness.
+            InvalidValueError: engine is kernel, which cannot do this problem; a force is asked for
+                that admittance cannot bring about, or without a stated stiffness.
         """
         return self.unprepared(problem).prepare()
 

@@ -8,19 +8,19 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety, also at the tick's end, ``_held_torques``
+                h_i in its cone, friction over safety, at both ends of the tick (``held_torques``)
 
-h are the wrenches of the hands on the object, and h_int what of them is internal and not asked for
-(``_hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority are met in what
-the earlier ones leave free (``_torque_program``). Between hands that press, friction and not the
-model says where they are: kappa^2 e is left out there.
+h are the wrenches of the hands on the object, and h_int their internal part that no task asks for
+(``hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority act in the null
+space of the earlier ones (``program``). Between hands that press, friction and not the model
+decides their relative pose: kappa^2 e is left out there.
 
-g_i is the task's gain, w_i how far the error is from its reference model (``_reference_model``), so
-that a step of the reference does not overshoot. While a motor is at its limit the integral stands
-still. Gains and integrals that ring with commands one tick late are refused (``_margins``).
-lb, ub, G, h are what the scenario's limits say of the next velocity, but a joint near its stop must
-slow down in time: v + a dt <= (upper - q)/brake_time. Where the velocity has already left a limit,
-it comes back with the largest acceleration.
+g_i is the task's gain, w_i the deviation of the error from its reference model (``margins``), so
+that a step of the reference does not overshoot. While a motor is at its limit the integral is held.
+Gains and integrals that oscillate with commands one tick late are refused. lb, ub, G, h are the
+scenario's limits on the next velocity, but a joint near its stop must slow down in time:
+v + a dt <= (upper - q)/brake_time. A velocity beyond a limit recovers with the largest
+acceleration.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ LEAST_TICKS = 4
 
 
 class TorqueQpLaw(Law):
-    """The QPs of one problem; memory: those of ReferenceModel and HeldTorques.
+    """The QPs of one problem; memory: those of ReferenceModel, HeldTorques and the observer.
 
     Attributes:
         settings: as given.
         programs: one a level of priority.
-        hands: what the hands do.
-        wrenches: what tasks ask of them.
+        hands: their wrenches.
+        wrenches: the rows of tasks on these.
     """
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
@@ -106,11 +106,11 @@ class TorqueQpLaw(Law):
 
     @property
     def solution(self) -> Solution:
-        """Its answer."""
+        """Its solution."""
         return self.programs[0].solution
 
     def decide(self, state: State) -> Command:
-        """Assemble, solve, verify; without a usable answer the motors hold and brake."""
+        """Assemble, solve, verify; without a usable solution the motors hold and brake."""
         command = self.command
         self.assemble(state)
         x, causes = self._solved(state)
@@ -150,7 +150,7 @@ class TorqueQpLaw(Law):
         self._held.foresee(state, self.qp)
 
     def _pushed(self, state: State) -> Array | None:
-        """Of the surroundings on the object, as far as somebody knows."""
+        """The external wrench on the object; None where unknown."""
         if isinstance(self._pushes, HandSensors):
             return self._pushes.update(state.memory, state)
         if self._pushes:
@@ -164,7 +164,7 @@ class TorqueQpLaw(Law):
         )  # fmt: skip
 
     def _solved(self, state: State) -> tuple[Array | None, tuple[Status, ...]]:
-        """All that is asked; else hard tasks as soft ones; else beyond the cones, but little."""
+        """The solution with all constraints; else hard tasks softened; else cones violated."""
         x, status = self._solve_levels(state)
         if x is not None or status is not Status.INFEASIBLE:
             return x, (status,)
@@ -180,7 +180,7 @@ class TorqueQpLaw(Law):
     def _solve_levels(
         self, state: State, *, soften: bool = False, keep: bool = True
     ) -> tuple[Array | None, Status]:
-        """The answer of the last level that has one, and what became of the first."""
+        """The solution of the last level that has one, and the status of the first."""
         x, first = None, Status.OPTIMAL
         for i, program in enumerate(self.programs):
             program.keep_cones(keep=keep)
@@ -209,14 +209,14 @@ class TorqueQpLaw(Law):
         return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
 
     def _correction(self, state: State) -> Array:
-        """What of that closes them; hands that press are held together by that."""
+        """The loop correction in accelerations; hands that press are held together by force."""
         dynamics, kappa = self._level.dynamics, self.problem.kappa
         pulls = self.hands.loop_pulls[dynamics.kept]
         back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
         return np.asarray(back, float)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
-        """What the limits say of v + a dt, as bounds and rows on a."""
+        """The limits on v + a dt as bounds and rows on a."""
         bounds, v = self._bounds, state.v
         dt, most = self.problem.dt, self.settings.acceleration
         upper = np.clip((bounds.ub - v) / dt, -most, most)
@@ -227,7 +227,6 @@ class TorqueQpLaw(Law):
         return np.minimum(lower, upper), upper, bounds.G, room
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
         self._held.remember(state, self.qp, None)
         self._level.dynamics.update(state.q, state.v)
@@ -283,11 +282,10 @@ class TorqueQp(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """Always."""
         return True
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains and integrals that ring."""
+        """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
         name = self.name or "torque_qp"
         for task in problem.tasks:
             if task.mode == "scaled":
@@ -306,12 +304,7 @@ class TorqueQp(Controller):
     def observer(
         self, dynamics: ClosedLoopDynamics, dt: float
     ) -> MomentumObserver | HandSensors | None:
-        """Who tells the wrench of the surroundings; None where nobody does.
-
-        Args:
-            dynamics: of arms and object.
-            dt: control period [s].
-        """
+        """The estimator of the external wrench, for a control period [s]; None where unknown."""
         if self.external_wrench == "unknown":
             return None
         if self.external_wrench == "measured":

@@ -1,12 +1,12 @@
 """Inverse dynamics with the object's wrench split among the hands by a formula: a baseline.
 
-    J_c a = -Jdot_c v - back,   J a = wanted       as well as it can, in least squares
+    J_c a = -Jdot_c v - back,   J a = wanted       in least squares
     w = M a_o + b,   h = X w + squeeze (e; -e)      X of a split, e between two hands
     tau = A a + H + sum_i (J_i - J_0)' G_i h_i       within the motors' limits
 
-X knows no friction: without a squeeze hands that press let the object fall, and a squeeze that is
-fixed beforehand is too much at rest or too little in a push. That is what it is there to show; see
-Walker, Freeman and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
+X knows no friction: without a squeeze hands that press drop the object, and a constant squeeze is
+too much at rest or too little in a push, which is what this baseline shows; see Walker, Freeman
+and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
 """
 
 from __future__ import annotations
@@ -107,7 +107,6 @@ class WrenchSplitLaw(Law):
         return np.asarray(P @ least_squares(self._hands.feels[passive] @ P, -tau[passive]), float)
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
@@ -130,11 +129,10 @@ class WrenchSplit(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """Always."""
         return True
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains that ring, squeezes of three hands."""
+        """Refuse tasks that motors cannot decide, oscillating gains, squeezes of three hands."""
         name = self.name or "wrench_split"
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)

@@ -34,8 +34,8 @@ def run(
         scenario: from :func:`coopqp.load`.
         controller: its name in the scenario, or any controller's type name.
         progress: called every few ticks.
-        timed: whether it is asked how long each tick takes; if not, many are done at once where
-            joints do exactly as told, which is faster, and :attr:`Trace.tick_us` is NaN.
+        timed: whether ticks are timed; if not, many are computed at once on plants without errors,
+            which is faster, and :attr:`Trace.tick_us` is NaN.
 
     Raises:
         UnknownNameError: no such controller.
@@ -52,15 +52,7 @@ def run(
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
-    """What a run builds for its first phase, without running it.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        controller: its name in the scenario, or any controller's type name.
-
-    Raises:
-        CoopqpError: as :func:`run`.
-    """
+    """The first phase of a run, built and not run; arguments and errors as for :func:`run`."""
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
     with _own_words(controller):
@@ -68,11 +60,7 @@ def built(scenario: Scenario, controller: str) -> PhaseRun:
 
 
 def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
-    """Refuse a controller by torques where the plant takes none.
-
-    Raises:
-        InvalidValueError: that is so.
-    """
+    """Raise InvalidValueError for a torque controller where the plant takes no torques."""
     if chosen.commands_torques and not scenario.plant.takes_torques:
         raise InvalidValueError(
             f"controller '{name}' commands torques, which this plant does not take; use "
@@ -82,12 +70,7 @@ def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
 
 @contextmanager
 def _own_words(controller: str) -> Iterator[None]:
-    """One line for what nobody foresaw, so that other controllers can be run all the same.
-
-    Raises:
-        InvalidValueError: a user's code has raised something.
-        InternalError: ours has.
-    """
+    """Turn unexpected errors into one line, so that other controllers can be run all the same."""
     try:
         yield
     except (CoopqpError, KeyboardInterrupt):
@@ -98,11 +81,7 @@ def _own_words(controller: str) -> Iterator[None]:
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:
-    """A controller of a scenario, or of its catalogue.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        name: in the scenario, or any controller's type name.
+    """A controller of a scenario, or of its catalogue by type name.
 
     Raises:
         UnknownNameError: no such controller.

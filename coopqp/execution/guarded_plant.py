@@ -1,4 +1,4 @@
-"""A plant that cannot take a rollout down: where it fails, the joints stay where they were."""
+"""A plant that cannot break a rollout: where it fails, the joints stay where they were."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ FARTHEST, FASTEST = 1e8, 1e12
 
 
 class GuardedPlant(PlantModel):
-    """A plant that, where it breaks down, stays where it was: what raises or leaves all numbers.
-
-    Args:
-        plant: any.
+    """Wraps a plant; where it raises or leaves all numbers, everything stays where it was.
 
     Attributes:
-        broken: what happened; empty so far.
+        broken: the failure; empty so far.
         why: that as a status.
     """
 
@@ -34,7 +31,6 @@ class GuardedPlant(PlantModel):
         self._told: State | None = None  # what is true, where that is not the state itself
 
     def step(self, state: State, command: Command) -> None:
-        """As the plant does; where that fails, everything stays as it was."""
         if self.broken:
             return
         if self._plant.lost:  # where it was lost everything stays
@@ -62,7 +58,6 @@ class GuardedPlant(PlantModel):
                 signal[:] = 0.0
 
     def _kept(self, state: State) -> list[_Kept]:
-        """The state, and what is true where that is another one."""
         true = self.truth(state)
         return [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
 
@@ -73,7 +68,6 @@ class GuardedPlant(PlantModel):
         return self._told
 
     def resume(self, before: PlantModel) -> None:
-        """As the plant does."""
         self._plant.resume(before)
 
 
@@ -92,18 +86,14 @@ class _Kept:
 
 
 def _check(state: State) -> None:
-    """Refuse joints that are nowhere.
-
-    Raises:
-        _BreakdownError: a joint's position or speed is no number, or beyond all.
-    """
+    """Raise _BreakdownError where a joint's position or speed is no number, or beyond all."""
     q, v = state.q, state.v
     if not (q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2):
         raise _BreakdownError("its joints run away")
 
 
 def settled(q: Array, v: Array) -> bool:
-    """Whether joints were somewhere at all instants, shapes (T, n) [rad, m; rad/s, m/s]."""
+    """Whether joints stayed within bounds at all instants, shapes (T, n) [rad, m; rad/s, m/s]."""
     far, fast = (np.einsum("ti,ti->t", x, x) for x in (q, v))
     return bool((far < FARTHEST**2).all() and (fast < FASTEST**2).all())
 

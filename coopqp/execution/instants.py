@@ -1,8 +1,7 @@
-"""What is so at each instant of a run: the object, the loops, and the errors of the tasks.
+"""Quantities of each instant of a run: the object, the loops, and the errors of the tasks.
 
-Where joints do exactly as told and nothing arrives from outside, all of it follows from t, q and v,
-and is computed for the whole run at once when it has ended (``TrajectoryEvaluation``). Else the
-plant's truth is looked at in every instant.
+On plants without errors and with no inputs, all of it follows from t, q and v, and is computed for
+the whole run at its end (``TrajectoryEvaluation``). Else the plant's truth is read at each instant.
 """
 
 from __future__ import annotations
@@ -29,18 +28,13 @@ NOTHING = 1e-12  # missed, or possible [m, rad; m/rad]
 
 
 class Instants:
-    """Arrays for all instants of a run.
+    """Arrays for all instants of a run of T ticks from a start.
 
-    Args:
-        problem: what is controlled.
-        plant: that is.
-        start: where it begins.
-        ticks: T.
-        alone: whether nothing arrives from outside.
+    ``alone`` says that no inputs arrive.
 
     Attributes:
         at_end: whether all is computed when the run has ended, by :meth:`follow`.
-        parts: what the trace says of each part of each task, and its rows.
+        parts: info of each part of each task, and its rows.
         position, rotation, loop, task_error, goal_error, e, rate, points: as in the trace; ``loop``
             has both errors.
     """
@@ -78,7 +72,7 @@ class Instants:
         self.e, self.rate = np.full((2, rows, asked), np.nan)
 
     def keep(self, k: int, true: State) -> None:
-        """Look at what is so before tick k, which is what tick k - 1 has led to."""
+        """Record the instant before tick k, which is the result of tick k - 1."""
         if self.at_end:
             return
         if k:
@@ -102,7 +96,7 @@ class Instants:
         self._wrench_errors(k, true)
 
     def _wrench_errors(self, k: int, true: State) -> None:
-        """How far the hands' wrenches are from what is wanted; nobody knows before the first."""
+        """Errors of the hands' wrenches; unknown before the first tick."""
         told, motion = self._wrenches, len(self._stacks[0][0].e)
         if not len(told.stack.wanted):
             return
@@ -113,20 +107,16 @@ class Instants:
                 self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
 
     def _close(self, k: int, v: Array) -> None:
-        """Keep how far the step of tick k has missed the velocities that tasks ask for."""
+        """Record the velocity errors of the step of tick k."""
         for i in self._velocities:
             part = self.parts[i][1]
             for stack, error in self._stacks:
                 error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
 
     def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
-        """Compute all of it, after the run.
+        """Compute all of it after the run, from t (T + 1,), q (T + 1, n) and v (T, n).
 
-        Args:
-            t: shape (T + 1,) [s].
-            q: shape (T + 1, n) [rad, m].
-            v: shape (T, n).
-            gap: of the closed loops, which has not changed, shape (6 L,) [m, rad].
+        ``gap`` of the closed loops, shape (6 L,) [m, rad], has not changed.
         """
         chain = self._problem.chain
         if self._survey is None:
@@ -154,7 +144,7 @@ class Instants:
             at += len(points)
 
     def leverage(self, start: State, end: State) -> Array:
-        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+        """As :func:`leverage`, of each part, shape (K,)."""
         parts = [part for _, part in self.parts]
         own = None if self.at_end else self._stacks[0][0]
         stack = own or TaskStack(self._problem.tasks, self._begin)
@@ -164,20 +154,14 @@ class Instants:
 
 
 def _beginning(problem: ControlProblem, start: State) -> State:
-    """The state from which references set out, in arrays of its own."""
+    """The state from which references begin, in arrays of its own."""
     begin = State(problem.chain, start.q, start.t)
     begin.inputs = start.inputs
     return begin
 
 
 class _MeasuredWrenches:
-    """What tasks ask of the hands' wrenches, against what the plant tells of them.
-
-    Args:
-        problem: with the tasks.
-        start: the state from which their references set out.
-        plant: that tells ``hand_wrench``.
-    """
+    """Wrenches that tasks ask for, against the plant's ``hand_wrench``."""
 
     def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
         self.stack = WrenchStack(problem.wrenches, _beginning(problem, start))
@@ -200,7 +184,7 @@ class _MeasuredWrenches:
 
 
 def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
-    """What the trace says of each part of each task, and its rows in the stack."""
+    """Trace info of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
         first = at
@@ -223,12 +207,17 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
 def leverage(
     tasks: TaskStack, parts: Sequence[slice], velocities: Collection[int], start: State, end: State
 ) -> Array:
-    """Of what is missed of each part, what can be brought about at the end over that at the start.
+    """Directional manipulability of each part's error at the end over that at the start.
+
+    With N a basis of the joint motions that keep the loops closed, J the rows of a task and u the
+    direction of its error, a unit of joint motion moves at most |N' J' u| along it. Where that has
+    all but vanished, the pose is singular in that direction: the arms are stretched, and no limit
+    is to blame.
 
     Args:
         tasks: evaluated here; as of the end when it returns.
         parts: rows of each part.
-        velocities: which of the parts ask for a velocity, so that its error is what is missed.
+        velocities: which of the parts ask for a velocity, so that its error counts.
         start: of the run, but with the time of its end.
         end: of the run.
 
@@ -252,15 +241,7 @@ def leverage(
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
-    """Joint origins and hand of each arm at each configuration, for drawing.
-
-    Args:
-        chain: the closed chain.
-        q: shape (T, n).
-
-    Returns:
-        By arm, base first, shape (T, p, 3) [m].
-    """
+    """Joint origins and hand of each arm, base first, shape (T, p, 3) [m], at q (T, n)."""
     model, data = chain.model, chain.model.createData()
     joints = {
         arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)]

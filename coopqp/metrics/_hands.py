@@ -1,7 +1,5 @@
 """What metrics of the hands have in common: their signals, from when the hands have taken hold."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.assessment import assess
@@ -13,13 +11,7 @@ TAKEN = 0.05
 
 
 def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
-    """A signal of hands that press, shape (T', N, width); None where the plant tells none.
-
-    Args:
-        trace: of a run.
-        signal: its name.
-        width: how many numbers a hand has.
-    """
+    """A signal of hands that press, shape (T', N, width); None where the plant has none."""
     told = trace.signals.get(signal)
     first = min(round(TAKEN / trace.dt), trace.ticks - 1)
     if told is None or not trace.ticks:
@@ -28,11 +20,7 @@ def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
 
 
 def margin(use: Array | None) -> float | None:
-    """What the largest use of any hand leaves of 1; none where none is told.
-
-    Args:
-        use: by tick and hand, NaN where there is nothing to use.
-    """
+    """One less the largest use of any hand, NaN where there is none; None where there is no use."""
     if use is None or np.isnan(use).all():
         return None
     return 1.0 - float(np.nanmax(use))

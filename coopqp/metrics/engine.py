@@ -1,7 +1,5 @@
 """What solved the QPs: the compiled kernel or Python; null for laws without a QP."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import spec
@@ -14,7 +12,6 @@ class Engine(Metric):
     """What solved the QPs, and how many ticks the kernel left to Python; null without a QP."""
 
     def measure(self, trace: Trace) -> dict[str, str | int] | None:
-        """Over the whole run."""
         if trace.engine is None:
             return None
         left = trace.ticks - int(np.count_nonzero(trace.compiled))

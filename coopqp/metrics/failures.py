@@ -1,7 +1,5 @@
 """The failed ticks, each with its cause."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from coopqp.base.spec import spec
@@ -14,7 +12,6 @@ class Failures(Metric):
     """The failed ticks, each with its cause."""
 
     def measure(self, trace: Trace) -> list[dict[str, Any]]:
-        """Over the whole run."""
         return [{"tick": failure.tick, "cause": _written(failure)} for failure in trace.failures]
 
 

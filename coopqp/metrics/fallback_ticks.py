@@ -1,7 +1,5 @@
 """Ticks in which something was given up to have an answer, by what."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from coopqp.base.spec import spec

@@ -1,7 +1,5 @@
 """How far the hands end apart from what the model says: its calibration error."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -20,8 +18,8 @@ class Gap(Metric):
     def measure(self, trace: Trace) -> dict[str, float]:
         """The largest of the loops in the last tick, as the controller observed it.
 
-        Along the line between hands that squeeze by admittance the gap is what they press, and says
-        nothing of the model.
+        Along the line between hands that squeeze by admittance the gap is the commanded
+        displacement, and no calibration error.
         """
         last = trace.gap[-1].copy() if trace.ticks else np.zeros(0)
         e = _squeezed_along(trace)

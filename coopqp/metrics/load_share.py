@@ -1,7 +1,5 @@
 """Which share of the object's weight each arm carries."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import spec

@@ -1,7 +1,5 @@
 """Each task row's largest error on the way."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""What plants with masses share: servos, delay, sensors, and the signals they tell."""
+"""What plants with masses share: servos, delay, sensors, and their signals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DynamicModel(PlantModel):
         servo: of the joints.
         time_step: of the integration [s]; must divide the control period.
         seed: of the noise.
-        disturbance: what the controller does not know.
+        disturbance: unknown to the controller.
 
     Attributes:
         true: the state of the true chain, before noise; its time goes on from phase to phase.
@@ -73,7 +73,6 @@ class DynamicModel(PlantModel):
         self.servo.hold(self.measured)
 
     def step(self, state: State, command: Command) -> None:
-        """One control period."""
         self._slip()
         self.servo.begin(self._delayed(command), self.true.q)
         self._at_limit[:] = 0.0
@@ -88,7 +87,6 @@ class DynamicModel(PlantModel):
         self._measure(state, command)
 
     def truth(self, state: State) -> State:
-        """Before noise, on the true chain."""
         told = self._told
         told.t, told.q[:], told.v[:] = state.t, self.true.q, self.true.v
         told.update()
@@ -97,9 +95,9 @@ class DynamicModel(PlantModel):
     def resume(self, before: PlantModel) -> None:
         """Take over time, motion, servos, commands on their way and the stream of noise.
 
-        The arms hold the object where they really are. Where velocities are commanded, the servos
-        hold what was measured last, from where the controller goes on, and what was on its way is
-        void; with torques nothing stops.
+        The arms hold the object where they really are. With velocity commands, the servos hold the
+        last measured angles, from where the controller goes on, and delayed commands are dropped;
+        with torques nothing stops.
         """
         assert isinstance(before, DynamicModel)
         old, released = before.true, self.true.chain.hold.released
@@ -114,7 +112,7 @@ class DynamicModel(PlantModel):
         self.attach(before)
 
     def _slip(self) -> None:
-        """Let the object slip in a hand by what has come since the last period."""
+        """Let the object slip in a hand by the change since the last period."""
         distance = self.disturbance.slipped(self.true.t)
         if distance != self._slipped:
             step, self._slipped = distance - self._slipped, distance
@@ -122,7 +120,6 @@ class DynamicModel(PlantModel):
             self.grip()
 
     def _occupy(self, chain: ClosedChain, old: State) -> None:
-        """Put another true chain where the old one is."""
         self.true, self._told = State(chain, old.q, old.t), State(chain)
         self.true.v[:] = old.v
 
@@ -143,7 +140,6 @@ class DynamicModel(PlantModel):
         """Kinetic and potential energy [J]."""
 
     def _delayed(self, command: Command) -> Command:
-        """The command that arrives now."""
         if not self._late:
             return command
         self._late.append(command.copy())

@@ -1,4 +1,4 @@
-"""What plants with masses tell of the hands: their wrenches, friction, slip, and what is held."""
+"""Signals of the hands in plants with masses: wrenches, friction, slip, and whether it is held."""
 
 from __future__ import annotations
 
@@ -18,19 +18,17 @@ ROUNDING = 1e-3
 class HandSignals:
     """Signals of the hands, in the robot's order of arms; zero for those that hold nothing.
 
-    Args:
-        chain: as it really is.
-        friction: of real contacts over the modelled one.
+    ``chain`` is the true one, and ``friction`` that of real contacts over the modelled one.
 
     Attributes:
         hands: those that hold, in the chain's order.
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
             N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
-            ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), the
-            friction that is needed over what there is, at most ``MOST_USE``, ``edge_use`` (N,), how
-            far out on the pad the pressure is, 1 at its edge, ``slip`` (N,), how far the object has
-            moved along the contact [m], and ``held`` (1,), 1 until the object is lost. Both uses
-            are NaN while a hand presses on nothing, and ``edge_use`` of a point always is.
+            ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), required
+            over available friction, at most ``MOST_USE``, ``edge_use`` (N,), how far out on the pad
+            the pressure is, 1 at its edge, ``slip`` (N,), how far the object has moved along the
+            contact [m], and ``held`` (1,), 1 until the object is lost. Both uses are NaN while a
+            hand presses on nothing, and ``edge_use`` of a point always is.
         lost: which hand lost it and why; empty while it is held.
     """
 
@@ -59,14 +57,14 @@ class HandSignals:
     def tell(
         self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
     ) -> None:
-        """Write what the hands do now.
+        """Write the signals.
 
         Args:
             wrenches: on the object, each at its point, world axes, shape (holding, 6).
             points: in the world, shape (holding, 3) [m].
             in_contacts: the same wrenches in the contacts' frames, shape (holding, 6).
-            borne: what friction does at all points of each contact, one by one, summed up without
-                signs, shape (holding,) [N]; by the contact's own model of friction if omitted.
+            borne: sum of the friction forces' sizes over all points of each contact, shape
+                (holding,) [N]; by the contact's own model of friction if omitted.
         """
         for name, told in self.signals.items():
             if name not in ("held", "slip"):
@@ -86,11 +84,7 @@ class HandSignals:
                     self.signals["friction_use"][i] = min(use, MOST_USE)
 
     def touch(self, dt: float) -> None:
-        """Count how long hands have not pressed; the object is lost after some time.
-
-        Args:
-            dt: since the last call [s].
-        """
+        """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
         for hand, i in zip(self.hands, self._at, strict=True):
             if hand.contact:
                 touches = self.signals["normal_force"][i] > 0.0
@@ -99,7 +93,7 @@ class HandSignals:
                     self.lose(f"{hand.arm} no longer touches it")
 
     def bear(self) -> None:
-        """Take the object for lost where friction cannot bear what the hands would have to do."""
+        """Declare the object lost where friction cannot bear the hands' wrenches."""
         for hand, i in zip(self.hands, self._at, strict=True):
             if not hand.contact:
                 continue
@@ -111,7 +105,7 @@ class HandSignals:
                 self.lose(f"{hand.arm} needs more friction than there is")
 
     def lose(self, why: str) -> None:
-        """The object is lost, from now on."""
+        """Declare the object lost from now on."""
         if not self.lost:
             self.lost = why
         self.signals["held"][0] = 0.0

@@ -2,9 +2,9 @@
 
 Each joint of the chain is a body, the object is a free body, and a weld holds it in each hand
 (behind the grasp's passive joints, where there are some). Welds are springs: the loop opens by
-some tenths of a millimetre under load, as a real grasp does; with spring hands it does by as much
-as their springs yield, which is not taken for an open loop. Where a hand presses there is no weld
-but a contact with friction, and nothing else holds the object.
+some tenths of a millimetre under load, as with a real grasp; spring hands yield further, which is
+not counted as an open loop. Where a hand presses there is no weld but a contact with friction, and
+nothing else holds the object.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class MujocoModel(DynamicModel):
 
     Attributes:
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
-            it [m], ``internal_wrench`` (6 N,), what the hands do to the object that cancels,
-            arm by arm [N, N m], world axes, and those of :class:`HandSignals`.
+            it [m], ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm
+            by arm [N, N m], world axes, and those of :class:`HandSignals`.
 
     Raises:
         MissingDependencyError: mujoco is not installed.
@@ -94,7 +94,7 @@ class MujocoModel(DynamicModel):
                 )
 
     def truth(self, state: State) -> State:
-        """Before noise; where hands press or yield, the object is where it is by itself."""
+        """Before noise; where hands press or yield, the object is a free body."""
         told = super().truth(state)
         if self._yielding:
             places = self._data.xpos[self._yielding]
@@ -107,7 +107,7 @@ class MujocoModel(DynamicModel):
         return told
 
     def attach(self, before: PlantModel) -> None:
-        """Everything moves on as it did; the welds stop hands that move otherwise."""
+        """Motion goes on; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
         self._told_hands = before._told_hands
         self._told_hands.follow(self.true.chain)
@@ -119,7 +119,7 @@ class MujocoModel(DynamicModel):
         self._go_on(self._data)
 
     def _go_on(self, before: Any) -> None:
-        """Weld as the true chain says. The same bodies and joints are in the same order."""
+        """Rebuild for the true chain, with the same bodies and joints in the same order."""
         self._open()
         self._data.qpos[:], self._data.qvel[:] = before.qpos, before.qvel
         self._mujoco.mj_forward(self._model, self._data)
@@ -165,7 +165,7 @@ class MujocoModel(DynamicModel):
         true.q[self._moved], true.v[self._moved] = data.qpos[self._q], data.qvel[self._v]
 
     def energy(self) -> tuple[float, float]:
-        """Kinetic and potential energy by MuJoCo; keeps gap and wrenches of this instant too."""
+        """Kinetic and potential energy by MuJoCo; updates the gap and wrench signals too."""
         data = self._data
         place = data.xpos[self._object]
         R_WO = data.xmat[self._object].reshape(3, 3)
@@ -225,7 +225,7 @@ class MujocoModel(DynamicModel):
                 told.signals["slip"][self._held_by[i]] = np.hypot(away[0], away[1])
 
     def _follow_balls(self, R_WO: Array) -> None:
-        """Angles of the joints that stand for a fingertip, from how the object is turned."""
+        """Angles of the joints that stand for a fingertip, from the object's rotation."""
         true = self.true
         for index, X_JT, R_EO, joint in self._balls:
             R_WT = self._data.xmat[self._model.body(joint).id].reshape(3, 3) @ X_JT
@@ -235,10 +235,10 @@ class MujocoModel(DynamicModel):
             true.v[index] = (true.q[index] - before) / self._dt
 
     def _wrenches(self) -> tuple[Array, Array]:
-        """What each hand does to the object, at its origin in world axes, shape (holding, 6).
+        """Each hand's wrench on the object, at its origin in world axes, shape (holding, 6).
 
-        And what friction does along the faces at all points of each contact, summed up without
-        signs, so that it can be no more than friction times normal force; shape (holding,) [N].
+        And the sum of the friction forces' sizes over all points of each contact, shape (holding,)
+        [N], which is at most friction times normal force.
         """
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
@@ -280,7 +280,7 @@ def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
 
 
 def angles_xyz(R: Array) -> Array:
-    """The angles of turns about x, y and z, one after the other, R = Rx Ry Rz, shape (3,) [rad]."""
+    """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
     return np.array(
         [
             np.arctan2(-R[1, 2], R[2, 2]),
@@ -308,5 +308,4 @@ class Mujoco(Plant):
     """What yields between each arm and the object; nothing but the welds if omitted."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """At rest at the chain's start."""
         return MujocoModel(problem, self, seed, disturbance)

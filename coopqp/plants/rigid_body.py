@@ -34,9 +34,9 @@ class RigidBodyModel(DynamicModel):
         problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut
-            off, and ``internal_wrench`` (6 N,), what the hands do to the object that cancels, arm
-            by arm [N, N m], world axes, and those of :class:`HandSignals`.
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off,
+            ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm
+            [N, N m], world axes, and those of :class:`HandSignals`.
 
     Hands that press hold the object as if they were fastened, until friction cannot bear it: then
     it is lost, and the run ends.
@@ -57,7 +57,7 @@ class RigidBodyModel(DynamicModel):
         self.signals |= self._told_hands.signals
 
     def attach(self, before: PlantModel) -> None:
-        """Hands that take hold while they move stop without a bounce."""
+        """Hands that attach while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true
         self._told_hands = before._told_hands
@@ -73,12 +73,11 @@ class RigidBodyModel(DynamicModel):
         true.v[:] = impact.impact(true.v)
 
     def grip(self) -> None:
-        """The arms give way at once to close the loops as they are now."""
+        """The arms yield at once to close the loops as they are now."""
         self.true.close_loops(SLIP_STEPS)
         self._open()
 
     def _open(self) -> None:
-        """Make dynamics and end stops of the true chain."""
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
@@ -91,7 +90,7 @@ class RigidBodyModel(DynamicModel):
         self._seen = b""  # the state that the dynamics are up to date with, if that may come again
 
     def integrate(self) -> None:
-        """One step of the Runge-Kutta method, then back on the loops."""
+        """One Runge-Kutta step, then a projection on the closed loops."""
         h, true = self.h, self.true
         q, v, t = true.q, true.v, true.t
         self._follow(q, v)
@@ -111,7 +110,7 @@ class RigidBodyModel(DynamicModel):
         true.close_loops()
 
     def energy(self) -> tuple[float, float]:
-        """Kinetic and potential energy; keeps the wrenches of this instant as well."""
+        """Kinetic and potential energy; updates the wrench signals as well."""
         true, dynamics = self.true, self._dynamics
         self._follow(true.q, true.v)
         a = self._accelerated(true.q, true.v, true.t)
@@ -122,7 +121,7 @@ class RigidBodyModel(DynamicModel):
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _tell_hands(self, by_arm: Array) -> None:
-        """What the hands do at their points; where friction cannot bear it the object is lost."""
+        """Write the hands' signals; the object is lost where friction cannot bear it."""
         true, told = self.true, self._told_hands
         at = points(told.hands, true.p_WO, true.R_WO)
         wrenches = [moved(h, true.p_WO, p) for h, p in zip(by_arm, at, strict=False)]
@@ -157,11 +156,13 @@ class RigidBodyModel(DynamicModel):
 
 
 class EndStops:
-    """The stops of one chain.
+    """Joint end stops: stiff, damped springs that only push back.
 
-    Args:
-        chain: with the limits; a joint that starts beyond one has its stop there.
-        h: integration step [s].
+        tau = -k (q - upper) - d v,   k = effort / STOP_ANGLE,   d = 2 sqrt(k W_jj)
+
+    with 1/W_jj the inertia at the joint, the loops closed, so that a joint comes to rest there
+    without a bounce. A light joint's spring is softer where the integration step h [s] requires it.
+    A joint of the chain that starts beyond a limit has its stop there.
     """
 
     def __init__(self, chain: ClosedChain, h: float) -> None:
@@ -177,7 +178,7 @@ class EndStops:
         self._follows, self._nothing = True, np.zeros(chain.n)
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
-        """Follow the inertia that the joints see, after ``dynamics.update``."""
+        """Update the inertia at the joints, after ``dynamics.update``."""
         # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
         self._A, self._J, self._follows = dynamics.A.copy(), dynamics.J.copy(), False
 
@@ -188,7 +189,7 @@ class EndStops:
         self._follows = True
 
     def torque(self, q: Array, v: Array) -> Array:
-        """What the stops do to the joints, shape (n,) [N m]; not to be written to."""
+        """Torques of the stops on the joints, shape (n,) [N m]; not to be written to."""
         if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
         if not self._follows:
@@ -213,5 +214,4 @@ class RigidBody(Plant):
     """Whether joints stop at their position limits: full torque presses them in by 5 mrad."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """At rest at the chain's start."""
         return RigidBodyModel(problem, self, seed, disturbance)

@@ -34,17 +34,15 @@ from coopqp.model.state import Memory, State
 
 
 class MomentumObserver:
-    """Follows a chain; what it remembers from tick to tick is in the law's memory.
+    """Estimates the external wrench on one chain from torques; its state is in the law's memory.
 
-    Args:
-        dynamics: of arms and modelled object, up to date whenever this is updated.
-        gain: K [1/s].
-        dt: time between updates [s]; at most 1/K.
+    ``dynamics``, with the modelled object, must be up to date at each update. ``gain`` is K [1/s],
+    at most 1/dt.
 
     Attributes:
-        wrench: force and torque on the object at its origin, world axes, as of the last
-            update, shape (6,) [N, N m].
-        memory_sizes: what to remember; "observer.tau" is for whoever commands torques to write.
+        wrench: force and torque on the object at its origin, world axes, as of the last update,
+            shape (6,) [N, N m].
+        memory_sizes: what to remember; whoever commands torques writes "observer.tau".
 
     Raises:
         InvalidValueError: gain times dt is above one, where it would overshoot.
@@ -67,16 +65,9 @@ class MomentumObserver:
         }  # fmt: skip
 
     def update(self, memory: Memory, q: Array, v: Array) -> Array:
-        """The wrench at the end of a period; zero at the first update, with which it begins.
+        """The wrench at the end of a period at q and v; zero at the first update.
 
-        Args:
-            memory: with the torques of all joints during the period as "observer.tau" [N m];
-                written.
-            q: configuration at its end, shape (n,).
-            v: velocity there, shape (n,).
-
-        Returns:
-            ``wrench``.
+        Memory is written; its "observer.tau" are the torques of all joints in the period [N m].
         """
         dt, dynamics = self._dt, self._dynamics
         now, momentum = self._forces(q, v), dynamics.A.dot(v)
@@ -103,16 +94,13 @@ class MomentumObserver:
 
 
 class HandSensors:
-    """Of one chain; what it remembers from tick to tick is in the law's memory.
+    """Measures the external wrench on one chain by the hands; its state is in the law's memory.
 
-    Args:
-        dynamics: of arms and modelled object, up to date whenever this is updated.
-        gain: one over the low pass's time constant [1/s].
-        dt: time between updates [s].
+    ``dynamics``, with the modelled object, must be up to date at each update. ``gain`` is the
+    inverse of the filter's time constant [1/s].
 
     Attributes:
-        wrench: force and torque on the object at its origin, world axes, as of the last
-            update, shape (6,) [N, N m].
+        wrench: as of :class:`MomentumObserver`.
         memory_sizes: what to remember.
     """
 
@@ -128,19 +116,11 @@ class HandSensors:
 
     @property
     def fault(self) -> str:
-        """Why what was measured last cannot be used; empty if it can."""
+        """Why the last measurement cannot be used; empty if it can."""
         return self._felt.fault
 
     def update(self, memory: Memory, state: State) -> Array:
-        """The wrench at the end of a period; zero at first, the last where nothing is measured.
-
-        Args:
-            memory: written.
-            state: up to date, with ``hand_wrench``.
-
-        Returns:
-            ``wrench``.
-        """
+        """The wrench at the end of a period; zero at first, the last where nothing is measured."""
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
         kept = memory["sensors.wrench"]
         found = self._felt.read(state.hand_wrench)

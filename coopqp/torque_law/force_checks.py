@@ -1,4 +1,4 @@
-"""What forces a torque law is refused for, at the start and at rest: by linear programs."""
+"""Checks of wanted forces at the start and at rest, by linear programs."""
 
 from __future__ import annotations
 
@@ -18,16 +18,11 @@ ROUNDING = 1e-6
 
 
 def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
-    """Refuse grasps that do not hold with this safety, and wrenches that cannot be had.
-
-    Args:
-        problem: to be controlled.
-        safety: friction is counted on over this.
-        name: of the controller.
+    """Refuse grasps that do not hold with friction over ``safety``, and unreachable wrenches.
 
     Raises:
         GraspError: hands that press cannot carry the object, or hard tasks ask for wrenches that
-            the grasp cannot bear together; says which.
+            the grasp cannot transmit together; says which.
         InvalidValueError: a wrench beyond what motors and friction give; says how much they do.
     """
     pressing = any(grasp.contact for grasp in problem.chain.grasps.values())
@@ -53,9 +48,7 @@ def _require_each(hold: StaticHold, asked: WrenchStack, name: str) -> None:
 def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
     """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
 
-    Args:
-        hold: what the hands can do.
-        asked: what they shall, up to date at the same pose.
+    ``asked`` must be up to date at the pose of ``hold``.
     """
     for row, C, wanted in zip(asked.rows, asked.C, asked.wanted, strict=True):
         least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))

@@ -1,4 +1,4 @@
-"""The hands' wrenches as variables of a QP: their effect, their cones and what they cost.
+"""Hand wrenches as variables of a QP: dynamics, friction cones and cost.
 
 h (6 N,) are the wrenches of the hands that hold the object, each at its point, in world axes. With
 J_i the object's Jacobian by arm i, G_i from hand i to the object's origin, and the object's mass on
@@ -8,9 +8,9 @@ arm 0 of the tree,
     G h = M (J_0 a + drift_0) + b                         dynamics of the object
     C_i R_i h_i <= sigma,  f_z >= least - sigma           hands that press; sigma = 0
 
-What is internal costs |(1 - X G) h - t|^2, torques over a hand's size, with X of a split by its
-name and t the least internal wrench that tasks ask for. What moves the object costs nothing more,
-so that a mass is not carried lower to save force.
+Internal wrenches cost |(1 - X G) h - t|^2, torques divided by a hand's size, with X of the named
+split and t the smallest internal wrench that tasks ask for. The part that moves the object has no
+further cost, so that a mass is not carried lower to save force.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ SHARE_SUM = 1e-6
 
 
 class HandWrenches:
-    """Of one problem.
+    """The wrenches of one problem's hands.
 
     Args:
         chain: the closed chain.
-        safety: friction is counted on over this.
-        split: which one says what is internal.
+        safety: by which friction is divided.
+        split: which one defines what is internal.
         shares: of the object's weight by arm; "weights" as in the object's pose, "motors" in
             proportion to what each arm's motors have left.
 
@@ -64,7 +64,7 @@ class HandWrenches:
         G: grasp matrix, shape (6, 6 N).
         feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
         cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
-        most: what is kept of that now, shape (c,); see ``_held_torques``.
+        most: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.held_torques`.
         in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
         split: of this instant.
 
@@ -120,12 +120,7 @@ class HandWrenches:
         self.cones = np.zeros((len(self.most), self.size))
 
     def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
-        """Follow the arms.
-
-        Args:
-            state: with its kinematics up to date.
-            dynamics: up to date, with all of the object's mass on arm 0.
-        """
+        """Update to a state; dynamics must be up to date, with the object's mass on arm 0."""
         self.points[:] = points(self.hands, state.p_WO, state.R_WO)
         self.G[:] = grasp_matrix(self.points, state.p_WO)
         J = dynamics.J_arms
@@ -150,11 +145,7 @@ class HandWrenches:
         return virtual_inertia(self.points, state.p_WO, masses, HAND_RADIUS**2 * masses)
 
     def cost(self, wrenches: WrenchStack) -> tuple[Array, Array]:
-        """What is internal and not asked for, as P and q of 1/2 h'P h + q'h.
-
-        Args:
-            wrenches: what tasks ask for, up to date.
-        """
+        """The cost of internal wrenches that no task asks for, as P and q of 1/2 h'P h + q'h."""
         B = self._metric[:, None] * self.split.projector
         P = B.T @ B
         if not len(wrenches.wanted):

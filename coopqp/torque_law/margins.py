@@ -1,11 +1,24 @@
-"""Whether a loop is damped: the very steps of the law against a plant that is linear and late.
+"""Reference models and stability margins of torque and velocity laws.
 
-The plant of a torque law is e_ddot = a for each row of the tasks, a held for dt; that of a velocity
-law e_dot = u. A command arrives some ticks late. Both together are one linear map from tick to
-tick, and a pole z of it turns and decays as exp(s dt) = z, with the damping ratio -Re s / |s|.
+With g the gain of a row's task, a critically damped reference model of its error e,
 
-Settings are refused where, with one tick of delay, some pole is damped less than 0.215: there each
-swing is half as high as the one before (quarter-amplitude damping, Ziegler and Nichols 1942).
+    e_m_ddot = -2 g e_m_dot - g^2 e_m,   deviation = e - e_m
+
+An integral of e must return to zero after a step of the reference, so that e overshoots; an
+integral of the deviation is unaffected by the step, and sees all effects of payload or pushes.
+The model has to take over each step of the reference, so the deviation is what is kept, by the
+rates, in which a step does not show (e_dot = J v - rate), and e_m = e - deviation:
+
+    deviation += dt (e_dot - e_m_dot),   e_m_dot += dt e_m_ddot
+
+A step of the reference's *rate*, as ``constant_velocity`` has, counts as a deviation.
+
+Margins come from the law's own steps against a linear plant with delay: e_ddot = a for each row of
+a torque law, a held for dt; e_dot = u for a velocity law. A command arrives some ticks late. Both
+together are one linear map from tick to tick, and a pole z of it oscillates and decays as
+exp(s dt) = z, with the damping ratio -Re s / |s|. Settings are refused where, with one tick of
+delay, some pole is damped less than 0.215: there each oscillation has half the amplitude of the one
+before (quarter-amplitude damping, Ziegler and Nichols 1942).
 """
 
 from __future__ import annotations
@@ -30,16 +43,12 @@ STILL = 1e-4
 
 
 def memory_of(k: int) -> dict[str, int]:
-    """What a law with a model of k rows remembers: "integral" of the deviation, and e_m_dot."""
+    """Memory of a law with k rows: "integral" of the deviation, the deviation, and e_m_dot."""
     return {"integral": k, "deviation": k, "model_rate": k}
 
 
 class ReferenceModel:
-    """The model of all task rows; what it remembers is in the law's memory.
-
-    Args:
-        gains: of the rows, shape (k,) [1/s].
-        dt: control period [s].
+    """The model of all task rows with gains of shape (k,) [1/s]; its state is in the law's memory.
 
     Attributes:
         memory_sizes: see :func:`memory_of`.
@@ -52,17 +61,14 @@ class ReferenceModel:
         self._gains, self._dt = gains, dt
 
     def update(self, memory: Memory, e: Array) -> None:
-        """What the model's error does now, given the error, shape (k,)."""
+        """Compute the model's acceleration, given the error, shape (k,)."""
         g, model_error = self._gains, e - memory["deviation"]
         self.e_ddot[:] = -g * (2.0 * memory["model_rate"] + g * model_error)
 
     def advance(self, memory: Memory, e_dot: Array, *, integrate: bool) -> None:
-        """Carry the memory to the next tick, after :meth:`update`.
+        """Advance the memory to the next tick, after :meth:`update`, with the measured e_dot, (k,).
 
-        Args:
-            memory: written.
-            e_dot: of the measured error, shape (k,).
-            integrate: False while motors are at their limits: more would not help.
+        Integrate is False while motors are at their limits (anti-windup).
         """
         dt, deviation, model_rate = self._dt, memory["deviation"], memory["model_rate"]
         if integrate:
@@ -73,11 +79,9 @@ class ReferenceModel:
 
 
 def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
-    """Least damping ratio of the poles of a linear step; negative where it is unstable.
+    """Smallest damping ratio of the poles of a linear step of a state, shape (size,).
 
-    Args:
-        step: from the loop's state at one tick to that at the next, shape (size,).
-        size: of the state.
+    Negative where it is unstable.
     """
     matrix = np.column_stack([step(unit) for unit in np.eye(size)])
     z = np.linalg.eigvals(matrix).astype(complex)
@@ -93,9 +97,9 @@ class TorqueLoop:
     Attributes:
         gains: of the reference model, shape (k,) [1/s].
         kp, ki, kd: shape (k,).
-        W: what acceleration a wrench gives, shape (k, k) [1/kg, ...].
-        forward: 1 where the model's acceleration is fed forward, 0 where not.
+        W: acceleration by a wrench, shape (k, k) [1/kg, ...].
         dt: control period [s].
+        forward: 1 where the model's acceleration is fed forward, 0 where not.
     """
 
     gains: Array
@@ -107,11 +111,11 @@ class TorqueLoop:
     forward: float = 1.0
 
     def times(self, kp: float, ki: float, kd: float) -> TorqueLoop:
-        """The same with other gains, each times a number."""
+        """The same with gains multiplied."""
         return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
 
     def damping(self, delay: int = DELAY) -> float:
-        """Least damping ratio with commands late by some ticks."""
+        """Smallest damping ratio with commands late by some ticks."""
         k, dt = len(self.gains), self.dt
         model = ReferenceModel(self.gains, dt)
         memory = Memory(model.memory_sizes)
@@ -147,7 +151,7 @@ class VelocityLoop:
     dt: float
 
     def decide(self, memory: Memory, e: Array, e_dot: Array) -> Array:
-        """J v - rate that the law wants, e_dot being that of the last period; shape (k,)."""
+        """The wanted J v - rate, shape (k,), with e_dot of the last period."""
         deviation, integral = memory["deviation"], memory["integral"]
         model_rate = memory["model_rate"]
         w_dot = e_dot - model_rate
@@ -157,11 +161,11 @@ class VelocityLoop:
         return model_rate - self.kp * deviation - self.ki * integral - self.kd * w_dot
 
     def times(self, kp: float, ki: float, kd: float) -> VelocityLoop:
-        """The same with other gains, each times a number."""
+        """The same with gains multiplied."""
         return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
 
     def damping(self, delay: int = DELAY) -> float:
-        """Least damping ratio with commands late by some ticks."""
+        """Smallest damping ratio with commands late by some ticks."""
         k = len(self.kp)
         memory = Memory(memory_of(k))
         own = 2 * k + len(memory.numbers)
@@ -177,13 +181,9 @@ class VelocityLoop:
 
 
 def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
-    """Least damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
+    """Smallest damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
 
-    Args:
-        C: shape (k, k) [1/s2].
-        R: shape (k, k) [1/s].
-        dt: control period [s].
-        delay: ticks that a command is late; None for how it is meant, without ticks.
+    C [1/s2] and R [1/s] have shape (k, k). With a delay of None it is that of continuous time.
     """
     k, nothing = len(C), np.zeros_like(C)
     if delay is None:
@@ -214,7 +214,7 @@ def damped(loop: TorqueLoop | VelocityLoop) -> bool:
 def largest(good: Callable[[float], bool], most: float) -> float:
     """Largest number below ``most``, which is too large, that is good; 0 below a hundredth.
 
-    Rounded down to two digits, so that it can be said and used.
+    Rounded down to two digits.
     """
     low, high = 0.0, most
     for _ in range(20):
@@ -227,7 +227,7 @@ def largest(good: Callable[[float], bool], most: float) -> float:
 
 
 def require_damped_models(problem: ControlProblem, controller: str) -> None:
-    """Refuse tasks that decay faster than a control by torques can follow at this rate.
+    """Refuse tasks whose reference decays faster than torque control can follow at this rate.
 
     Raises:
         InvalidValueError: with the task, and the largest gain.

@@ -1,10 +1,10 @@
-"""The QPs of the torque law: one a level of priority, all with the same constraints.
+"""The QPs of the torque law: one for each level of priority, all with the same constraints.
 
     x = [a; tau of the motors; h of the hands that hold; sigma where some press]
 
-Later levels minimise their own tasks among what leaves J a (and C h) of the soft tasks before them
-as it was decided there. sigma is how far the cones of hands that press are left [N]: zero, unless
-nothing keeps them, and then as small as it can.
+Later levels minimise their own tasks with J a (and C h) of earlier soft tasks as decided there.
+sigma is how far the cones of hands that press are violated [N]: zero, unless they are infeasible,
+and then minimal.
 """
 
 from __future__ import annotations
@@ -50,13 +50,7 @@ class Costs:
 
 
 class Layout:
-    """Where the variables and rows of a torque QP are.
-
-    Args:
-        level: tasks and dynamics.
-        hands: their wrenches.
-        bounds: the scenario's limits.
-    """
+    """Where the variables and rows of a torque QP are."""
 
     def __init__(self, level: TaskDynamics, hands: HandWrenches, bounds: Bounds) -> None:
         chain, dynamics = level.dynamics.chain, level.dynamics
@@ -101,18 +95,13 @@ class Program:
     """One level.
 
     Args:
-        problem: what to control.
-        layout: of the variables.
-        level: tasks and dynamics.
-        hands: their wrenches.
-        wrenches: what tasks ask of them.
-        costs: of what no task asks for.
+        problem, layout, level, hands, wrenches, costs: shared by all levels.
         own: which motion rows and which wrench rows are its own.
         must: which must hold: hard ones, and the soft ones of the levels before.
 
     Attributes:
         qp: the last tick's program.
-        solution: its answer.
+        solution: its solution.
     """
 
     def __init__(
@@ -179,9 +168,9 @@ class Program:
             wanted: J a that each motion row asks for, shape (k,).
             bounds: lb, ub, G, h of the limits on a.
             loops: right side of the loop rows, shape (m,).
-            before: the answer of the levels before; None for the first.
+            before: the solution of the levels before; None for the first.
             soften: whether hard rows only count with a weight.
-            wrench: of the surroundings on the object, shape (6,); None where nobody knows.
+            wrench: of the surroundings on the object, shape (6,); None where unknown.
         """
         self._fill_cost(state, wanted, soften)
         self._fill_dynamics(loops, wrench)
