@@ -34,7 +34,8 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
-from coopqp.closed_loop.hands import Felt, hands, points
+from coopqp.base.wording import counted
+from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
@@ -97,7 +98,7 @@ class InternalForceControl:
         chain, dt = problem.chain, problem.dt
         if chain.holding != 2:
             raise InvalidValueError(
-                f"admittance: squeezes between two hands, and {chain.holding} hold the object"
+                f"admittance: needs two hands that hold the object, found {chain.holding}"
             )
         if not problem.kappa > 0.0:
             raise InvalidValueError(
@@ -108,10 +109,9 @@ class InternalForceControl:
         if fault := _gain_fault(settings, self.gain, dt):
             raise InvalidValueError(fault)
         self._hands = hands(chain)
-        robot = [arm.name for arm in chain.robot.arms]
-        self._told = np.array([robot.index(hand.arm) for hand in self._hands])
-        self._felt, self.note = Felt(len(robot)), ""
-        self._asked = WrenchStack(problem.wrenches, State(chain))
+        self._at = robot_indices(chain)
+        self._readings, self.note = WrenchReadings(len(chain.robot.arms)), ""
+        self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3}
 
@@ -128,45 +128,49 @@ class InternalForceControl:
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
         before, gap = state.memory[ALONG], state.gap[:3]
         self.along[:3] = e
-        missing = self._missing(state)
+        error = self._force_error(state)
         if state.corrected < 1.0:
-            return self._judged(missing, -float(e.dot(gap)))
+            return self._status(error, -float(e.dot(gap)))
         if before.any():  # the squeeze turns with the object
             gap += before.dot(gap) * (e - before)
         before[:] = e
-        if not math.isfinite(missing):
-            return self._judged(missing, 0.0)
-        most, way = self._settings.most_speed, -e.dot(gap)
-        there = way + self._dt * min(max(self.gain * missing, -most), most)
+        if not math.isfinite(error):
+            return self._status(error, 0.0)
+        max_speed, way = self._settings.most_speed, -e.dot(gap)
+        target = way + self._dt * min(max(self.gain * error, -max_speed), max_speed)
         bound = max(self._settings.most_way, abs(way))
-        gap -= (min(max(there, -bound), bound) - way) * e
+        gap -= (min(max(target, -bound), bound) - way) * e
         state.update_drift()
-        return self._judged(missing, -float(e.dot(gap)))
+        return self._status(error, -float(e.dot(gap)))
 
-    def _judged(self, missing: float, way: float) -> Status | None:
+    def _status(self, error: float, way: float) -> Status | None:
         """Status and note of a tick from the force error [N] and the displacement [m]."""
-        self.note, most = self._felt.fault, self._settings.most_way
-        if not math.isfinite(missing):
+        self.note, max_way = self._readings.fault, self._settings.most_way
+        if not math.isfinite(error):
             return Status.FORCE_NOT_MEASURED
-        stands = abs(way) >= most * (1.0 - ROUNDING) and missing * way > 0.0
-        if not stands or abs(missing) <= self._asked.tasks[0].tolerance:
+        at_bound = abs(way) >= max_way * (1.0 - ROUNDING) and error * way > 0.0
+        if not at_bound or abs(error) <= self._wrenches.tasks[0].tolerance:
             return None
+        where, by = ("closer", "little") if way > 0.0 else ("farther apart", "much")
         self.note = (
-            f"stands at most_way, {1e3 * most:g} mm {'closer' if way > 0.0 else 'farther apart'} "
-            f"than the model says, and {abs(missing):.3g} N are still "
-            f"{'missing' if missing > 0.0 else 'too many'}; is the force sensor alive? Else raise "
+            f"stands at most_way, {1e3 * max_way:g} mm {where} than the model says, with "
+            f"{abs(error):.3g} N too {by}; is the force sensor alive? Else raise "
             "admittance.most_way"
         )
         return Status.SQUEEZE_GIVEN_UP
 
-    def _missing(self, state: State) -> float:
+    def _force_error(self, state: State) -> float:
         """F_wanted - F [N]; NaN where the force is not known."""
-        self._asked.update(state)
-        found = self._felt.read(state.hand_wrench)
-        return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
+        self._wrenches.update(state)
+        measured = self._readings.read(state.hand_wrench)
+        if measured is None:
+            return math.nan
+        return -float(self._wrenches.error(measured[self._at])[0])
 
 
-def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalForceControl | None:
+def internal_force_control(
+    problem: ControlProblem, settings: Admittance | None
+) -> InternalForceControl | None:
     """The internal force control of a problem; None where no task asks for a force.
 
     Raises:
@@ -192,7 +196,7 @@ def _check_tasks(tasks: Sequence[Task]) -> None:
     """Raise InvalidValueError for anything but one soft squeeze."""
     if len(tasks) != 1:
         names = ", ".join(f"'{task.name}'" for task in tasks)
-        raise InvalidValueError(f"admittance: brings about one squeeze, and {names} ask for forces")
+        raise InvalidValueError(f"admittance: controls one squeeze, and {names} ask for forces")
     (task,) = tasks
     if getattr(task, "components", ()) != ("squeeze",):
         raise InvalidValueError(
@@ -201,19 +205,18 @@ def _check_tasks(tasks: Sequence[Task]) -> None:
         )
     if task.mode == "hard":
         raise InvalidValueError(
-            f"admittance: '{task.name}' is hard, but the squeeze is reached in time and not at "
-            "once; leave mode out"
+            f"admittance: '{task.name}' is hard, but the squeeze converges over time; leave "
+            "mode out"
         )
 
 
 def _gain_fault(settings: Admittance, gain: float, dt: float) -> str:
     """What is wrong with a gain; empty if nothing is."""
-    reach, limit = gain * settings.stiffness * dt, stability_limit(settings.delay)
-    if reach < limit:
+    limit = stability_limit(settings.delay)
+    if gain * settings.stiffness * dt < limit:
         return ""
-    most = limit / (settings.stiffness * dt)
     return (
-        f"admittance.gain: found {gain:g} m/(s N), with which {settings.stiffness:g} N/m and "
-        f"{settings.delay} ticks of delay swing ever harder; needs less than {most:.3g}, or leave "
-        "it out"
+        f"admittance.gain: found {gain:g} m/(s N), which is unstable with "
+        f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs less "
+        f"than {limit / (settings.stiffness * dt):.3g}, or leave it out"
     )

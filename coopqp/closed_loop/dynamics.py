@@ -139,8 +139,7 @@ class ClosedLoopDynamics:
     def _allocate(self) -> None:
         chain, n = self.chain, self.chain.n
         rows = len(chain.loops.names)
-        self.kept = np.array(chain.loops.kept, int)
-        self.kept = self.kept[: chain.loops.rank]
+        self.kept = np.array(chain.loops.kept, int)[: chain.loops.rank]
         m, k = len(self.kept), len(self.actuated)
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self.J_arms, self.drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
@@ -272,25 +271,21 @@ class ClosedLoopDynamics:
             push: external wrench on the object, shape (6,), which acts on the tree through arm 0 as
                 ``J_object' push``.
         """
-        carried, R = self._object_wrench(a)
+        M, b = self.object_inertia()
+        carried = M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b
         needed = carried if push is None else carried - push
         loops = wrench.reshape(-1, 6)
         by_arm = np.outer(self.shares, carried)
         by_arm[0] += loops.sum(axis=0) + (needed - carried)
         by_arm[1:] -= loops
         internal = by_arm - np.outer(self.chain.alpha, needed)
-        return ObjectWrenches(needed, by_arm, internal, R)
+        return ObjectWrenches(needed, by_arm, internal)
 
-    def _object_wrench(self, a: Array) -> tuple[Array, Array]:
-        """The wrench at the object's origin that its own motion needs, world axes."""
-        M, b, R = self.object_inertia()
-        return M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b, R
-
-    def object_inertia(self) -> tuple[Array, Array, Array]:
+    def object_inertia(self) -> tuple[Array, Array]:
         """The wrench at the object's origin for its motion and weight, w = M a_o + b, world axes.
 
         Returns:
-            M, shape (6, 6), b, shape (6,), and its rotation R, as of the last update.
+            M, shape (6, 6), and b, shape (6,), as of the last update.
         """
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
@@ -305,7 +300,7 @@ class ClosedLoopDynamics:
         M[3:, 3:] = I - mass * r @ r
         b[:3] = mass * (turn @ (turn @ lever) - self._falls)
         b[3:] = turn @ (I @ omega) + r @ b[:3]
-        return M, b, R
+        return M, b
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""
@@ -329,7 +324,6 @@ class ObjectWrenches:
     needed: Array
     by_arm: Array
     internal: Array
-    rotation: Array
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

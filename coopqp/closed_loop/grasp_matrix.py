@@ -68,12 +68,10 @@ class Split:
     """What moves the object and what is internal, at one instant.
 
     Attributes:
-        name: of the split.
         G: grasp matrix, shape (6, 6 N).
         X: hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6).
     """
 
-    name: str
     G: Array
     X: Array
 
@@ -105,7 +103,7 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
     if not a.min() >= 0.0 or abs(a.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {a.tolist()}, needs shares that sum to 1")
     X = np.vstack([share * _moved(o - place) for share, place in zip(a, p, strict=True)])
-    return Split("walker", grasp_matrix(p, o), X)
+    return Split(grasp_matrix(p, o), X)
 
 
 def virtual_inertia(
@@ -127,7 +125,7 @@ def virtual_inertia(
         )
     G = grasp_matrix(p, origin)
     WGt = np.repeat(np.array([m, j]).T.ravel(), 3)[:, None] * G.T
-    return Split("virtual_inertia", G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
+    return Split(G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
 
 
 def _each(name: str, values: ArrayLike, hands: int) -> Array:
@@ -171,13 +169,11 @@ class Section:
     Attributes:
         middle: c, shape (3,) [m].
         axes: rows e, up and e x up, shape (3, 3).
-        length: between the hands [m].
         rows: from (h_1; h_2), each at its hand, to the components, shape (6, 12).
     """
 
     middle: Array
     axes: Array
-    length: float
     rows: Array
 
     def of(self, h: Array) -> Array:
@@ -201,7 +197,7 @@ def section(p_1: Array, p_2: Array) -> Section:
     turned = np.kron(np.eye(2), axes)
     at_middle = grasp_matrix([p_1, p_2], middle)
     rows = np.asarray(0.5 * turned @ np.hstack([at_middle[:, :6], -at_middle[:, 6:]]), float)
-    return Section(middle, axes, length, rows)
+    return Section(middle, axes, rows)
 
 
 def across(e: Array) -> Array:

@@ -51,6 +51,12 @@ def hands(chain: ClosedChain) -> tuple[Hand, ...]:
     return tuple(found)
 
 
+def robot_indices(chain: ClosedChain) -> list[int]:
+    """Indices of the arms that hold the object, in the robot's order of arms."""
+    names = [arm.name for arm in chain.robot.arms]
+    return [names.index(arm.name) for arm in chain.arms[: chain.holding]]
+
+
 def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
     """Contact points in the world for the object's position and rotation, shape (N, 3) [m]."""
     return np.array([p_WO + R_WO @ hand.X_OC.translation for hand in hands])
@@ -66,7 +72,7 @@ def in_axes(wrench: Array, R: Array) -> Array:
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
 
 
-class Felt:
+class WrenchReadings:
     """Checks what force sensors in the hands send before it is used, for a robot of N arms.
 
     Attributes:
@@ -76,22 +82,22 @@ class Felt:
     def __init__(self, arms: int) -> None:
         self._size, self.fault = 6 * arms, ""
 
-    def read(self, found: Any) -> Array | None:
+    def read(self, reading: Any) -> Array | None:
         """Wrenches by arm, shape (N, 6), of ``State.hand_wrench``; None where not usable."""
-        self.fault = self._wrong(found)
-        return None if self.fault else real(found).reshape(-1, 6)
+        self.fault = self._wrong(reading)
+        return None if self.fault else real(reading).reshape(-1, 6)
 
-    def _wrong(self, found: Any) -> str:
-        if found is None:
+    def _wrong(self, reading: Any) -> str:
+        if reading is None:
             return f"no hand_wrench has come; needs {self._size} numbers: {NEEDS}"
         try:
-            given = real(found)
+            given = real(reading)
         except Exception as error:  # noqa: BLE001 - anything can come from a driver
-            return f"hand_wrench: {said(error) or f'found {type(found).__name__}, needs numbers'}"
+            return f"hand_wrench: {said(error) or f'found {type(reading).__name__}, needs numbers'}"
         if given.shape != (self._size,):
             return f"hand_wrench: found shape {given.shape}, needs {(self._size,)}: {NEEDS}"
         bad = np.flatnonzero(~np.isfinite(given))
         if len(bad):
             return f"hand_wrench: found no finite number at {', '.join(map(str, bad[:6]))}"
-        most = float(np.abs(given).max())
-        return "" if most < MAX_WRENCH else f"hand_wrench: found {most:.3g}, which no hand does"
+        largest = float(np.abs(given).max())
+        return "" if largest < MAX_WRENCH else f"hand_wrench: found {largest:.3g}, beyond any hand"

@@ -19,7 +19,7 @@ import numpy as np
 
 from coopqp.base.rank import RANK_TOLERANCE
 from coopqp.base.spec import Array
-from coopqp.closed_loop.screw import LENGTH
+from coopqp.closed_loop.screw import scaled
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
@@ -128,8 +128,8 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
 def closed_near(chain: ClosedChain, q: Array) -> Array:
     """The configuration near q, shape (n,), that closes the loops best, by Newton's method."""
     for _ in range(NEWTON):
-        gap = _scaled(chain.loop_error(q)[:, None])[:, 0]
-        U, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(q)), full_matrices=False)
+        gap = scaled(chain.loop_error(q)[:, None])[:, 0]
+        U, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)), full_matrices=False)
         firm = values > SLACK
         step = Vt[firm].T @ ((U[:, firm].T @ gap) / values[firm])
         q = q - step
@@ -141,13 +141,13 @@ def closed_near(chain: ClosedChain, q: Array) -> Array:
 def _walk(chain: ClosedChain) -> Iterator[Array]:
     """The pose near the start that closes the loops best, and the further steps of the walk."""
     q = closed_near(chain, chain.q_start)
-    _, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(chain.q_start)))
+    _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(chain.q_start)))
     resisted = np.append(values, np.zeros(chain.n))[: chain.n]
     slack = Vt[(resisted <= SLACK) & (resisted > RANK_TOLERANCE * values[0])]
     ahead = slack.T @ np.random.default_rng(0).normal(size=len(slack))
     yield q
     for _ in range(STEPS):
-        _, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(q)))
+        _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)))
         free = Vt[np.sum(values > SLACK) :]
         ahead = free.T @ (free @ ahead)
         ahead /= max(float(np.linalg.norm(ahead)), RANK_TOLERANCE)
@@ -157,7 +157,7 @@ def _walk(chain: ClosedChain) -> Iterator[Array]:
 
 def _resisting(chain: ClosedChain, q: Array) -> int:
     """How many rows constrain motions."""
-    values = np.linalg.svd(_scaled(chain.loop_jacobian(q)), compute_uv=False)
+    values = np.linalg.svd(scaled(chain.loop_jacobian(q)), compute_uv=False)
     return int(np.sum(values > SLACK))
 
 
@@ -166,12 +166,6 @@ def _error(chain: ClosedChain, q: Array) -> tuple[float, float]:
     errors = chain.loop_error(q).reshape(-1, 2, 3)
     position, orientation = np.linalg.norm(errors, axis=2).max(axis=0).tolist()
     return position, orientation
-
-
-def _scaled(rows: Array) -> Array:
-    """Rotations weighed as lengths, shape (6 L, .)."""
-    scaled: Array = rows * np.tile([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH], len(rows) // 6)[:, None]
-    return scaled
 
 
 def _sizes(position: float, orientation: float) -> str:

@@ -23,15 +23,12 @@ from coopqp.base.spec import Array, seeded
 from coopqp.base.wording import counted
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
-from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
+from coopqp.closed_loop.screw import LENGTH, MOTION_TOLERANCE, Screw, rank_of, scaled, screw_of
 from coopqp.model.closed_chain import ClosedChain
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MOST_SCHEMES = 5000
 
-#: Motions of the object, and of tasks, below this count as none [m or rad for a unit of joint
-#: motion]: starts are typed with four digits, and files round pi.
-MOTION_TOLERANCE = 1e-5
 #: Motions below this are weak: the joints turn fast, and the object hardly moves.
 WEAK = 0.02
 
@@ -196,8 +193,8 @@ def mobility(
         freedom=chain.n - rank,
         freedom_start=start.N.shape[1],
         dropped=chain.loops.dropped,
-        object_freedom=max(_motion_rank(pose.J_o @ pose.N) for pose in regular),
-        object_freedom_start=_motion_rank(start.J_o @ start.N),
+        object_freedom=max(rank_of(scaled(pose.J_o @ pose.N)) for pose in regular),
+        object_freedom_start=rank_of(scaled(start.J_o @ start.N)),
         motor_freedom=max(_motor_rank(pose, active) for pose in regular),
         motor_freedom_start=_motor_rank(start, active),
         impossible=_screws(_impossible(start.J_o @ start.N), chain),
@@ -247,18 +244,6 @@ def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
     return TaskMobility(name, len(J), len(possible), float(possible.min(initial=np.inf)))
 
 
-def _scaled(twists: Array) -> Array:
-    """Rotations scaled to lengths, so that one tolerance serves all six rows."""
-    scaled: Array = twists * np.array([[1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH]]).T
-    return scaled
-
-
-def _motion_rank(motions: Array) -> int:
-    if not motions.size:
-        return 0
-    return int(np.linalg.matrix_rank(_scaled(motions), tol=MOTION_TOLERANCE))
-
-
 def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
     """Object twists that happen with every motor locked, shape (6, .)."""
     locked = null_space(pose.N[list(active)]) if pose.N.size else np.zeros((0, 0))
@@ -267,12 +252,12 @@ def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
 
 def _motor_rank(pose: _Pose, active: Sequence[int]) -> int:
     """Object motions less those that are free with the motors locked."""
-    return _motion_rank(pose.J_o @ pose.N) - _motion_rank(_free_motions(pose, active))
+    return rank_of(scaled(pose.J_o @ pose.N)) - rank_of(scaled(_free_motions(pose, active)))
 
 
 def _impossible(motions: Array) -> Array:
     """Basis of the twists orthogonal to all possible ones, shape (6, .)."""
-    U, values, _ = np.linalg.svd(_scaled(motions))
+    U, values, _ = np.linalg.svd(scaled(motions))
     rank = int(np.sum(values > MOTION_TOLERANCE))
     basis = U[:, rank:].copy()
     basis[3:] /= LENGTH
@@ -283,7 +268,7 @@ def _uncontrolled(pose: _Pose, active: Sequence[int]) -> Array:
     free = _free_motions(pose, active)
     if not free.size:
         return np.zeros((6, 0))
-    U, values, _ = np.linalg.svd(_scaled(free), full_matrices=False)
+    U, values, _ = np.linalg.svd(scaled(free), full_matrices=False)
     basis = U[:, values > MOTION_TOLERANCE].copy()
     basis[3:] /= LENGTH
     return basis

@@ -24,11 +24,17 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, grasp_matrix, section
 from coopqp.closed_loop.hands import hands
-from coopqp.closed_loop.screw import LENGTH, Screw, axis_words, numbers, screw_of
+from coopqp.closed_loop.screw import (
+    LENGTH,
+    MOTION_TOLERANCE,
+    Screw,
+    axis_words,
+    numbers,
+    rank_of,
+    scaled,
+    screw_of,
+)
 from coopqp.model.closed_chain import ClosedChain
-
-#: Singular values below count as zero: starts are typed with four digits [m or rad for a joint].
-TOLERANCE = 1e-5
 
 #: A wrench with less torque than this along its force is a force [N mm for a newton].
 MOST_TURNING = 0.5
@@ -113,20 +119,20 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
     X_WO = chain.object_pose(q)
     origin = X_WO.translation
     names = [arm.name for arm in chain.arms[: chain.holding]]
-    J_c = _scaled((J[1:] - J[0]).reshape(-1, chain.n))
+    J_c = scaled((J[1:] - J[0]).reshape(-1, chain.n))
     arms = []
     for name, J_i in zip(names, J, strict=True):
-        borne = _scaled(null_space_of(_scaled(J_i).T))
+        borne = scaled(null_space_of(scaled(J_i).T))
         screws = tuple(wrench_screw(column, origin) for column in borne.T)
-        arms.append(ArmTransmission(name, counts(_scaled(J_i), passive), screws))
+        arms.append(ArmTransmission(name, counts(scaled(J_i), passive), screws))
     touched = [origin + X_WO.rotation @ hand.X_OC.translation for hand in hands(chain)]
     pairs = []
     for i, j in itertools.combinations(range(len(names)), 2):
-        rows = _scaled(J[j] - J[i])
+        rows = scaled(J[j] - J[i])
         cut = section(touched[i], touched[j])
         # A unit of each component at the middle, as a wrench of hand i at the object's origin.
         units = grasp_matrix([cut.middle], origin) @ np.kron(np.eye(2), cut.axes.T)
-        components = _components(rows, _scaled(units, 1.0 / LENGTH), passive)
+        components = _components(rows, scaled(units, 1.0 / LENGTH), passive)
         pairs.append(PairTransmission((names[i], names[j]), counts(rows, passive), components))
     return Transmission(len(J_c), counts(J_c, passive), tuple(arms), tuple(pairs))
 
@@ -134,8 +140,8 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
 def counts(rows: Array, passive: NDArray[np.int_] | Sequence[int]) -> Counts:
     """The three ranks for a Jacobian, shape (r, n), with rotations scaled to lengths."""
     values = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
-    felt = values[values > TOLERANCE]
-    let_go = _rank(rows[:, list(passive)])
+    felt = values[values > MOTION_TOLERANCE]
+    let_go = rank_of(rows[:, list(passive)])
     weakest = float(felt.min(initial=np.inf))
     return Counts(len(felt) - let_go, len(rows) - len(felt), let_go, weakest)
 
@@ -146,19 +152,13 @@ def _components(rows: Array, units: Array, passive: NDArray[np.int_]) -> dict[st
     for name, unit in zip(COMPONENTS, units.T, strict=True):
         unit = unit / np.linalg.norm(unit)
         felt = rows.T @ unit
-        if np.linalg.norm(felt) < TOLERANCE:
+        if np.linalg.norm(felt) < MOTION_TOLERANCE:
             found[name] = STRUCTURE
-        elif np.linalg.norm(felt[passive]) < TOLERANCE:
+        elif np.linalg.norm(felt[passive]) < MOTION_TOLERANCE:
             found[name] = COMMANDED
         else:
-            found[name] = MIXED if _rank(rows[:, passive]) < len(rows) else LET_GO
+            found[name] = MIXED if rank_of(rows[:, passive]) < len(rows) else LET_GO
     return found
-
-
-def _rank(rows: Array) -> int:
-    if not rows.size:
-        return 0
-    return int(np.sum(np.linalg.svd(rows, compute_uv=False) > TOLERANCE))
 
 
 def null_space_of(rows: Array) -> Array:
@@ -166,13 +166,7 @@ def null_space_of(rows: Array) -> Array:
     if not rows.size:
         return null_space(rows)
     _, values, Vt = np.linalg.svd(rows)
-    return np.ascontiguousarray(Vt[int(np.sum(values > TOLERANCE)) :].T)
-
-
-def _scaled(rows: Array, length: float = LENGTH) -> Array:
-    """Every second three rows times a length: rotations as lengths, or torques as forces."""
-    factors = np.tile(np.repeat([1.0, length], 3), len(rows) // 6)
-    return np.asarray(rows * factors[:, None], float)
+    return np.ascontiguousarray(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
 
 
 def wrench_screw(wrench: Array, origin: Array) -> Screw:

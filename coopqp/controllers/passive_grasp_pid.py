@@ -197,7 +197,8 @@ class PassiveGraspPid(Controller):
         Raises:
             InvalidValueError: a list that is neither of length one nor of the tasks' rows.
         """
-        turning = np.array([_is_angle(unit) for unit in _units(problem)])
+        parts = [part for task in problem.tasks for part in task.parts(problem.chain)]
+        turning = np.repeat([part.unit == "rad" for part in parts], [p.rows for p in parts])
         found = []
         for key, default in zip(("kp", "ki", "kd"), defaults, strict=True):
             given = getattr(self, key)
@@ -247,17 +248,3 @@ def _damped_at(
 ) -> bool:
     kp, ki, kd = (factor**power for power in powers)
     return damped(loop.times(kp, ki, kd))
-
-
-def _units(problem: ControlProblem) -> list[str]:
-    """Unit of every task row."""
-    return [
-        part.unit
-        for task in problem.tasks
-        for part in task.parts(problem.chain)
-        for _ in range(part.rows)
-    ]
-
-
-def _is_angle(unit: str) -> bool:
-    return unit == "rad"

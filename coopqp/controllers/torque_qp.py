@@ -43,7 +43,7 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
 from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
 from coopqp.torque_law.force_checks import require_forces
-from coopqp.torque_law.hand_wrenches import HandWrenches, SplitName
+from coopqp.torque_law.hand_wrenches import HandWrenches
 from coopqp.torque_law.held_torques import HeldTorques
 from coopqp.torque_law.impedances import Impedances, require_impedances
 from coopqp.torque_law.margins import (
@@ -209,11 +209,7 @@ class TorqueQpLaw(Law):
         return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
 
     def _correction(self, state: State) -> Array:
-        """The loop correction in accelerations; hands that press are held together by force."""
-        dynamics, kappa = self._level.dynamics, self.problem.kappa
-        pulls = self.hands.loop_pulls[dynamics.kept]
-        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
-        return np.asarray(back, float)
+        return self.hands.loop_correction(state, self._level.dynamics, self.problem.kappa)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """The limits on v + a dt as bounds and rows on a."""
@@ -256,7 +252,7 @@ class TorqueQp(Controller):
     """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
     grip: Positive = 1e-4
     """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
-    split: SplitName = "virtual_inertia"
+    split: Literal["virtual_inertia", "walker"] = "virtual_inertia"
     """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
     shares: dict[str, NonNegative] | Literal["weights", "motors"] = "weights"
     """Share of the load by arm, with sum 1; weights: as in the object's pose; motors: as they have

@@ -18,7 +18,7 @@ import numpy as np
 from coopqp.base.errors import GraspError
 from coopqp.base.rank import least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
-from coopqp.closed_loop.grasp_matrix import Split, section, virtual_inertia, walker
+from coopqp.closed_loop.grasp_matrix import Split, section
 from coopqp.controller import NO_FEATURES, Command, Controller, ControlProblem, Features, Law
 from coopqp.model.state import State
 from coopqp.solver import Status
@@ -37,8 +37,9 @@ class WrenchSplitLaw(Law):
         super().__init__(problem, torques=True)
         self._settings, self._level = settings, TaskDynamics(problem)
         self._hands = HandWrenches(
-            problem.chain, safety=1.0, split="virtual_inertia", shares="weights"
-        )
+            problem.chain, safety=1.0, split=settings.split, shares="weights",
+            inertia=settings.inertia,
+        )  # fmt: skip
         effort = problem.chain.model.effortLimit.copy()
         effort[problem.chain.passive] = 0.0
         self._effort = effort
@@ -50,9 +51,9 @@ class WrenchSplitLaw(Law):
         dynamics = level.dynamics
         hands.update(state, dynamics)
         a = self._acceleration(state)
-        M, b, _ = dynamics.object_inertia()
+        M, b = dynamics.object_inertia()
         w = M @ (dynamics.J_object @ a + dynamics.drift_arms[:6]) + b
-        split = self._split(state)
+        split = hands.split
         tree = dynamics.A @ a + dynamics.H
         h = split.X @ w + self._squeeze()
         h = h + self._freed(split, tree + hands.feels @ h)
@@ -65,9 +66,8 @@ class WrenchSplitLaw(Law):
         return command
 
     def _acceleration(self, state: State) -> Array:
-        level, dynamics, kappa = self._level, self._level.dynamics, self.problem.kappa
-        pulls = self._hands.loop_pulls[dynamics.kept]
-        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
+        level, dynamics = self._level, self._level.dynamics
+        back = self._hands.loop_correction(state, dynamics, self.problem.kappa)
         closing = least_squares(dynamics.J, -dynamics.drift - back)
         gains, tasks = level.gains, level.tasks
         wanted = -level.drift - gains * (2.0 * level.e_dot + gains * tasks.e)
@@ -78,17 +78,6 @@ class WrenchSplitLaw(Law):
         right = weighted @ (wanted - tasks.J @ closing) + DAMPING * (N.T @ rest)
         free = np.linalg.solve(weighted @ JN + DAMPING * np.eye(N.shape[1]), right)
         return np.asarray(closing + N @ free, float)
-
-    def _split(self, state: State) -> Split:
-        hands, settings = self._hands, self._settings
-        shares = hands.shares
-        if settings.split == "walker":
-            return walker(hands.points, state.p_WO, shares)
-        if settings.split == "minimum_norm":
-            ones = np.ones(len(shares))
-            return virtual_inertia(hands.points, state.p_WO, ones, ones)
-        masses = np.maximum(shares, 1e-3)
-        return virtual_inertia(hands.points, state.p_WO, masses, settings.inertia * masses)
 
     def _squeeze(self) -> Array:
         """The fixed squeeze along the line between two hands."""

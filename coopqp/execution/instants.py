@@ -15,6 +15,7 @@ import pinocchio as pin
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
+from coopqp.closed_loop.hands import robot_indices
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
@@ -165,9 +166,7 @@ class _MeasuredWrenches:
 
     def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
         self.stack = WrenchStack(problem.wrenches, _beginning(problem, start))
-        chain = problem.chain
-        robot = [arm.name for arm in chain.robot.arms]
-        self._at = [robot.index(arm.name) for arm in chain.arms[: chain.holding]]
+        self._at = robot_indices(problem.chain)
         self._told = plant.signals.get("hand_wrench")
 
     def error(self, true: State) -> Array:

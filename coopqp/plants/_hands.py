@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.closed_loop.hands import Hand, hands
+from coopqp.closed_loop.hands import Hand, hands, robot_indices
 from coopqp.grasp import BEYOND, NO_CONTACT
 from coopqp.model.closed_chain import ClosedChain
 
@@ -21,7 +21,7 @@ class HandSignals:
     ``chain`` is the true one, and ``friction`` that of real contacts over the modelled one.
 
     Attributes:
-        hands: those that hold, in the chain's order.
+        hands: those that hold, in the chain's order. at: their indices in the robot's.
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
             N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
             ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), required
@@ -33,8 +33,7 @@ class HandSignals:
     """
 
     def __init__(self, chain: ClosedChain, friction: float) -> None:
-        robot = [arm.name for arm in chain.robot.arms]
-        arms = len(robot)
+        arms = len(chain.robot.arms)
         self.signals = {"hand_wrench": np.zeros(6 * arms), "hand_point": np.zeros(3 * arms)}
         self.lost, self._friction, self._apart = "", friction, np.zeros(arms)
         if any(grasp.contact for grasp in chain.grasps.values()):
@@ -45,9 +44,8 @@ class HandSignals:
 
     def follow(self, chain: ClosedChain) -> None:
         """Take another chain of the same robot, in which other arms hold the object."""
-        robot = [arm.name for arm in chain.robot.arms]
         self.hands: tuple[Hand, ...] = hands(chain)
-        self._at = [robot.index(hand.arm) for hand in self.hands]
+        self.at = robot_indices(chain)
 
     @property
     def pressing(self) -> bool:
@@ -70,9 +68,9 @@ class HandSignals:
             if name not in ("held", "slip"):
                 told[:] = 0.0
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
-        by_arm[self._at] = wrenches
-        self.signals["hand_point"].reshape(-1, 3)[self._at] = points
-        for k, (hand, i, w) in enumerate(zip(self.hands, self._at, in_contacts, strict=True)):
+        by_arm[self.at] = wrenches
+        self.signals["hand_point"].reshape(-1, 3)[self.at] = points
+        for k, (hand, i, w) in enumerate(zip(self.hands, self.at, in_contacts, strict=True)):
             if hand.contact:
                 self.signals["normal_force"][i] = w[2]
                 self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
@@ -85,7 +83,7 @@ class HandSignals:
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
-        for hand, i in zip(self.hands, self._at, strict=True):
+        for hand, i in zip(self.hands, self.at, strict=True):
             if hand.contact:
                 touches = self.signals["normal_force"][i] > 0.0
                 self._apart[i] = 0.0 if touches else self._apart[i] + dt
@@ -94,7 +92,7 @@ class HandSignals:
 
     def bear(self) -> None:
         """Declare the object lost where friction cannot bear the hands' wrenches."""
-        for hand, i in zip(self.hands, self._at, strict=True):
+        for hand, i in zip(self.hands, self.at, strict=True):
             if not hand.contact:
                 continue
             if np.isnan(self.signals["friction_use"][i]):

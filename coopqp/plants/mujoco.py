@@ -20,6 +20,7 @@ from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts
+from coopqp.closed_loop.hands import points as contact_points
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -147,8 +148,6 @@ class MujocoModel(DynamicModel):
         self._balls = list(_balls(chain))
         yielding = held if self._firm.spring else ()
         self._yielding = [self._model.body(hand_name(hand.arm)).id for hand in yielding]
-        robots = [arm.name for arm in chain.robot.arms]
-        self._held_by = [robots.index(hand.arm) for hand in held]
 
     def integrate(self) -> None:
         """One step of MuJoCo with the servos' torques."""
@@ -176,8 +175,8 @@ class MujocoModel(DynamicModel):
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
         alpha = self.true.chain.alpha[: len(wrenches)]
-        internal[self._held_by] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
-        points = place + np.array([R_WO @ hand.X_OC.translation for hand in told.hands])
+        internal[told.at] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
+        points = contact_points(told.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
         told.tell(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
         if told.pressing:
@@ -222,7 +221,7 @@ class MujocoModel(DynamicModel):
             if hand.contact:
                 along = data.site_xmat[site].reshape(3, 3)[:, :2]
                 away = along.T @ (points[i] - data.site_xpos[site])
-                told.signals["slip"][self._held_by[i]] = np.hypot(away[0], away[1])
+                told.signals["slip"][told.at[i]] = np.hypot(away[0], away[1])
 
     def _follow_balls(self, R_WO: Array) -> None:
         """Angles of the joints that stand for a fingertip, from the object's rotation."""

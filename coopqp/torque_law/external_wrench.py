@@ -29,7 +29,7 @@ from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
-from coopqp.closed_loop.hands import Felt, hands, points
+from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
 from coopqp.model.state import Memory, State
 
 
@@ -106,26 +106,25 @@ class HandSensors:
 
     def __init__(self, dynamics: ClosedLoopDynamics, *, gain: float, dt: float) -> None:
         chain = dynamics.chain
-        robot = [arm.name for arm in chain.robot.arms]
         self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
         self._hands = hands(chain)
-        self._at = [robot.index(hand.arm) for hand in self._hands]
-        self._felt = Felt(len(robot))
+        self._at = robot_indices(chain)
+        self._readings = WrenchReadings(len(chain.robot.arms))
         self.wrench = np.zeros(6)
         self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
 
     @property
     def fault(self) -> str:
         """Why the last measurement cannot be used; empty if it can."""
-        return self._felt.fault
+        return self._readings.fault
 
     def update(self, memory: Memory, state: State) -> Array:
         """The wrench at the end of a period; zero at first, the last where nothing is measured."""
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
         kept = memory["sensors.wrench"]
-        found = self._felt.read(state.hand_wrench)
+        found = self._readings.read(state.hand_wrench)
         if memory["sensors.begun"][0] and found is not None:
-            M, b, _ = dynamics.object_inertia()
+            M, b = dynamics.object_inertia()
             G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
             h = found[self._at].ravel()
             a = (twist - memory["sensors.twist"]) / self._dt

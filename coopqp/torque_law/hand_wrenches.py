@@ -26,14 +26,14 @@ from coopqp.base.qp import Row
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.grasp_matrix import Split, grasp_matrix, virtual_inertia, walker
+from coopqp.closed_loop.grasp_matrix import UNITS, Split, grasp_matrix, virtual_inertia, walker
 from coopqp.closed_loop.hands import hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.state import State
 
-SplitName = Literal["virtual_inertia", "walker"]
+SplitName = Literal["virtual_inertia", "walker", "minimum_norm"]
 Shares = Mapping[str, float] | Literal["weights", "motors"]
 
 #: Radius of gyration of a virtual hand. With a small one hands of hinges trade torques that weigh
@@ -51,9 +51,10 @@ class HandWrenches:
     Args:
         chain: the closed chain.
         safety: by which friction is divided.
-        split: which one defines what is internal.
+        split: which one defines what is internal; minimum_norm is the pseudoinverse.
         shares: of the object's weight by arm; "weights" as in the object's pose, "motors" in
             proportion to what each arm's motors have left.
+        inertia: of a virtual body over its mass, for virtual_inertia [m2].
 
     Attributes:
         variables: rows of h.
@@ -74,17 +75,22 @@ class HandWrenches:
     """
 
     def __init__(
-        self, chain: ClosedChain, *, safety: float, split: SplitName, shares: Shares
+        self,
+        chain: ClosedChain,
+        *,
+        safety: float,
+        split: SplitName,
+        shares: Shares,
+        inertia: float = HAND_RADIUS**2,
     ) -> None:
-        self._chain, self._split = chain, split
+        self._chain, self._split, self._inertia = chain, split, inertia
         self.hands = hands(chain)
         N = len(self.hands)
         self.size = 6 * N
-        units = ("N", "N", "N", "N m", "N m", "N m")
         self.variables = tuple(
             Row(name=f"hand[{hand.arm}].{axis}", kind="hand", owner=hand.arm, unit=unit)
             for hand in self.hands
-            for axis, unit in zip(AXES, units, strict=True)
+            for axis, unit in zip(AXES, UNITS, strict=True)
         )
         self._by_motors = shares == "motors"
         self.shares = _shares(chain, shares)
@@ -97,7 +103,7 @@ class HandWrenches:
         #: Loops between hands that press are closed by the contact, not by the model.
         loops = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
         idle = [False] * (len(chain.arms) - N)
-        self.loop_pulls = np.repeat(~np.array([*loops, *idle], bool), 6).astype(float)
+        self._loop_pulls = np.repeat(~np.array([*loops, *idle], bool), 6).astype(float)
 
     def _prepare_cones(self, safety: float) -> None:
         self._local, names, most = [], [], []
@@ -142,7 +148,16 @@ class HandWrenches:
         if self._split == "walker":
             return walker(self.points, state.p_WO, self.shares / self.shares.sum())
         masses = np.maximum(self.shares, LEAST_RESERVE)
-        return virtual_inertia(self.points, state.p_WO, masses, HAND_RADIUS**2 * masses)
+        inertias = self._inertia * masses
+        if self._split == "minimum_norm":
+            masses = inertias = np.ones(len(masses))
+        return virtual_inertia(self.points, state.p_WO, masses, inertias)
+
+    def loop_correction(self, state: State, dynamics: ClosedLoopDynamics, kappa: float) -> Array:
+        """-J_c a that closes open loops, shape (m,); pressing hands are held together by force."""
+        pulls = self._loop_pulls[dynamics.kept]
+        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
+        return np.asarray(back, float)
 
     def cost(self, wrenches: WrenchStack) -> tuple[Array, Array]:
         """The cost of internal wrenches that no task asks for, as P and q of 1/2 h'P h + q'h."""
@@ -159,7 +174,7 @@ class HandWrenches:
         """Shares in proportion to how much of the object's weight each arm alone could carry."""
         chain, model = self._chain, self._chain.model
         own = np.asarray(pin.computeGeneralizedGravity(model, model.createData(), state.q), float)
-        _, weight, _ = dynamics.object_inertia()
+        _, weight = dynamics.object_inertia()
         left = model.effortLimit - np.abs(own)
         left[chain.passive] = np.inf
         found = np.zeros(len(self.hands))

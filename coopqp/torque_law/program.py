@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from coopqp.base.qp import QP, Row, Rows
 from coopqp.base.rank import independent_rows
 from coopqp.base.spec import Array
+from coopqp.closed_loop.grasp_matrix import UNITS
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status, Verifier
@@ -76,9 +78,7 @@ class Layout:
         self.cones = slice(len(bounds.rows), len(self.inequalities))
         object_rows = (
             Row(name=f"object.{axis}", kind="dynamics", unit=unit)
-            for axis, unit in zip(
-                ("x", "y", "z", "rot_x", "rot_y", "rot_z"), ["N"] * 3 + ["N m"] * 3, strict=True
-            )
+            for axis, unit in zip(AXES, UNITS, strict=True)
         )
         self.equalities = (
             *(
@@ -208,7 +208,7 @@ class Program:
         qp.A[:n, :n] = dynamics.A
         qp.A[:n, layout.h] = hands.feels
         qp.b[:n] = -dynamics.H
-        M, b, _ = dynamics.object_inertia()
+        M, b = dynamics.object_inertia()
         qp.A[n : n + 6, layout.a] = M @ J_0
         qp.A[n : n + 6, layout.h] = -hands.G
         qp.b[n : n + 6] = -(M @ dynamics.drift_arms[:6] + b)
