@@ -79,7 +79,7 @@ def constraint_equations(
     a, c = scheme(chain, actuated), _cut_joints(chain, cut, actuated)
     p = tuple(i for i in range(chain.n) if i not in a and i not in c)
     J, Jdot_v, J_arms = _rows_in_cut_frames(chain, q, v, c)
-    with_cut = [_unit_row(J[6 * i : 6 * i + 6, j]) + 6 * i for i, j in enumerate(c)]
+    with_cut = [6 * i + int(np.abs(J[6 * i : 6 * i + 6, j]).argmax()) for i, j in enumerate(c)]
     free = [row for row in range(len(J)) if row not in with_cut]
     free = [free[i] for i in independent_rows(J[free])]
     G_a, G_p = J[np.ix_(free, a)], J[np.ix_(free, p)]
@@ -202,8 +202,3 @@ def _shift(R: Array, lever: Array) -> Array:
     shift[:3, :3] = shift[3:, 3:] = R.T
     shift[:3, 3:] = -R.T @ pin.skew(lever)
     return shift
-
-
-def _unit_row(column: Array) -> int:
-    """The row in which the cut joint's column has its one."""
-    return int(np.abs(column).argmax())

@@ -166,7 +166,8 @@ class ClosedLoopDynamics:
         model, data = self.model, self._data
         self.A[:] = pin.crba(model, data, q)
         self.H[:] = pin.nonLinearEffects(model, data, q, v)
-        self._add_friction(v)
+        if f := self._friction:
+            self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
         pin.forwardKinematics(model, data, q, v, self._zero)
         pin.computeJointJacobians(model, data)
         self._update_loops()
@@ -187,11 +188,6 @@ class ClosedLoopDynamics:
         if self.J is not self._J_rel:
             np.take(self._J_rel, self.kept, axis=0, out=self.J)
             np.take(self._drift_rel, self.kept, out=self.drift)
-
-    def _add_friction(self, v: Array) -> None:
-        if self._friction:
-            f = self._friction
-            self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
 
     def direct(self, tau: Array) -> DirectResult:
         """Accelerations from torques, shape (n,) [N m]: the DDM of section 4.3.

@@ -135,9 +135,8 @@ def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
         return {(0, 1): section(points[0], points[1]).rows[0]}
     if len(points) != 3 or flatness(points) < FLAT:
         return {}
-    pushes = virtual_linkage(points).rows
     rows = np.zeros((3, 3, 6))
-    rows[:, :, :3] = pushes.reshape(3, 3, 3)
+    rows[:, :, :3] = virtual_linkage(points).reshape(3, 3, 3)
     return dict(zip(EDGES, rows.reshape(3, 18), strict=True))
 
 

@@ -215,29 +215,20 @@ EDGES = ((0, 1), (0, 2), (1, 2))
 FLAT = 1e-3
 
 
-@dataclass(frozen=True)
-class VirtualLinkage:
-    """The virtual linkage of three hands (Williams and Khatib 1993): forces along the edges.
+def virtual_linkage(points: Array) -> Array:
+    """Pushes along the edges between three hands at points of shape (3, 3) [m].
 
-    E (9, 3) has a column an edge, the unit vector e_ij at hand i and its opposite at hand j, so
-    that t > 0 presses hands i and j towards each other. Forces f = (f_1; f_2; f_3) split into
+    The virtual linkage of Williams and Khatib 1993: E (9, 3) has a column an edge, the unit vector
+    e_ij at hand i and its opposite at hand j, so that t > 0 presses hands i and j towards each
+    other. Forces f = (f_1; f_2; f_3) split into
 
         f = W_f^+ F + E t,   t = E^+ f
 
     with W_f the grasp matrix of forces alone, whose null space is the range of E. Torques of the
     hands, all nine, count as internal. On one line E has rank 2 and the split does not exist.
 
-    Attributes:
-        E: forces at the hands for pushes along the edges, shape (9, 3).
-        rows: from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
-    """
-
-    E: Array
-    rows: Array
-
-
-def virtual_linkage(points: Array) -> VirtualLinkage:
-    """The linkage of three hands at points of shape (3, 3) [m].
+    Returns:
+        E^+, from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
 
     Raises:
         GraspError: the hands are on one line, or not three.
@@ -255,7 +246,7 @@ def virtual_linkage(points: Array) -> VirtualLinkage:
     for k, (i, j) in enumerate(EDGES):
         e = (p[j] - p[i]) / np.linalg.norm(p[j] - p[i])
         E[3 * i : 3 * i + 3, k], E[3 * j : 3 * j + 3, k] = e, -e
-    return VirtualLinkage(E, np.asarray(np.linalg.pinv(E), float))
+    return np.asarray(np.linalg.pinv(E), float)
 
 
 def flatness(points: Array) -> float:

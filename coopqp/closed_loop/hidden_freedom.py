@@ -38,8 +38,8 @@ class HiddenFreedom:
     """A motion that the loop rows forbid and the loops allow.
 
     Attributes:
-        position, orientation: loop error at the start [m, rad].
-        open_position, open_orientation: largest loop error on the walk [m, rad].
+        start: loop error at the start [m, rad].
+        walk: largest loop error on the walk [m, rad].
         rank: of the loop rows, by the tolerance of all coopqp.
         resisting: rows that constrain the walk.
         joint: the joint that moves most on it.
@@ -49,10 +49,8 @@ class HiddenFreedom:
         placed: whether the object's pose is given.
     """
 
-    position: float
-    orientation: float
-    open_position: float
-    open_orientation: float
+    start: tuple[float, float]
+    walk: tuple[float, float]
     rank: int
     resisting: int
     joint: str
@@ -64,11 +62,11 @@ class HiddenFreedom:
     @property
     def of_the_start(self) -> bool:
         """Whether the start alone hides it: closed loops have the freedom."""
-        return not self.taken and max(self.open_position, self.open_orientation) < 10.0 * EXACT
+        return not self.taken and max(self.walk) < 10.0 * EXACT
 
     def words(self) -> str:
         """The fault and its remedy in words."""
-        closes = f"the start closes the loops only to {_sizes(self.position, self.orientation)}"
+        closes = f"the start closes the loops only to {_sizes(*self.start)}"
         if self.taken:
             closes = "the hands hold the object where a rounded start puts them"
         hidden = self.rank - self.resisting
@@ -76,10 +74,10 @@ class HiddenFreedom:
         return (
             f"{closes}, which may hide {freedoms}: the loop rows have rank {self.rank}, but "
             f"{self.joint} can move by {self.way:.2g} {self.unit} with the loops open by at most "
-            f"{_sizes(self.open_position, self.open_orientation)}; {self._cure()}"
+            f"{_sizes(*self.walk)}; {self._remedy()}"
         )
 
-    def _cure(self) -> str:
+    def _remedy(self) -> str:
         if self.of_the_start:
             without = " with object.pose left out" if self.placed else ""
             return f"paste the start that `coopqp solve-start` prints{without}"
@@ -102,19 +100,16 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
     poses = list(_walk(chain))
     errors = np.array([_error(chain, q) for q in poses])
     resisting = max(_resisting(chain, q) for q in poses)
-    open_position, open_orientation = errors.max(axis=0).tolist()
-    closed = open_position <= CLOSED_POSITION and open_orientation <= CLOSED_ORIENTATION
+    position, orientation = errors.max(axis=0).tolist()
+    closed = position <= CLOSED_POSITION and orientation <= CLOSED_ORIENTATION
     moved = float(np.linalg.norm(poses[-1] - poses[0])) > 0.5 * STEPS * STEP
     if resisting >= chain.loops.rank or not (closed and moved):
         return None
     way = np.ptp(poses, axis=0)
     joint = int(way.argmax())
-    position, orientation = _error(chain, chain.q_start)
     return HiddenFreedom(
-        position=position,
-        orientation=orientation,
-        open_position=open_position,
-        open_orientation=open_orientation,
+        start=_error(chain, chain.q_start),
+        walk=(position, orientation),
         rank=chain.loops.rank,
         resisting=resisting,
         joint=chain.joint_names[joint],

@@ -27,6 +27,7 @@ of the motion and the margin in ticks. A low rate alone is not refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -247,4 +248,4 @@ def _damped_at(
     loop: TorqueLoop | VelocityLoop, powers: tuple[int, int, int], factor: float
 ) -> bool:
     kp, ki, kd = (factor**power for power in powers)
-    return damped(loop.times(kp, ki, kd))
+    return damped(replace(loop, kp=kp * loop.kp, ki=ki * loop.ki, kd=kd * loop.kd))

@@ -17,5 +17,4 @@ class Pseudoinverse(Controller):
     """Singular values below this share of the largest count as zero."""
 
     def build(self, problem: ControlProblem) -> Law:
-        rcond = self.rcond
-        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=False)
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, self.rcond), null_space=False)

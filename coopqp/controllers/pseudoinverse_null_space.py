@@ -21,5 +21,4 @@ class PseudoinverseNullSpace(Controller):
     """Singular values below this share of the largest count as zero."""
 
     def build(self, problem: ControlProblem) -> Law:
-        rcond = self.rcond
-        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=True)
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, self.rcond), null_space=True)

@@ -25,8 +25,7 @@ verified: near singular poses, where joints move at full speed, loops can open.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -43,14 +42,8 @@ from coopqp.solver import Status
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class Saturated:
-    """The solution of one level.
-
-    Attributes:
-        v: shape (n,) [rad/s, m/s].
-        scale: s.
-    """
+class Saturated(NamedTuple):
+    """The solution of one level: v, shape (n,) [rad/s, m/s], and its scale s."""
 
     v: Array
     scale: float

@@ -68,9 +68,10 @@ class Instants:
             TaskStack(tasks, _beginning(problem, start)) for tasks in (problem.tasks, self._goals)
         ]
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
-        self._wrenches = _MeasuredWrenches(problem, start, plant)
-        asked = len(stacks[0].e) + len(self._wrenches.stack.wanted)
-        self.e, self.rate = np.full((2, rows, asked), np.nan)
+        self._wrenches = WrenchStack(problem.wrenches, _beginning(problem, start))
+        self._hand_wrench = plant.signals.get("hand_wrench")
+        wanted = len(stacks[0].e) + len(self._wrenches.wanted)
+        self.e, self.rate = np.full((2, rows, wanted), np.nan)
 
     def keep(self, k: int, true: State) -> None:
         """Record the instant before tick k, which is the result of tick k - 1."""
@@ -98,10 +99,19 @@ class Instants:
 
     def _wrench_errors(self, k: int, true: State) -> None:
         """Errors of the hands' wrenches; unknown before the first tick."""
-        told, motion = self._wrenches, len(self._stacks[0][0].e)
-        if not len(told.stack.wanted):
+        stack, motion = self._wrenches, len(self._stacks[0][0].e)
+        if not len(stack.wanted):
             return
-        self.e[k, motion:] = told.error(true) if k else np.nan
+        try:
+            stack.update(true)
+            measured = self._hand_wrench if k else None
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            measured = None
+        if measured is not None:
+            by_hand = measured.reshape(-1, 6)[robot_indices(self._problem.chain)]
+            self.e[k, motion:] = stack.error(by_hand)
         self.rate[k, motion:] = 0.0
         for i, (_, part) in enumerate(self.parts):
             if part.start >= motion:
@@ -159,27 +169,6 @@ def _beginning(problem: ControlProblem, start: State) -> State:
     begin = State(problem.chain, start.q, start.t)
     begin.inputs = start.inputs
     return begin
-
-
-class _MeasuredWrenches:
-    """Wrenches that tasks ask for, against the plant's ``hand_wrench``."""
-
-    def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
-        self.stack = WrenchStack(problem.wrenches, _beginning(problem, start))
-        self._at = robot_indices(problem.chain)
-        self._told = plant.signals.get("hand_wrench")
-
-    def error(self, true: State) -> Array:
-        """C h - wanted of each row; NaN where the plant tells no forces."""
-        try:
-            self.stack.update(true)
-        except KeyboardInterrupt:
-            raise
-        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
-            return np.full(len(self.stack.wanted), np.nan)
-        if self._told is None:
-            return np.full(len(self.stack.wanted), np.nan)
-        return self.stack.error(self._told.reshape(-1, 6)[self._at])
 
 
 def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:

@@ -52,7 +52,7 @@ class HandSignals:
         """Whether a hand holds by pressing."""
         return any(hand.contact for hand in self.hands)
 
-    def tell(
+    def write(
         self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
     ) -> None:
         """Write the signals.
@@ -64,9 +64,9 @@ class HandSignals:
             borne: sum of the friction forces' sizes over all points of each contact, shape
                 (holding,) [N]; by the contact's own model of friction if omitted.
         """
-        for name, told in self.signals.items():
+        for name, signal in self.signals.items():
             if name not in ("held", "slip"):
-                told[:] = 0.0
+                signal[:] = 0.0
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
         by_arm[self.at] = wrenches
         self.signals["hand_point"].reshape(-1, 3)[self.at] = points

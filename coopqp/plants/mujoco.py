@@ -26,7 +26,6 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._hands import HandSignals
 from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_name, mjcf
 from coopqp.plants._servo import Servo
 
@@ -69,19 +68,18 @@ class MujocoModel(DynamicModel):
         )
         if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
             raise InvalidValueError(f"plant mujoco: {fault}")
-        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._require_faces()
         self._open()
         self._data.qpos[self._q] = self.true.q[self._moved]
         mujoco.mj_forward(self._model, self._data)
         self.signals["gap"] = np.zeros(1)
         self.signals["internal_wrench"] = np.zeros(6 * len(problem.chain.robot.arms))
-        self.signals |= self._told_hands.signals
+        self.signals |= self.hand_signals.signals
 
     def _require_faces(self) -> None:
         """Refuse contacts that do not touch the box that the object is."""
         half = 0.5 * np.array(self.true.chain.held.size)
-        for hand in self._told_hands.hands:
+        for hand in self.hand_signals.hands:
             if hand.contact and abs(overhang(hand, half)[0]) > OFF_FACE:
                 raise InvalidValueError(
                     f"plant mujoco: the contact of {hand.arm} is "
@@ -96,23 +94,20 @@ class MujocoModel(DynamicModel):
 
     def truth(self, state: State) -> State:
         """Before noise; where hands press or yield, the object is a free body."""
-        told = super().truth(state)
+        truth = super().truth(state)
         if self._yielding:
             places = self._data.xpos[self._yielding]
-            yielded = told.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
-            told.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
-            told.update_drift()
-        if self._told_hands.pressing or self._yielding:
-            told.p_WO[:] = self._data.xpos[self._object]
-            told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
-        return told
+            yielded = truth.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
+            truth.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
+            truth.update_drift()
+        if self.hand_signals.pressing or self._yielding:
+            truth.p_WO[:] = self._data.xpos[self._object]
+            truth.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
+        return truth
 
     def attach(self, before: PlantModel) -> None:
         """Motion goes on; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
-        self._told_hands = before._told_hands
-        self._told_hands.follow(self.true.chain)
-        self.signals |= self._told_hands.signals
         self._go_on(before._data)
 
     def grip(self) -> None:
@@ -138,7 +133,7 @@ class MujocoModel(DynamicModel):
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._object = self._model.body(OBJECT).id
         self._object_v = self._model.joint(OBJECT).dofadr[0] + np.arange(6)
-        held = self._told_hands.hands
+        held = self.hand_signals.hands
         self._ends = [self._model.site(f"end[{hand.arm}]").id for hand in held]
         self._pads = {
             self._model.geom(f"pad[{hand.arm}]").id: i
@@ -170,27 +165,27 @@ class MujocoModel(DynamicModel):
         R_WO = data.xmat[self._object].reshape(3, 3)
         self._follow_balls(R_WO)
         wrenches, borne = self._wrenches()
-        told = self._told_hands
+        signals = self.hand_signals
         self.signals["gap"][0] = self._gap(place)
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
         alpha = self.true.chain.alpha[: len(wrenches)]
-        internal[told.at] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
-        points = contact_points(told.hands, place, R_WO)
+        internal[signals.at] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
+        points = contact_points(signals.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
-        told.tell(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
-        if told.pressing:
-            self._tell_slip(points)
-            told.touch(self._dt)
-            self.lost = told.lost
+        signals.write(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
+        if signals.pressing:
+            self._write_slip(points)
+            signals.touch(self._dt)
+            self.lost = signals.lost
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
 
     def _gap(self, place: Array) -> float:
         """Largest distance between the object and where a fastened hand holds it [m]."""
-        told = zip(self._ends, self._told_hands.hands, strict=True)
-        fastened = [self._data.site_xpos[k] - place for k, hand in told if not hand.contact]
+        held = zip(self._ends, self.hand_signals.hands, strict=True)
+        fastened = [self._data.site_xpos[k] - place for k, hand in held if not hand.contact]
         return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
 
     def _in_contacts(self, at_hands: Sequence[Array], points: Array, R_WO: Array) -> Array:
@@ -200,7 +195,7 @@ class MujocoModel(DynamicModel):
         object's face, from which the pad may have tilted. A fingertip's stays at its place.
         """
         data, found = self._data, []
-        hands, turned = self._told_hands.hands, into_contacts(self._told_hands.hands, R_WO)
+        hands, turned = self.hand_signals.hands, into_contacts(self.hand_signals.hands, R_WO)
         for hand, site, h, p, R in zip(hands, self._ends, at_hands, points, turned, strict=True):
             if not hand.contact or min(hand.contact.half_lengths) <= 0.0:
                 found.append(in_axes(h, R))
@@ -214,14 +209,14 @@ class MujocoModel(DynamicModel):
             found.append(in_axes(moved(h, p, middle), on_face))
         return np.array(found)
 
-    def _tell_slip(self, points: Array) -> None:
+    def _write_slip(self, points: Array) -> None:
         """How far the object's points of contact have moved along the pads."""
-        data, told = self._data, self._told_hands
-        for i, (site, hand) in enumerate(zip(self._ends, told.hands, strict=True)):
+        data, signals = self._data, self.hand_signals
+        for i, (site, hand) in enumerate(zip(self._ends, signals.hands, strict=True)):
             if hand.contact:
                 along = data.site_xmat[site].reshape(3, 3)[:, :2]
                 away = along.T @ (points[i] - data.site_xpos[site])
-                told.signals["slip"][told.at[i]] = np.hypot(away[0], away[1])
+                signals.signals["slip"][signals.at[i]] = np.hypot(away[0], away[1])
 
     def _follow_balls(self, R_WO: Array) -> None:
         """Angles of the joints that stand for a fingertip, from the object's rotation."""
@@ -242,7 +237,7 @@ class MujocoModel(DynamicModel):
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
         welds = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        fastened = [i for i, h in enumerate(self._told_hands.hands) if not h.contact]
+        fastened = [i for i, h in enumerate(self.hand_signals.hands) if not h.contact]
         R_WO = data.xmat[self._object].reshape(3, 3)
         for weld, i in enumerate(fastened):
             force = np.where(welds & (data.efc_id == weld), data.efc_force, 0.0)

@@ -16,7 +16,6 @@ from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._hands import HandSignals
 from coopqp.plants._servo import UNLIMITED_EFFORT, Servo, fair_shares, full_effort, inertia_seen
 
 #: Newton steps on the loops after a small slip.
@@ -47,22 +46,18 @@ class RigidBodyModel(DynamicModel):
     ) -> None:
         super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
-        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._open()
         arms = len(chain.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
         self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
         self.signals["internal_wrench"] = np.zeros(6 * arms)
-        self.signals |= self._told_hands.signals
+        self.signals |= self.hand_signals.signals
 
     def attach(self, before: PlantModel) -> None:
         """Hands that attach while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true
-        self._told_hands = before._told_hands
-        self._told_hands.follow(true.chain)
-        self.signals |= self._told_hands.signals
         self._open()
         # The object comes with the speed of an arm that has held it.
         carrier = before.true.chain.hold.holders[0]
@@ -117,19 +112,19 @@ class RigidBodyModel(DynamicModel):
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
         self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
-        self._tell_hands(wrenches.by_arm)
+        self._write_hand_signals(wrenches.by_arm)
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
-    def _tell_hands(self, by_arm: Array) -> None:
+    def _write_hand_signals(self, by_arm: Array) -> None:
         """Write the hands' signals; the object is lost where friction cannot bear it."""
-        true, told = self.true, self._told_hands
-        at = points(told.hands, true.p_WO, true.R_WO)
+        true, signals = self.true, self.hand_signals
+        at = points(signals.hands, true.p_WO, true.R_WO)
         wrenches = [moved(h, true.p_WO, p) for h, p in zip(by_arm, at, strict=False)]
-        turned = into_contacts(told.hands, true.R_WO)
-        told.tell(np.array(wrenches), at, np.array(list(map(in_axes, wrenches, turned))))
-        if told.pressing:
-            told.bear()
-            self.lost = told.lost
+        turned = into_contacts(signals.hands, true.R_WO)
+        signals.write(np.array(wrenches), at, np.array(list(map(in_axes, wrenches, turned))))
+        if signals.pressing:
+            signals.bear()
+            self.lost = signals.lost
 
     def _follow(self, q: Array, v: Array) -> None:
         """Bring the dynamics up to date, unless that is the state of the last period's end."""

@@ -36,13 +36,9 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
             f"{cannot_carry(problem.chain, hold, load)}"
         )
     asked.update(start)
-    _require_each(hold, asked, name)
+    for fault in out_of_reach(hold, asked):
+        raise InvalidValueError(f"{name}: {fault}")
     _require_together(hold, asked, name)
-
-
-def _require_each(hold: StaticHold, asked: WrenchStack, name: str) -> None:
-    for said in out_of_reach(hold, asked):
-        raise InvalidValueError(f"{name}: {said}")
 
 
 def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:

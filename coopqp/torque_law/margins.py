@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,10 +110,6 @@ class TorqueLoop:
     dt: float
     forward: float = 1.0
 
-    def times(self, kp: float, ki: float, kd: float) -> TorqueLoop:
-        """The same with gains multiplied."""
-        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
-
     def damping(self, delay: int = DELAY) -> float:
         """Smallest damping ratio with commands late by some ticks."""
         k, dt = len(self.gains), self.dt
@@ -159,10 +155,6 @@ class VelocityLoop:
         integral += self.dt * deviation
         model_rate[:] = -self.kp * (e - deviation)
         return model_rate - self.kp * deviation - self.ki * integral - self.kd * w_dot
-
-    def times(self, kp: float, ki: float, kd: float) -> VelocityLoop:
-        """The same with gains multiplied."""
-        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
 
     def damping(self, delay: int = DELAY) -> float:
         """Smallest damping ratio with commands late by some ticks."""

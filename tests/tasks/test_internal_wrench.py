@@ -51,7 +51,7 @@ def test_between_three_hands_a_squeeze_is_the_push_along_their_edge() -> None:
     rest = np.zeros((3, 6))
     rest[other, 3:] = 1.0  # a torque is no push
     assert np.allclose(stack.error(rest), [-2.0])
-    assert virtual_linkage(at).E.shape == (9, 3)
+    assert virtual_linkage(at).shape == (3, 9)
 
 
 def test_a_signal_says_how_much_and_when(chain: ClosedChain) -> None:
